@@ -1,0 +1,457 @@
+"""MuJoCo-Warp: the same scenes in thousands of worlds on a GPU, and on the CPU for tests."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+if not os.environ.get("ORBISIM_WARP_VERBOSE"):  # before mujoco_warp starts Warp
+    wp.config.log_level = wp.LOG_ERROR  # it would list every kernel on standard output
+
+import mujoco_warp as mjw  # noqa: E402
+
+from orbisim.backend import Backend, Capability  # noqa: E402
+from orbisim.errors import (  # noqa: E402
+    CapacityError,
+    DivergedError,
+    InputError,
+    UnsupportedSceneError,
+)
+from orbisim.scene import Scene  # noqa: E402
+from orbisim.state import State  # noqa: E402
+from orbisim.trajectory import Trajectory  # noqa: E402
+from orbisim_warp import kernels  # noqa: E402
+
+_PHYSICAL = ("qpos", "qvel", "act")
+_MEMORY = (
+    "qacc_warmstart",
+    "history",
+    "qfrc_applied",
+    "xfrc_applied",
+    "eq_active",
+    "mocap_pos",
+    "mocap_quat",
+    "userdata",
+)
+_BODY_FORCES = frozenset({"cacc", "cfrc_ext", "cfrc_int"})
+_GROWTH = 2
+_ATTEMPTS = 6
+
+
+class WarpBackend(Backend):
+    """MuJoCo-Warp in float32.
+
+    Buffers for contacts and constraints start at MuJoCo-Warp's own estimate and are enlarged (and
+    the step repeated) when they overflow. On a GPU, steps run as CUDA graphs.
+
+    Args:
+      nworld: number of worlds to prepare for.
+      device: `cpu`, `cuda` or `cuda:N`; None for the first GPU, or the CPU where there is none.
+      nconmax, njmax: contacts and constraints to allocate for each world; None for an estimate.
+      arrays: `numpy` returns NumPy float64 on the host; `torch` returns float32 tensors on the
+        device, without copies to the host.
+      deterministic: sums contacts and constraints in a fixed order, at some cost.
+    """
+
+    name = "warp"
+    reportable = frozenset(
+        {
+            "act_dot",
+            "actuator_force",
+            "qacc",
+            "qacc_smooth",
+            "qfrc_actuator",
+            "qfrc_constraint",
+            "qfrc_smooth",
+            "sensordata",
+            *_BODY_FORCES,
+        }
+    )
+
+    def __init__(
+        self,
+        *,
+        nworld: int = 1,
+        device: str | None = None,
+        nconmax: int | None = None,
+        njmax: int | None = None,
+        arrays: Literal["numpy", "torch"] = "numpy",
+        deterministic: bool = False,
+    ) -> None:
+        if arrays not in ("numpy", "torch"):
+            raise InputError(f"arrays is 'numpy' or 'torch'; got {arrays!r}")
+        self._wp_device = _device(device)
+        super().__init__(nworld=nworld, device=str(self._wp_device))
+        self._sizes = {"nconmax": nconmax, "njmax": njmax}
+        self._torch = arrays == "torch"
+        self._deterministic = deterministic
+        self._model: mjw.Model | None = None
+        self._data: mjw.Data | None = None
+        self._graphs: dict[Any, Any] = {}
+        capabilities = {Capability.CLASSICAL, Capability.CONTACT_FORCES}
+        if self._wp_device.is_cuda:
+            capabilities.add(Capability.DEVICE_BATCH)
+        if deterministic or self._wp_device.is_cpu:
+            capabilities.add(Capability.DETERMINISTIC)
+        self.capabilities = frozenset(capabilities)
+
+    def load(self, scene: Scene) -> None:
+        """Puts the scene's model on the device.
+
+        Raises:
+          UnsupportedSceneError: MuJoCo-Warp does not support something that the scene has.
+        """
+        try:
+            with self._scope():
+                self._model = mjw.put_model(scene.model)
+        except (NotImplementedError, ValueError) as error:
+            raise UnsupportedSceneError(
+                scene.source, f"MuJoCo-Warp cannot simulate it: {error}", remedy="use 'mujoco'"
+            ) from None
+        if self._deterministic:
+            self._model.opt.deterministic = int(mjw.DeterminismType.ALL)
+        self._scene = scene
+        self._forget()
+        self._use_report()
+        defaults = mujoco.MjData(scene.model)
+        self._defaults = {name: np.array(getattr(defaults, name)) for name in _MEMORY}
+
+    def reset(self, nworld: int | None = None, seed: int | None = None) -> State:
+        """The model's reference configuration in every world."""
+        count = nworld or self.nworld
+        data = mujoco.MjData(self.model)
+        repeat = lambda value: np.repeat(np.array(value, np.float64)[None], count, axis=0)  # noqa: E731
+        state = State(
+            time=np.zeros(count),
+            qpos=repeat(data.qpos),
+            qvel=repeat(data.qvel),
+            act=repeat(data.act),
+            memory={name: repeat(v) for name, v in self._defaults.items() if v.size},
+        )
+        return self._to_torch(state) if self._torch else state
+
+    @property
+    def report(self) -> frozenset[str]:
+        """Derived fields that `step` puts into `State.memory` (see `Backend.report`)."""
+        return self._report
+
+    @report.setter
+    def report(self, names: Iterable[str]) -> None:
+        Backend.report.fset(self, names)  # type: ignore[attr-defined]
+        self._use_report()
+
+    def _use_report(self) -> None:
+        if self._model is not None:
+            self._model.opt.run_rne_postconstraint = not self._report.isdisjoint(_BODY_FORCES)
+        self._graphs = {}
+
+    def step(self, state: State, control: Any = None, nstep: int = 1) -> State:
+        """`mujoco_warp.step` in every world, `nstep` times."""
+        control = self.check_control(state, control)
+        self.check_state(state)
+
+        def run() -> None:
+            self._write(state, control)
+            for _ in range(nstep):
+                self._launch("step", self._one_step)
+
+        self._until_it_fits(run, state.nworld)
+        return self._finish_step(state, nstep)
+
+    def forward(self, state: State, control: Any = None, *, actuation: bool = True) -> State:
+        """The same state with the derived fields of `report` computed at it (`mj_forward`).
+
+        Args:
+          actuation: whether actuators act, as MuJoCo's disable flag of that name.
+        """
+        control = self.check_control(state, control)
+        flags = self._model.opt.disableflags
+        if not actuation:
+            self._model.opt.disableflags = flags | int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+        try:
+
+            def run() -> None:
+                self._write(state, control)
+                with self._scope():
+                    mjw.forward(self._model, self._data)
+
+            self._until_it_fits(run, state.nworld)
+        finally:
+            self._model.opt.disableflags = flags
+        return state.with_memory(**self._reported())
+
+    def rollout(
+        self,
+        state: State,
+        controls: Any,
+        *,
+        nstep: int = 1,
+        sensors: bool = True,
+        raise_on_divergence: bool = False,
+    ) -> Trajectory:
+        """Applies a sequence of controls open-loop, recording on the device."""
+        controls = self.check_controls(state, controls)
+        self.check_state(state)
+        steps = int(controls.shape[1])
+        with self._scope():
+            buffers = self._rollout_buffers(controls, state.nworld, steps, sensors)
+
+        def run() -> None:
+            self._write(state, controls[:, 0] if steps else None)
+            buffers["cursor"].zero_()
+            key = ("rollout", nstep, *(buffer.ptr for buffer in buffers.values()))
+            for _ in range(steps * nstep):
+                self._launch(key, lambda: self._one_recorded_step(buffers, nstep))
+
+        self._until_it_fits(run, state.nworld)
+        self._graphs = {k: g for k, g in self._graphs.items() if not isinstance(k, tuple)}
+        return self._finish_rollout(state, controls, buffers, nstep, raise_on_divergence)
+
+    def close(self) -> None:
+        """Frees the device memory."""
+        self._forget()
+        self._model = None
+
+    # -- running -------------------------------------------------------------------------------
+
+    def _one_step(self) -> None:
+        mjw.step(self._model, self._data)
+
+    def _one_recorded_step(self, buffers: dict[str, wp.array], hold: int) -> None:
+        data, cursor = self._data, buffers["cursor"]
+        if data.ctrl.size:
+            wp.launch(
+                kernels.load_control, data.ctrl.shape, [cursor, hold, buffers["controls"], data.ctrl]
+            )
+        mjw.step(self._model, data)
+        for name, buffer in buffers.items():
+            if name in ("qpos", "qvel", "act", "sensordata"):
+                values = getattr(data, name)
+                wp.launch(kernels.record, values.shape, [cursor, hold, values, buffer])
+        wp.launch(kernels.advance, 1, [cursor])
+
+    def _launch(self, key: Any, work: Callable[[], None]) -> None:
+        """Runs `work`, on a GPU as a graph that is captured the second time it is asked for."""
+        with self._scope():
+            if not self._wp_device.is_cuda:
+                work()
+            elif key not in self._graphs:
+                work()  # loads the kernels; a capture cannot
+                self._graphs[key] = None
+            else:
+                if self._graphs[key] is None:
+                    with wp.ScopedCapture() as capture:
+                        work()
+                    self._graphs[key] = capture.graph
+                wp.capture_launch(self._graphs[key])
+
+    def _until_it_fits(self, run: Callable[[], None], nworld: int) -> None:
+        """Runs; while a contact or constraint buffer overflows, enlarges it and runs again."""
+        for _ in range(_ATTEMPTS):
+            self._allocate(nworld)
+            run()
+            overflow = int(np.bitwise_or.reduce(self._data.overflow.numpy(), initial=0))
+            if not overflow:
+                return
+            self._data.overflow.zero_()
+            self._sizes = {
+                "nconmax": _GROWTH * max(1, -(-self._data.naconmax // nworld)),
+                "njmax": _GROWTH * max(1, self._data.njmax),
+            }
+            self._forget()
+        raise CapacityError(
+            f"backend 'warp': scene {self.scene.name!r} needs more than {self._sizes['nconmax']} "
+            f"contacts or {self._sizes['njmax']} constraints a world; pass nconmax and njmax"
+        )
+
+    def _allocate(self, nworld: int) -> None:
+        if self._data is not None and self._data.nworld == nworld:
+            return
+        self._forget()
+        with self._scope():
+            self._data = mjw.make_data(self.model, nworld=nworld, **self._sizes)
+            self._data.overflow.zero_()
+
+    def _forget(self) -> None:
+        self._data = None
+        self._graphs = {}
+
+    @contextlib.contextmanager
+    def _scope(self) -> Iterator[None]:
+        with wp.ScopedDevice(self._wp_device):
+            yield
+
+    # -- the state -----------------------------------------------------------------------------
+
+    def _write(self, state: State, control: Any) -> None:
+        data = self._data
+        _assign(data.time, state.time)
+        for name in _PHYSICAL:
+            _assign(getattr(data, name), getattr(state, name))
+        for name in _MEMORY:
+            target = getattr(data, name)
+            if target.size:
+                _assign(target, state.memory.get(name, self._defaults[name]))
+        if control is not None:
+            _assign(data.ctrl, control)
+
+    def _finish_step(self, state: State, nstep: int) -> State:
+        memory = {
+            name: self._array(getattr(self._data, name))
+            for name in _MEMORY
+            if self._defaults[name].size
+        }
+        new = State(
+            time=state.time + nstep * self.timestep,
+            qpos=self._array(self._data.qpos),
+            qvel=self._array(self._data.qvel),
+            act=self._array(self._data.act),
+            memory={**memory, **self._reported()},
+        )
+        lost = np.flatnonzero(~new.finite)
+        if lost.size:
+            raise DivergedError(
+                f"backend 'warp': {lost.size} of {state.nworld} worlds diverged in scene "
+                f"{self.scene.name!r}, world {int(lost[0])} first; reduce the timestep or the controls",
+                lost.tolist(),
+            )
+        return new
+
+    def _finish_rollout(
+        self,
+        state: State,
+        controls: Any,
+        buffers: dict[str, wp.array],
+        nstep: int,
+        raise_on_divergence: bool,
+    ) -> Trajectory:
+        records = {
+            name: self._array(buffer)
+            for name, buffer in buffers.items()
+            if name in ("qpos", "qvel", "act", "sensordata")
+        }
+        nworld, steps = state.nworld, int(controls.shape[1])
+        for name, size in (("qpos", self.model.nq), ("qvel", self.model.nv), ("act", self.model.na)):
+            if name not in records:
+                records[name] = self._array(wp.zeros((nworld, steps, size), dtype=float))
+        diverged_at = _first_lost(records["qpos"], records["qvel"])
+        for name in ("qpos", "qvel", "act"):
+            for world in np.flatnonzero(diverged_at >= 0):
+                records[name][world, diverged_at[world] :] = np.nan
+        if raise_on_divergence:
+            self.raise_diverged(diverged_at)
+        clock = (np.arange(1, steps + 1) * nstep * self.timestep)[None]
+        final = State(
+            time=state.time + steps * nstep * self.timestep,
+            qpos=self._array(self._data.qpos),
+            qvel=self._array(self._data.qvel),
+            act=self._array(self._data.act),
+            memory={
+                name: self._array(getattr(self._data, name))
+                for name in _MEMORY
+                if self._defaults[name].size
+            },
+        )
+        return Trajectory(
+            initial=state,
+            control=controls,
+            time=state.time[:, None] + self._like(clock, state.time),
+            sensordata=records.pop("sensordata", None),
+            diverged_at=diverged_at,
+            final=final,
+            **records,
+        )
+
+    def _rollout_buffers(
+        self, controls: Any, nworld: int, steps: int, sensors: bool
+    ) -> dict[str, wp.array]:
+        model = self.model
+        sizes = {"qpos": model.nq, "qvel": model.nv, "act": model.na}
+        if sensors:
+            sizes["sensordata"] = model.nsensordata
+        buffers = {
+            name: wp.zeros((nworld, steps, size), dtype=float)
+            for name, size in sizes.items()
+            if size
+        }
+        buffers["cursor"] = wp.zeros(1, dtype=int)
+        if model.nu:
+            buffers["controls"] = wp.empty((nworld, steps, model.nu), dtype=float)
+            _assign(buffers["controls"], controls)
+        return buffers
+
+    def _reported(self) -> dict[str, Any]:
+        return {name: self._array(getattr(self._data, name)) for name in self.report}
+
+    def _array(self, array: wp.array) -> Any:
+        """A copy of a device array as this backend returns it."""
+        if self._torch:
+            tensor = wp.to_torch(array).clone()
+            return tensor
+        host = array.numpy()
+        return host.astype(np.float64) if host.dtype.kind == "f" else host.copy()
+
+    def _to_torch(self, state: State) -> State:
+        import torch
+
+        def convert(value: npt.NDArray[Any]) -> Any:
+            return torch.as_tensor(value, dtype=torch.float32, device=wp.device_to_torch(self._wp_device))
+
+        return State(
+            time=convert(state.time).double(),
+            **{name: convert(getattr(state, name)) for name in _PHYSICAL},
+            memory={name: convert(value) for name, value in state.memory.items()},
+        )
+
+    def _like(self, value: npt.NDArray[Any], reference: Any) -> Any:
+        if isinstance(reference, np.ndarray):
+            return value
+        import torch
+
+        return torch.as_tensor(value, dtype=reference.dtype, device=reference.device)
+
+
+def _device(name: str | None) -> wp.Device:
+    if name is None:
+        return wp.get_preferred_device()
+    try:
+        return wp.get_device("cuda:0" if name == "cuda" else name)
+    except (ValueError, RuntimeError) as error:
+        known = ", ".join(str(device) for device in wp.get_devices())
+        raise InputError(f"backend 'warp' has no device {name!r}; this machine has {known}") from error
+
+
+def _assign(target: wp.array, value: Any) -> None:
+    """Copies numbers into a device array of any scalar, vector or quaternion type."""
+    shape = (*target.shape, *getattr(target.dtype, "_shape_", ()))
+    if hasattr(value, "detach"):
+        import torch
+
+        kind = torch.bool if target.dtype is wp.bool else torch.float32
+        tensor = value.detach().to(device=wp.device_to_torch(target.device), dtype=kind)
+        wp.copy(target, wp.from_torch(tensor.expand(shape).contiguous(), dtype=target.dtype))
+        return
+    numbers = np.broadcast_to(np.asarray(value), shape)
+    dtype = np.bool_ if target.dtype is wp.bool else np.float32
+    target.assign(np.ascontiguousarray(numbers, dtype))
+
+
+def _first_lost(qpos: Any, qvel: Any) -> npt.NDArray[np.int64]:
+    """[nworld] first step with a number that is not finite, -1 for none."""
+    if isinstance(qpos, np.ndarray):
+        lost = ~(np.isfinite(qpos).all(axis=2) & np.isfinite(qvel).all(axis=2))
+    else:
+        import torch
+
+        lost = ~(torch.isfinite(qpos).all(dim=2) & torch.isfinite(qvel).all(dim=2))
+        lost = lost.cpu().numpy()
+    if not lost.shape[1]:
+        return np.full(len(lost), -1)
+    return np.where(lost.any(axis=1), lost.argmax(axis=1), -1)

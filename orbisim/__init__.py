@@ -1,0 +1,76 @@
+"""OrbiSim: a hybrid robot simulator.
+
+Classical and learned physics behind one dm_control-style `Physics`, renderers that can be
+swapped in the middle of an episode, and a loop that is closed with measured data.
+
+Names are imported when they are first used: `import orbisim` loads neither MuJoCo nor torch.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from orbisim import gl as _gl
+
+if TYPE_CHECKING:
+    from orbisim.backend import Backend as Backend
+    from orbisim.backend import Capability as Capability
+    from orbisim.errors import OrbiSimError as OrbiSimError
+    from orbisim.physics import Physics as Physics
+    from orbisim.physics import hybrid as hybrid
+    from orbisim.registry import available_backends as available_backends
+    from orbisim.registry import available_renderers as available_renderers
+    from orbisim.registry import make_backend as make_backend
+    from orbisim.registry import make_renderer as make_renderer
+    from orbisim.registry import register_backend as register_backend
+    from orbisim.registry import register_renderer as register_renderer
+    from orbisim.renderer import Renderer as Renderer
+    from orbisim.scene import Scene as Scene
+    from orbisim.scene import SceneDescriptor as SceneDescriptor
+    from orbisim.scene import load_scene as load_scene
+    from orbisim.state import State as State
+    from orbisim.trajectory import Trajectory as Trajectory
+
+__version__ = "0.1.0"
+
+_gl.configure()  # before anything imports MuJoCo
+
+_HOMES = {
+    "Backend": "orbisim.backend",
+    "Capability": "orbisim.backend",
+    "OrbiSimError": "orbisim.errors",
+    "Physics": "orbisim.physics",
+    "Renderer": "orbisim.renderer",
+    "State": "orbisim.state",
+    "Trajectory": "orbisim.trajectory",
+    "available_backends": "orbisim.registry",
+    "available_renderers": "orbisim.registry",
+    "hybrid": "orbisim.physics",
+    "make_backend": "orbisim.registry",
+    "make_renderer": "orbisim.registry",
+    "register_backend": "orbisim.registry",
+    "register_renderer": "orbisim.registry",
+    "Scene": "orbisim.scene",
+    "SceneDescriptor": "orbisim.scene",
+    "load_scene": "orbisim.scene",
+}
+"""Public names and the modules that define them."""
+
+_MODULES = ("suite", "testing")
+
+__all__ = [*_HOMES, *_MODULES]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        value = getattr(importlib.import_module(_HOMES[name]), name)
+        globals()[name] = value
+        return value
+    if name in _MODULES:
+        return importlib.import_module(f"orbisim.{name}")
+    raise AttributeError(f"module 'orbisim' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

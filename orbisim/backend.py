@@ -1,0 +1,393 @@
+"""`Backend`: what advances a state."""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+import enum
+from collections.abc import Iterable
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.errors import DivergedError, InputError
+from orbisim.scene import Scene
+from orbisim.state import Array, State
+from orbisim.trajectory import Trajectory
+
+
+class Capability(enum.Enum):
+    """What a backend can do beyond stepping."""
+
+    DIFFERENTIABLE = "differentiable"
+    """Steps and rollouts of torch tensors carry gradients."""
+    DEVICE_BATCH = "device_batch"
+    """Many worlds are stepped at once on an accelerator."""
+    CONTACT_FORCES = "contact_forces"
+    """The acceleration stage (accelerations, contact forces, force sensors) is reported."""
+    DETERMINISTIC = "deterministic"
+    """The same state and control give the same bits, whatever other worlds do."""
+    CLASSICAL = "classical"
+    """Integrates the equations of motion of the scene (as opposed to learned)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Linearization:
+    """Derivatives of one step in the tangent space of the state.
+
+    The tangent vector is (dq [nv], v [nv], act [na]), as in `mujoco.mjd_transitionFD`.
+
+    Attributes:
+      A: [nworld, 2 nv + na, 2 nv + na], next state by state.
+      B: [nworld, 2 nv + na, nu], next state by control.
+    """
+
+    A: Array
+    B: Array
+
+
+class Backend(abc.ABC):
+    """Advances states of one scene; holds no state of its own between calls.
+
+    Subclasses implement `load`, `reset` and `step`; `rollout` and `linearize` have defaults that a
+    subclass may replace by something faster. See backends/README.md for a complete example and
+    `orbisim.testing.BackendConformance` for the tests that every backend must pass.
+
+    Args:
+      nworld: how many worlds to prepare for (a state with another number works too).
+      device: where to compute, by torch's names (`cpu`, `cuda`, `cuda:1`); None for the default.
+
+    Attributes:
+      name: the name under which the backend is registered.
+      capabilities: what it can do.
+      reportable: names of MjData's derived fields (accelerations, forces, `sensordata`) that it
+        can put into `State.memory`; it does not know the others.
+    """
+
+    name: ClassVar[str] = ""
+    capabilities: frozenset[Capability] = frozenset()
+    reportable: frozenset[str] = frozenset()
+
+    def __init__(self, *, nworld: int = 1, device: str | None = None) -> None:
+        if nworld < 1:
+            raise InputError(f"nworld must be at least 1; got {nworld}")
+        self.nworld = nworld
+        self.device = device
+        self._report: frozenset[str] = frozenset()
+
+    @property
+    def report(self) -> frozenset[str]:
+        """Derived fields that `step` puts into `State.memory`; none unless asked for.
+
+        As after `mj_step`, they belong to the state where the last substep began.
+        """
+        return self._report
+
+    @report.setter
+    def report(self, names: Iterable[str]) -> None:
+        unknown = sorted(set(names) - self.reportable)
+        if unknown:
+            raise InputError(
+                f"backend {self.name!r} does not report {', '.join(unknown)}; it can report "
+                f"{', '.join(sorted(self.reportable)) or 'nothing'}"
+            )
+        self._report = frozenset(names)
+
+    @property
+    def scene(self) -> Scene:
+        """The scene that was loaded.
+
+        Raises:
+          InputError: none was.
+        """
+        scene: Scene | None = getattr(self, "_scene", None)
+        if scene is None:
+            raise InputError(f"backend {self.name!r} has no scene; call load(scene) first")
+        return scene
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The loaded scene's model; read-only."""
+        return self.scene.model
+
+    @property
+    def timestep(self) -> float:
+        """Duration of one step, s."""
+        return float(self.model.opt.timestep)
+
+    @abc.abstractmethod
+    def load(self, scene: Scene) -> None:
+        """Prepares to simulate `scene`.
+
+        Raises:
+          UnsupportedSceneError: the scene has something that this backend cannot simulate.
+        """
+
+    @abc.abstractmethod
+    def reset(self, nworld: int | None = None, seed: int | None = None) -> State:
+        """The scene's initial state in `nworld` worlds.
+
+        Args:
+          nworld: number of worlds; the number given at construction if None.
+          seed: for backends with randomness of their own; deterministic backends ignore it.
+        """
+
+    @abc.abstractmethod
+    def step(self, state: State, control: Array | None = None, nstep: int = 1) -> State:
+        """Advances every world by `nstep` steps under a constant control.
+
+        Args:
+          state: as returned by any backend; memory that this backend lacks starts afresh.
+          control: [nu] or [nworld, nu]; None for zeros.
+
+        Raises:
+          DivergedError: a world became non-finite; the error names the worlds.
+          InputError: shapes do not fit the scene.
+        """
+
+    def rollout(
+        self,
+        state: State,
+        controls: Array,
+        *,
+        nstep: int = 1,
+        sensors: bool = True,
+        raise_on_divergence: bool = False,
+    ) -> Trajectory:
+        """Applies a sequence of controls open-loop.
+
+        Args:
+          state: initial state.
+          controls: [T, nu] or [nworld, T, nu].
+          nstep: steps for which each control is held.
+          sensors: whether to record sensor data, where the backend reports it.
+          raise_on_divergence: raise instead of returning NaN from where a world diverged.
+
+        Raises:
+          DivergedError: see `raise_on_divergence`.
+          InputError: shapes do not fit the scene.
+        """
+        controls = self.check_controls(state, controls)
+        diverged_at = np.full(state.nworld, -1)
+        records: list[State] = []
+        current = state
+        for t in range(controls.shape[1]):
+            current, diverged_at = self._step_recording(current, controls[:, t], nstep, t, diverged_at)
+            records.append(current)
+        if raise_on_divergence:
+            self.raise_diverged(diverged_at)
+        return self._trajectory(state, controls, records, diverged_at, sensors)
+
+    def _step_recording(
+        self, state: State, control: Array, nstep: int, t: int, diverged_at: npt.NDArray[np.int64]
+    ) -> tuple[State, npt.NDArray[np.int64]]:
+        """One step of the worlds still alive; the others become NaN."""
+        alive = np.flatnonzero(diverged_at < 0)
+        while alive.size:
+            try:
+                part = self.step(state[alive], control[alive], nstep)
+                break
+            except DivergedError as error:
+                if not error.worlds:
+                    raise
+                diverged_at = diverged_at.copy()
+                diverged_at[alive[list(error.worlds)]] = t
+                alive = np.flatnonzero(diverged_at < 0)
+        if alive.size == state.nworld:
+            return part, diverged_at
+        blank = State(
+            time=state.time + nstep * self.timestep,
+            qpos=_nan_like(state.qpos),
+            qvel=_nan_like(state.qvel),
+            act=_nan_like(state.act),
+            memory=state.memory,
+        )
+        return (_scatter(blank, part, alive) if alive.size else blank), diverged_at
+
+    def _trajectory(
+        self,
+        initial: State,
+        controls: Array,
+        records: list[State],
+        diverged_at: npt.NDArray[np.int64],
+        sensors: bool,
+    ) -> Trajectory:
+        stack = _stack_time(records) if records else None
+        empty = stack is None
+        sensordata = None
+        if sensors and records and "sensordata" in records[0].memory:
+            sensordata = _stack([r.memory["sensordata"] for r in records])
+        return Trajectory(
+            initial=initial,
+            control=controls,
+            time=initial.time[:, None][:, :0] if empty else stack["time"],
+            qpos=initial.qpos[:, None][:, :0] if empty else stack["qpos"],
+            qvel=initial.qvel[:, None][:, :0] if empty else stack["qvel"],
+            act=initial.act[:, None][:, :0] if empty else stack["act"],
+            sensordata=sensordata,
+            diverged_at=diverged_at,
+            final=records[-1] if records else initial,
+        )
+
+    def linearize(
+        self, state: State, control: Array | None = None, *, eps: float = 1e-6
+    ) -> Linearization:
+        """Derivatives of one step by central differences in the tangent space.
+
+        Args:
+          state: where to linearize. control: [nu] or [nworld, nu]; None for zeros.
+          eps: size of the perturbation.
+        """
+        control = self.check_control(state, control)
+        model, nworld = self.model, state.nworld
+        ndx, nu = 2 * model.nv + model.na, int(control.shape[1])
+        dx = np.concatenate([np.eye(ndx), np.zeros((nu, ndx))]) * eps
+        du = np.concatenate([np.zeros((ndx, nu)), np.eye(nu)]) * eps
+        count = len(dx)
+        tiled, held = state.numpy().tile(count), np.repeat(control, count, axis=0)
+        all_dx, all_du = np.tile(dx, (nworld, 1)), np.tile(du, (nworld, 1))
+        after = [
+            self.step(perturbed(model, tiled, sign * all_dx), held + sign * all_du).numpy()
+            for sign in (1.0, -1.0)
+        ]
+        slopes = tangent_difference(model, after[1], after[0]) / (2 * eps)
+        jacobian = slopes.reshape(nworld, count, ndx).transpose(0, 2, 1)
+        return Linearization(A=jacobian[:, :, :ndx], B=jacobian[:, :, ndx:])
+
+    def check_control(self, state: State, control: Array | None) -> Array:
+        """The control as [nworld, nu].
+
+        Raises:
+          InputError: it has another shape.
+        """
+        nu = self.model.nu
+        if control is None:
+            return np.zeros((state.nworld, nu))
+        control = control if hasattr(control, "detach") else np.asarray(control, np.float64)
+        if tuple(control.shape) not in ((nu,), (state.nworld, nu)):
+            raise InputError(
+                f"control has shape {tuple(control.shape)}; scene {self.scene.name!r} needs "
+                f"({nu},) or ({state.nworld}, {nu})"
+            )
+        check_finite("control", control)
+        if control.ndim == 2:
+            return control
+        return (
+            control.expand(state.nworld, nu)
+            if hasattr(control, "expand")
+            else np.broadcast_to(control, (state.nworld, nu))
+        )
+
+    def check_controls(self, state: State, controls: Array) -> Array:
+        """The controls of a rollout as [nworld, T, nu].
+
+        Raises:
+          InputError: they have another shape.
+        """
+        nu = self.model.nu
+        controls = controls if hasattr(controls, "detach") else np.asarray(controls, np.float64)
+        shape = tuple(controls.shape)
+        if shape[-1:] != (nu,) or len(shape) not in (2, 3) or (
+            len(shape) == 3 and shape[0] not in (1, state.nworld)
+        ):
+            raise InputError(
+                f"controls have shape {shape}; scene {self.scene.name!r} needs (T, {nu}) or "
+                f"({state.nworld}, T, {nu})"
+            )
+        check_finite("controls", controls)
+        target = (state.nworld, shape[-2], nu)
+        if hasattr(controls, "expand"):
+            return controls.expand(target)
+        return np.broadcast_to(controls, target)
+
+    def check_state(self, state: State) -> None:
+        """Raises `InputError` if the state does not have this scene's sizes."""
+        model = self.model
+        for name, size in (("qpos", model.nq), ("qvel", model.nv), ("act", model.na)):
+            shape = tuple(getattr(state, name).shape)
+            if shape != (state.nworld, size):
+                raise InputError(
+                    f"State.{name} has shape {shape}; scene {self.scene.name!r} needs "
+                    f"({state.nworld}, {size})"
+                )
+
+    def raise_diverged(self, diverged_at: npt.NDArray[np.int64]) -> None:
+        """Raises `DivergedError` if any entry is not negative."""
+        worlds = np.flatnonzero(diverged_at >= 0)
+        if worlds.size:
+            first = int(worlds[0])
+            raise DivergedError(
+                f"backend {self.name!r}: {worlds.size} of {len(diverged_at)} worlds diverged in "
+                f"scene {self.scene.name!r}, world {first} at step {int(diverged_at[first])}; "
+                "reduce the timestep or the controls",
+                worlds.tolist(),
+            )
+
+    def close(self) -> None:
+        """Frees what the backend holds; it cannot be used afterwards."""
+
+
+def check_finite(name: str, values: Array) -> None:
+    """Raises `InputError` naming the first entry that is NaN or infinite."""
+    host = values.detach().cpu().numpy() if hasattr(values, "detach") else values
+    if not np.isfinite(host).all():
+        index = tuple(int(i) for i in np.argwhere(~np.isfinite(host))[0])
+        raise InputError(f"{name}{list(index)} is {host[index]}; controls must be finite")
+
+
+def perturbed(model: mujoco.MjModel, state: State, dx: npt.NDArray[np.float64]) -> State:
+    """The state moved by tangent vectors dx [nworld, 2 nv + na]."""
+    nv = model.nv
+    qpos = np.array(state.qpos, np.float64)
+    for world in range(state.nworld):
+        mujoco.mj_integratePos(model, qpos[world], np.ascontiguousarray(dx[world, :nv]), 1.0)
+    return state.replace(qpos=qpos, qvel=state.qvel + dx[:, nv : 2 * nv], act=state.act + dx[:, 2 * nv :])
+
+
+def tangent_difference(
+    model: mujoco.MjModel, start: State, end: State
+) -> npt.NDArray[np.float64]:
+    """Tangent vectors [nworld, 2 nv + na] that lead from `start` to `end`."""
+    dq = np.empty((start.nworld, model.nv))
+    for world in range(start.nworld):
+        mujoco.mj_differentiatePos(
+            model,
+            dq[world],
+            1.0,
+            np.ascontiguousarray(start.qpos[world], np.float64),
+            np.ascontiguousarray(end.qpos[world], np.float64),
+        )
+    return np.concatenate([dq, end.qvel - start.qvel, end.act - start.act], axis=1)
+
+
+def _nan_like(array: Array) -> Array:
+    return array * np.nan
+
+
+def _scatter(into: State, part: State, worlds: npt.NDArray[np.int64]) -> State:
+    """`into` with some worlds taken from `part`; memory entries they share are kept."""
+
+    def merge(full: Any, piece: Any) -> Any:
+        merged = full.clone() if hasattr(full, "clone") else np.array(full)
+        merged[worlds] = piece
+        return merged
+
+    shared = into.memory.keys() & part.memory.keys()
+    return State(
+        **{n: merge(getattr(into, n), getattr(part, n)) for n in ("time", "qpos", "qvel", "act")},
+        memory={name: merge(into.memory[name], part.memory[name]) for name in shared},
+    )
+
+
+def _stack(arrays: list[Any]) -> Any:
+    if isinstance(arrays[0], np.ndarray):
+        return np.stack(arrays, axis=1)
+    import torch
+
+    return torch.stack(arrays, dim=1)
+
+
+def _stack_time(records: list[State]) -> dict[str, Any]:
+    return {name: _stack([getattr(r, name) for r in records]) for name in ("time", "qpos", "qvel", "act")}

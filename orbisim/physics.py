@@ -1,0 +1,392 @@
+"""`Physics`: dm_control's `Physics` with backends and renderers that can be switched.
+
+This is the one place that knows dm_control. With the backend `mujoco` everything is dm_control's own
+code. With any other, each step hands the state held in MjData to the backend and mirrors the
+result back: positions and velocities are set and MuJoCo's position and velocity stages are run on
+them; fields of the acceleration stage come from the backend, or are NaN where it does not know
+them, so that nothing reads another engine's numbers by mistake.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+from collections.abc import Iterator, Mapping
+from typing import Any, Self, TypeVar
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+from dm_control.mujoco import engine, wrapper
+from dm_control.rl import control as _control
+
+from orbisim import gl
+from orbisim.backend import Backend
+from orbisim.errors import DivergedError, InputError, RenderingUnavailableError
+from orbisim.mirror import Mirror
+from orbisim.registry import backend_class, make_backend, make_renderer
+from orbisim.renderer import Renderer
+from orbisim.scene import Scene, load_scene
+from orbisim.state import State
+
+_NATIVE = "mujoco"
+P = TypeVar("P", bound=engine.Physics)
+
+
+class PhysicsDivergedError(DivergedError, _control.PhysicsError):
+    """A backend diverged inside `Physics.step`; dm_control's environments know it as theirs."""
+
+
+class _Switchable:
+    """What OrbiSim adds to a dm_control `Physics`; mixed in front of it."""
+
+    _mirror: Mirror | None = None
+    _backend_name: str = _NATIVE
+    _renderer: Renderer | None = None
+    _renderer_name: str = _NATIVE
+    _scene: Scene | None = None
+
+    # -- switching -----------------------------------------------------------------------------
+
+    @property
+    def backend(self) -> str:
+        """Name of the backend in use."""
+        return self._backend_name
+
+    @property
+    def renderer(self) -> str:
+        """Name of the renderer in use."""
+        return self._renderer_name
+
+    def use_backend(self, backend: str | Backend, **config: Any) -> None:
+        """Steps with another backend from now on; the physical state stays exactly as it is.
+
+        Args:
+          backend: a registered name, or a backend object.
+          **config: passed to the backend's class when it is given by name.
+
+        Raises:
+          UnknownNameError: no backend has this name.
+          UnsupportedSceneError: the backend cannot simulate this scene. The backend in use stays.
+        """
+        self._forward_native_if_mirrored()
+        if _is_native(backend):
+            self._mirror, self._backend_name = None, _NATIVE
+            return
+        scene = self._current_scene()
+        if isinstance(backend, Backend):
+            backend.load(scene)
+        else:
+            backend = make_backend(backend, scene, **config)
+        self._backend_name = backend.name
+        self._mirror = Mirror(backend, self)
+
+    def use_renderer(self, renderer: str | Renderer, **config: Any) -> None:
+        """Renders with another renderer from now on.
+
+        Raises:
+          UnknownNameError: no renderer has this name.
+          RenderingUnavailableError: this machine cannot use it.
+        """
+        if renderer == _NATIVE:
+            self._renderer, self._renderer_name = None, _NATIVE
+            return
+        if isinstance(renderer, Renderer):
+            renderer.load(self._current_scene())
+        else:
+            renderer = make_renderer(renderer, self._current_scene(), **config)
+        self._renderer, self._renderer_name = renderer, renderer.name
+
+    @property
+    def scene(self) -> Scene:
+        """The scene, with the model as it is now (tasks may have changed it)."""
+        return self._current_scene()
+
+    @property
+    def state(self) -> State:
+        """The state as a value, with one world; assign it to restore it."""
+        if self._mirror is not None:
+            return self._mirror.state()
+        return read_state(self.model.ptr, self.data.ptr)
+
+    @state.setter
+    def state(self, state: State) -> None:
+        if state.nworld != 1:
+            raise InputError(f"Physics holds one world; got a state of {state.nworld}")
+        write_state(self.model.ptr, self.data.ptr, state)
+        if self._mirror is not None:
+            self._mirror.restore(state)
+            return
+        self.forward()
+        write_state(self.model.ptr, self.data.ptr, state)  # `forward` moves the warm start
+
+    # -- dm_control's interface ----------------------------------------------------------------
+
+    def step(self, nstep: int = 1) -> None:
+        """Advances by `nstep` timesteps of the model.
+
+        Raises:
+          PhysicsError: the state became invalid (dm_control's exception; with a backend other than
+            C MuJoCo it is also a `DivergedError`).
+        """
+        if self._mirror is None:
+            super().step(nstep)  # type: ignore[misc]
+            return
+        try:
+            self._mirror.step(nstep)
+        except DivergedError as error:
+            raise PhysicsDivergedError(str(error), error.worlds) from error
+
+    def forward(self) -> None:
+        """Recomputes derived fields without advancing."""
+        if self._mirror is None:
+            super().forward()  # type: ignore[misc]
+        else:
+            self._mirror.forward()
+
+    def render(
+        self,
+        height: int = 240,
+        width: int = 320,
+        camera_id: int | str = -1,
+        overlays: Any = (),
+        depth: bool = False,
+        segmentation: bool = False,
+        **options: Any,
+    ) -> npt.NDArray[Any]:
+        """Returns a camera view (see `dm_control.mujoco.Physics.render`).
+
+        A renderer other than `mujoco` knows neither overlays nor options.
+
+        Raises:
+          RenderingUnavailableError: this machine cannot render.
+          InputError: the renderer in use cannot do what is asked for.
+        """
+        if self._renderer is None:
+            with _rendering_errors():
+                image: npt.NDArray[Any] = super().render(  # type: ignore[misc]
+                    height, width, camera_id, overlays, depth, segmentation, **options
+                )
+            return image
+        asked = [name for name, value in {"overlays": overlays, **options}.items() if value]
+        if asked:
+            raise InputError(f"renderer {self._renderer_name!r} does not support {', '.join(asked)}")
+        mode: Any = "depth" if depth else "segmentation" if segmentation else "rgb"
+        return self._renderer.render(
+            self.state, camera=camera_id, height=height, width=width, mode=mode
+        )
+
+    def copy(self, share_model: bool = False) -> Self:
+        """A copy with the same backend and renderer."""
+        new: Self = super().copy(share_model=share_model)  # type: ignore[misc]
+        new._scene = self._scene
+        new._adopt_switches(self)
+        return new
+
+    # -- inner workings ------------------------------------------------------------------------
+
+    def _adopt_switches(self, other: _Switchable) -> None:
+        if other._mirror is not None:
+            self._backend_name = other._backend_name
+            self._mirror = other._mirror.copy_for(self)
+        self._renderer, self._renderer_name = other._renderer, other._renderer_name
+
+    def _reload_from_data(self, data: Any) -> None:
+        backend = self._mirror.backend if self._mirror is not None else None
+        self._mirror = None  # it mirrors into the old data
+        if getattr(self, "_data", None) is not None and data.model is not self._data.model:
+            self._scene = None  # another model: dm_control's reload_from_...
+        super()._reload_from_data(data)  # type: ignore[misc]
+        if backend is not None:
+            self.use_backend(backend)
+        if self._renderer is not None:
+            self._renderer.load(self._current_scene())
+
+    def _forward_native_if_mirrored(self) -> None:
+        """Leaves MjData as C MuJoCo would have it, before another backend takes over."""
+        if self._mirror is not None:
+            self._mirror.leave()
+
+    def _current_scene(self) -> Scene:
+        model = self.model.ptr
+        if self._scene is None:
+            return Scene.from_model(model)
+        return self._scene if self._scene_is_current(model) else self._scene.with_model(model)
+
+    def _scene_is_current(self, model: mujoco.MjModel) -> bool:
+        assert self._scene is not None
+        from orbisim.scene.scene import model_bytes
+
+        return model_bytes(model) == model_bytes(self._scene.model)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        base = _base_of(type(self))
+        switches = {"renderer": self._renderer_name, "backend": self._backend_name}
+        return (_unpickle, (base, type(self) is Physics, self.data, switches))
+
+
+class Physics(_Switchable, engine.Physics):
+    """A `dm_control.mujoco.Physics` whose backend and renderer can be switched at any time.
+
+    ```python
+    physics = orbisim.Physics.from_xml_path("scene.xml")
+    physics.step()
+    physics.use_backend("warp")
+    physics.step()
+    ```
+    """
+
+    @classmethod
+    def from_scene(
+        cls, scene: Scene, *, backend: str | Backend = _NATIVE, renderer: str | Renderer = _NATIVE
+    ) -> Self:
+        """Makes a `Physics` from a scene; the scene itself stays as it is."""
+        physics = cls.from_model(_copied_model(scene.model))
+        physics._scene = scene
+        physics.use_backend(backend)
+        physics.use_renderer(renderer)
+        return physics
+
+    @classmethod
+    def from_xml_path(
+        cls,
+        file_path: str | os.PathLike[str],
+        *,
+        backend: str | Backend = _NATIVE,
+        renderer: str | Renderer = _NATIVE,
+    ) -> Self:
+        """Makes a `Physics` from any scene that `orbisim.load_scene` reads.
+
+        Raises:
+          SceneError: the file cannot be read.
+        """
+        return cls.from_scene(load_scene(file_path), backend=backend, renderer=renderer)
+
+    @classmethod
+    def from_xml_string(
+        cls,
+        xml_string: str,
+        assets: Mapping[str, bytes] | None = None,
+        *,
+        backend: str | Backend = _NATIVE,
+        renderer: str | Renderer = _NATIVE,
+    ) -> Self:
+        """Makes a `Physics` from MJCF or URDF given as a string.
+
+        Raises:
+          SceneError: the string cannot be read.
+        """
+        scene = load_scene(xml_string, assets=assets)
+        return cls.from_scene(scene, backend=backend, renderer=renderer)
+
+
+@functools.cache
+def hybrid(cls: type[P]) -> type[P]:
+    """The class with `use_backend` and `use_renderer` added to it.
+
+    For tasks with a `Physics` of their own: `physics = hybrid(MyPhysics).from_xml_path(...)`.
+    """
+    if issubclass(cls, _Switchable):
+        return cls
+    if not issubclass(cls, engine.Physics):
+        raise InputError(f"expected a subclass of dm_control.mujoco.Physics; got {cls!r}")
+    namespace = {"__doc__": cls.__doc__, "__module__": cls.__module__}
+    return type(cls.__name__, (_Switchable, cls), namespace)
+
+
+def adopt(physics: P, *, scene: Scene | None = None) -> P:
+    """Gives an existing dm_control `Physics` object `use_backend` and `use_renderer`, in place.
+
+    Args:
+      scene: the scene that it was made from, if known.
+    """
+    physics.__class__ = hybrid(type(physics))
+    if scene is not None:
+        physics._scene = scene
+    return physics
+
+
+# ---------------------------------------------------------------------------------------------
+# MjData and State
+
+_MEMORY = (
+    "qacc_warmstart",
+    "history",
+    "plugin_state",
+    "qfrc_applied",
+    "xfrc_applied",
+    "eq_active",
+    "mocap_pos",
+    "mocap_quat",
+    "userdata",
+)
+
+
+def read_state(model: mujoco.MjModel, data: mujoco.MjData) -> State:
+    """The state held in MjData, as one world."""
+    memory = {name: getattr(data, name) for name in _MEMORY}
+    return State(
+        time=np.array([data.time]),
+        qpos=data.qpos[None].copy(),
+        qvel=data.qvel[None].copy(),
+        act=data.act[None].copy(),
+        memory={name: array[None].copy() for name, array in memory.items() if array.size},
+    )
+
+
+def write_state(model: mujoco.MjModel, data: mujoco.MjData, state: State, world: int = 0) -> None:
+    """Puts one world of a state into MjData; derived fields are not recomputed."""
+    data.time = float(state.time[world])
+    for name in ("qpos", "qvel", "act"):
+        getattr(data, name)[:] = _host(getattr(state, name)[world])
+    for name in _MEMORY:
+        if name in state.memory and getattr(data, name).size:
+            getattr(data, name)[:] = _host(state.memory[name][world])
+
+
+def _host(array: Any) -> Any:
+    return array.detach().cpu().numpy() if hasattr(array, "detach") else array
+
+
+# ---------------------------------------------------------------------------------------------
+
+
+def _is_native(backend: str | Backend) -> bool:
+    if isinstance(backend, Backend):
+        return type(backend) is backend_class(_NATIVE)
+    return backend == _NATIVE
+
+
+def _copied_model(model: mujoco.MjModel) -> Any:
+    import copy
+
+    return wrapper.MjModel(copy.copy(model))
+
+
+@contextlib.contextmanager
+def _rendering_errors() -> Iterator[None]:
+    """Turns dm_control's failure to make an OpenGL context into a message that helps."""
+    try:
+        yield
+    except (RuntimeError, ImportError, AttributeError) as error:
+        text = str(error)
+        if any(word in text for word in ("OpenGL", "EGL", "GLFW", "OSMesa", "rendering backend")):
+            raise RenderingUnavailableError(f"{text.splitlines()[0]}; {gl.INSTALL_HINT}") from error
+        raise
+
+
+def _base_of(cls: type) -> type:
+    """The class that `hybrid` was given, for pickling."""
+    if "_Switchable" in (base.__name__ for base in cls.__bases__):
+        return cls.__bases__[1]
+    return cls
+
+
+def _unpickle(base: type, plain: bool, data: Any, switches: dict[str, str]) -> Any:
+    cls: Any = Physics if plain else hybrid(base)
+    physics = cls.__new__(cls)
+    physics.__setstate__(data)
+    physics.use_backend(switches["backend"])
+    physics.use_renderer(switches["renderer"])
+    return physics

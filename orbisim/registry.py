@@ -1,0 +1,154 @@
+"""Backends and renderers by name, found through entry points.
+
+A package offers its own with
+
+    [project.entry-points."orbisim.backends"]
+    mine = "my_package:MyBackend"
+
+A name may carry an argument after a colon (`learned:path/to/checkpoint`); it is passed to the
+class as `argument=`.
+"""
+
+from __future__ import annotations
+
+import functools
+from importlib import metadata
+from typing import Any
+
+from orbisim.backend import Backend
+from orbisim.errors import InputError, MissingDependencyError, UnknownNameError
+from orbisim.renderer import Renderer
+from orbisim.scene import Scene
+
+BACKENDS = "orbisim.backends"
+RENDERERS = "orbisim.renderers"
+
+_registered: dict[str, dict[str, type]] = {BACKENDS: {}, RENDERERS: {}}
+_EXTRAS = {"warp": "warp", "learned": "learned", "hybrid": "learned", "diffusion": "learned"}
+
+
+@functools.cache
+def _entry_points(group: str) -> dict[str, metadata.EntryPoint]:
+    return {entry.name: entry for entry in metadata.entry_points(group=group)}
+
+
+def available_backends() -> tuple[str, ...]:
+    """Names of the registered backends (their dependencies may still be missing)."""
+    return tuple(sorted({*_entry_points(BACKENDS), *_registered[BACKENDS]}))
+
+
+def available_renderers() -> tuple[str, ...]:
+    """Names of the registered renderers."""
+    return tuple(sorted({*_entry_points(RENDERERS), *_registered[RENDERERS]}))
+
+
+def register_backend(name: str, cls: type[Backend]) -> None:
+    """Registers a backend for this process, without an entry point."""
+    _register(BACKENDS, name, cls, Backend)
+
+
+def register_renderer(name: str, cls: type[Renderer]) -> None:
+    """Registers a renderer for this process, without an entry point."""
+    _register(RENDERERS, name, cls, Renderer)
+
+
+def _register(group: str, name: str, cls: type, base: type) -> None:
+    if not (isinstance(cls, type) and issubclass(cls, base)):
+        raise InputError(f"{name!r} must be a subclass of {base.__name__}; got {cls!r}")
+    if ":" in name or not name:
+        raise InputError(f"a plug-in's name is not empty and has no colon; got {name!r}")
+    _registered[group][name] = cls
+
+
+def backend_class(name: str) -> type[Backend]:
+    """The class registered under a name (without argument).
+
+    Raises:
+      UnknownNameError: there is none.
+      MissingDependencyError: its packages are not installed.
+    """
+    return _find(BACKENDS, "backend", name)
+
+
+def renderer_class(name: str) -> type[Renderer]:
+    """The class registered under a name (without argument).
+
+    Raises:
+      UnknownNameError: there is none.
+      MissingDependencyError: its packages are not installed.
+    """
+    return _find(RENDERERS, "renderer", name)
+
+
+def _find(group: str, kind: str, name: str) -> Any:
+    if name in _registered[group]:
+        return _registered[group][name]
+    entries = _entry_points(group)
+    if name not in entries:
+        raise UnknownNameError(kind, name, {*entries, *_registered[group]})
+    try:
+        return entries[name].load()
+    except ImportError as error:
+        missing = error.name or str(error)
+        raise MissingDependencyError(
+            f"{kind} {name!r}", _EXTRAS.get(name, "all"), f"no module {missing!r}"
+        ) from error
+
+
+def make_backend(
+    name: str,
+    scene: Scene,
+    *,
+    nworld: int = 1,
+    device: str | None = None,
+    **config: Any,
+) -> Backend:
+    """Makes a backend by name and loads a scene into it.
+
+    Args:
+      name: a registered name, with an optional argument after a colon.
+      scene: the scene to simulate.
+      nworld: number of worlds to prepare for.
+      device: where to compute.
+      **config: passed to the backend's class.
+
+    Raises:
+      UnknownNameError: no backend has this name.
+      MissingDependencyError: the backend's packages are not installed.
+      UnsupportedSceneError: the backend cannot simulate the scene.
+    """
+    short, _, argument = name.partition(":")
+    if argument:
+        config["argument"] = argument
+    cls = backend_class(short)
+    backend = _construct(cls, "backend", short, nworld=nworld, device=device, **config)
+    backend.load(scene)
+    return backend
+
+
+def make_renderer(name: str, scene: Scene, **config: Any) -> Renderer:
+    """Makes a renderer by name and loads a scene into it.
+
+    Raises:
+      UnknownNameError: no renderer has this name.
+      RenderingUnavailableError: this machine cannot render.
+    """
+    short, _, argument = name.partition(":")
+    if argument:
+        config["argument"] = argument
+    renderer = _construct(renderer_class(short), "renderer", short, **config)
+    renderer.load(scene)
+    return renderer
+
+
+def _construct(cls: type, kind: str, name: str, **config: Any) -> Any:
+    try:
+        return cls(**config)
+    except TypeError as error:
+        if "argument" in config and "argument" in str(error):
+            raise InputError(
+                f"{kind} {name!r} takes no argument; got {name}:{config['argument']}"
+            ) from error
+        if "unexpected keyword" in str(error):
+            raise InputError(f"{kind} {name!r}: {error}") from error
+        raise

@@ -1,0 +1,106 @@
+"""`Trajectory`: what a rollout returns, and how it is stored."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.errors import InputError
+from orbisim.state import Array, State
+
+_SCHEMA = "orbisim.trajectory/1"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Trajectory:
+    """States after each step of a rollout.
+
+    Attributes:
+      initial: the state that the rollout started from.
+      control: [nworld, T, nu], held during each step.
+      time: [nworld, T], s, after each step. qpos: [nworld, T, nq]. qvel: [nworld, T, nv].
+      act: [nworld, T, na].
+      sensordata: [nworld, T, nsensordata] or None. As MuJoCo does it, the sensors of a step are
+        computed at the state where the step's last substep began.
+      diverged_at: [nworld] first step whose result is not usable, -1 for none. From there on the
+        world's rows are NaN.
+      final: the state after the last step, with the backend's memory.
+    """
+
+    initial: State
+    control: Array
+    time: Array
+    qpos: Array
+    qvel: Array
+    act: Array
+    sensordata: Array | None
+    diverged_at: npt.NDArray[np.int64]
+    final: State
+
+    @property
+    def nworld(self) -> int:
+        """Number of worlds."""
+        return int(self.qpos.shape[0])
+
+    @property
+    def nstep(self) -> int:
+        """Number of steps T."""
+        return int(self.qpos.shape[1])
+
+    def with_initial(self, name: str) -> Array:
+        """`time`, `qpos`, `qvel` or `act` with the initial state in front: [nworld, T+1, ...]."""
+        first, rest = getattr(self.initial, name)[:, None], getattr(self, name)
+        if isinstance(rest, np.ndarray):
+            return np.concatenate([first, rest], axis=1)
+        import torch
+
+        return torch.cat([torch.as_tensor(first), rest], dim=1)
+
+    def state_at(self, step: int) -> State:
+        """The physical state after step number `step` (from 0), without memory."""
+        return State(
+            **{name: getattr(self, name)[:, step] for name in ("time", "qpos", "qvel", "act")}
+        )
+
+    def save(self, path: str | Path, **notes: Any) -> None:
+        """Writes the trajectory to a `.npz` file with `notes` (JSON values) in its header."""
+        initial = self.initial.numpy()
+        arrays = {
+            f"initial_{name}": getattr(initial, name) for name in ("time", "qpos", "qvel", "act")
+        }
+        for name in ("control", "time", "qpos", "qvel", "act", "diverged_at"):
+            value = getattr(self, name)
+            arrays[name] = value.detach().cpu().numpy() if hasattr(value, "detach") else value
+        if self.sensordata is not None:
+            arrays["sensordata"] = np.asarray(self.sensordata)
+        header = json.dumps({"schema": _SCHEMA, **notes})
+        with Path(path).open("wb") as file:
+            np.savez_compressed(file, **arrays, header=np.array(header))
+
+    @staticmethod
+    def load(path: str | Path) -> tuple[Trajectory, dict[str, Any]]:
+        """Reads a trajectory written by `save` and its notes.
+
+        Raises:
+          InputError: the file is not a saved trajectory.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                notes: dict[str, Any] = json.loads(str(file["header"]))
+                if notes.pop("schema", None) != _SCHEMA:
+                    raise ValueError("no trajectory header")
+                initial = State(
+                    **{name: file[f"initial_{name}"] for name in ("time", "qpos", "qvel", "act")}
+                )
+                names = ("control", "time", "qpos", "qvel", "act", "diverged_at")
+                arrays = {name: file[name] for name in names}
+                sensordata = file["sensordata"] if "sensordata" in file else None
+        except (OSError, ValueError, KeyError) as error:
+            raise InputError(f"{path}: not a saved trajectory ({error})") from None
+        last = State(**{name: arrays[name][:, -1] for name in ("time", "qpos", "qvel", "act")})
+        return Trajectory(initial=initial, **arrays, sensordata=sensordata, final=last), notes
