@@ -174,7 +174,9 @@ class Backend(abc.ABC):
         records: list[State] = []
         current = state
         for t in range(controls.shape[1]):
-            current, diverged_at = self._step_recording(current, controls[:, t], nstep, t, diverged_at)
+            current, diverged_at = self._step_recording(
+                current, controls[:, t], nstep, t, diverged_at
+            )
             records.append(current)
         if raise_on_divergence:
             self.raise_diverged(diverged_at)
@@ -214,21 +216,17 @@ class Backend(abc.ABC):
         diverged_at: npt.NDArray[np.int64],
         sensors: bool,
     ) -> Trajectory:
-        stack = _stack_time(records) if records else None
-        empty = stack is None
+        stack = _stack_time(records) if records else _no_steps(initial)
         sensordata = None
         if sensors and records and "sensordata" in records[0].memory:
             sensordata = _stack([r.memory["sensordata"] for r in records])
         return Trajectory(
             initial=initial,
             control=controls,
-            time=initial.time[:, None][:, :0] if empty else stack["time"],
-            qpos=initial.qpos[:, None][:, :0] if empty else stack["qpos"],
-            qvel=initial.qvel[:, None][:, :0] if empty else stack["qvel"],
-            act=initial.act[:, None][:, :0] if empty else stack["act"],
             sensordata=sensordata,
             diverged_at=diverged_at,
             final=records[-1] if records else initial,
+            **stack,
         )
 
     def linearize(
@@ -289,8 +287,10 @@ class Backend(abc.ABC):
         nu = self.model.nu
         controls = controls if hasattr(controls, "detach") else np.asarray(controls, np.float64)
         shape = tuple(controls.shape)
-        if shape[-1:] != (nu,) or len(shape) not in (2, 3) or (
-            len(shape) == 3 and shape[0] not in (1, state.nworld)
+        if (
+            shape[-1:] != (nu,)
+            or len(shape) not in (2, 3)
+            or (len(shape) == 3 and shape[0] not in (1, state.nworld))
         ):
             raise InputError(
                 f"controls have shape {shape}; scene {self.scene.name!r} needs (T, {nu}) or "
@@ -325,7 +325,7 @@ class Backend(abc.ABC):
                 worlds.tolist(),
             )
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 (optional)
         """Frees what the backend holds; it cannot be used afterwards."""
 
 
@@ -343,12 +343,12 @@ def perturbed(model: mujoco.MjModel, state: State, dx: npt.NDArray[np.float64]) 
     qpos = np.array(state.qpos, np.float64)
     for world in range(state.nworld):
         mujoco.mj_integratePos(model, qpos[world], np.ascontiguousarray(dx[world, :nv]), 1.0)
-    return state.replace(qpos=qpos, qvel=state.qvel + dx[:, nv : 2 * nv], act=state.act + dx[:, 2 * nv :])
+    return state.replace(
+        qpos=qpos, qvel=state.qvel + dx[:, nv : 2 * nv], act=state.act + dx[:, 2 * nv :]
+    )
 
 
-def tangent_difference(
-    model: mujoco.MjModel, start: State, end: State
-) -> npt.NDArray[np.float64]:
+def tangent_difference(model: mujoco.MjModel, start: State, end: State) -> npt.NDArray[np.float64]:
     """Tangent vectors [nworld, 2 nv + na] that lead from `start` to `end`."""
     dq = np.empty((start.nworld, model.nv))
     for world in range(start.nworld):
@@ -389,5 +389,12 @@ def _stack(arrays: list[Any]) -> Any:
     return torch.stack(arrays, dim=1)
 
 
+def _no_steps(initial: State) -> dict[str, Any]:
+    return {n: getattr(initial, n)[:, None][:, :0] for n in ("time", "qpos", "qvel", "act")}
+
+
 def _stack_time(records: list[State]) -> dict[str, Any]:
-    return {name: _stack([getattr(r, name) for r in records]) for name in ("time", "qpos", "qvel", "act")}
+    return {
+        name: _stack([getattr(r, name) for r in records])
+        for name in ("time", "qpos", "qvel", "act")
+    }

@@ -158,7 +158,8 @@ def acceleration_sensors(model: mujoco.MjModel) -> npt.NDArray[np.int64]:
 
 def _same_physical(a: State, b: State) -> bool:
     return all(
-        np.array_equal(getattr(a, name), getattr(b, name)) for name in ("time", "qpos", "qvel", "act")
+        np.array_equal(getattr(a, name), getattr(b, name))
+        for name in ("time", "qpos", "qvel", "act")
     )
 
 
@@ -169,7 +170,18 @@ class ModelWatch:
     time.
     """
 
-    _SKIPPED = ("mesh_", "tex_", "skin_", "bvh_", "names", "paths", "text_", "tuple_", "key_", "oct_")
+    _SKIPPED = (
+        "mesh_",
+        "tex_",
+        "skin_",
+        "bvh_",
+        "names",
+        "paths",
+        "text_",
+        "tuple_",
+        "key_",
+        "oct_",
+    )
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._option = model.opt

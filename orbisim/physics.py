@@ -1,7 +1,7 @@
 """`Physics`: dm_control's `Physics` with backends and renderers that can be switched.
 
-This is the one place that knows dm_control. With the backend `mujoco` everything is dm_control's own
-code. With any other, each step hands the state held in MjData to the backend and mirrors the
+This is the one place that knows dm_control. With the backend `mujoco` everything is dm_control's
+own code. With any other, each step hands the state held in MjData to the backend and mirrors the
 result back: positions and velocities are set and MuJoCo's position and velocity stages are run on
 them; fields of the acceleration stage come from the backend, or are NaN where it does not know
 them, so that nothing reads another engine's numbers by mistake.
@@ -10,10 +10,9 @@ them, so that nothing reads another engine's numbers by mistake.
 from __future__ import annotations
 
 import contextlib
-import functools
 import os
 from collections.abc import Iterator, Mapping
-from typing import Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import mujoco
 import numpy as np
@@ -31,7 +30,7 @@ from orbisim.scene import Scene, load_scene
 from orbisim.state import State
 
 _NATIVE = "mujoco"
-P = TypeVar("P", bound=engine.Physics)
+P = TypeVar("P")
 
 
 class PhysicsDivergedError(DivergedError, _control.PhysicsError):
@@ -46,6 +45,10 @@ class _Switchable:
     _renderer: Renderer | None = None
     _renderer_name: str = _NATIVE
     _scene: Scene | None = None
+    if TYPE_CHECKING:  # of dm_control's Physics
+        model: Any
+        data: Any
+        _data: Any
 
     # -- switching -----------------------------------------------------------------------------
 
@@ -171,7 +174,9 @@ class _Switchable:
             return image
         asked = [name for name, value in {"overlays": overlays, **options}.items() if value]
         if asked:
-            raise InputError(f"renderer {self._renderer_name!r} does not support {', '.join(asked)}")
+            raise InputError(
+                f"renderer {self._renderer_name!r} does not support {', '.join(asked)}"
+            )
         mode: Any = "depth" if depth else "segmentation" if segmentation else "rgb"
         return self._renderer.render(
             self.state, camera=camera_id, height=height, width=width, mode=mode
@@ -281,7 +286,6 @@ class Physics(_Switchable, engine.Physics):
         return cls.from_scene(scene, backend=backend, renderer=renderer)
 
 
-@functools.cache
 def hybrid(cls: type[P]) -> type[P]:
     """The class with `use_backend` and `use_renderer` added to it.
 
@@ -291,8 +295,13 @@ def hybrid(cls: type[P]) -> type[P]:
         return cls
     if not issubclass(cls, engine.Physics):
         raise InputError(f"expected a subclass of dm_control.mujoco.Physics; got {cls!r}")
-    namespace = {"__doc__": cls.__doc__, "__module__": cls.__module__}
-    return type(cls.__name__, (_Switchable, cls), namespace)
+    if cls not in _hybrids:
+        namespace = {"__doc__": cls.__doc__, "__module__": cls.__module__}
+        _hybrids[cls] = type(cls.__name__, (_Switchable, cls), namespace)
+    return _hybrids[cls]
+
+
+_hybrids: dict[type, Any] = {}
 
 
 def adopt(physics: P, *, scene: Scene | None = None) -> P:
@@ -301,9 +310,10 @@ def adopt(physics: P, *, scene: Scene | None = None) -> P:
     Args:
       scene: the scene that it was made from, if known.
     """
-    physics.__class__ = hybrid(type(physics))
+    switchable: Any = physics
+    switchable.__class__ = hybrid(type(physics))
     if scene is not None:
-        physics._scene = scene
+        switchable._scene = scene
     return physics
 
 

@@ -71,10 +71,11 @@ class Renderer(abc.ABC):
         """Raises `InputError` if this renderer does not have the mode."""
         if mode not in self.modes:
             raise InputError(
-                f"renderer {self.name!r} has no mode {mode!r}; it has {', '.join(sorted(self.modes))}"
+                f"renderer {self.name!r} has no mode {mode!r}; "
+                f"it has {', '.join(sorted(self.modes))}"
             )
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 (optional)
         """Frees what the renderer holds; it cannot be used afterwards."""
 
 

@@ -101,12 +101,12 @@ class State:
     def finite(self) -> npt.NDArray[np.bool_]:
         """[nworld]: whether positions, velocities and activations are all finite."""
         arrays = [_to_numpy(getattr(self, name)) for name in ("qpos", "qvel", "act")]
-        return np.stack([np.isfinite(a).all(axis=1) for a in arrays]).all(axis=0)
+        return np.asarray(np.stack([np.isfinite(a).all(axis=1) for a in arrays]).all(axis=0))
 
     def save(self, path: str | Path) -> None:
         """Writes the state to a `.npz` file."""
         host = self.numpy()
-        arrays = {name: array for name, array in host._named()}
+        arrays = dict(host._named())
         header = json.dumps({"schema": "orbisim.state/1", "memory": sorted(host.memory)})
         with Path(path).open("wb") as file:
             np.savez(file, **arrays, header=np.array(header))

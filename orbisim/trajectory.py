@@ -99,7 +99,7 @@ class Trajectory:
                 )
                 names = ("control", "time", "qpos", "qvel", "act", "diverged_at")
                 arrays = {name: file[name] for name in names}
-                sensordata = file["sensordata"] if "sensordata" in file else None
+                sensordata = file.get("sensordata")
         except (OSError, ValueError, KeyError) as error:
             raise InputError(f"{path}: not a saved trajectory ({error})") from None
         last = State(**{name: arrays[name][:, -1] for name in ("time", "qpos", "qvel", "act")})

@@ -121,7 +121,8 @@ class MujocoBackend(Backend):
         time = records[_TIME][..., 0]
         raised = _raised(batch)
         self._check_capacity(raised)
-        diverged_at = _first_unusable(state.time, time, raised[:, _DIVERGED].any(axis=1))
+        diverged = np.asarray(raised[:, _DIVERGED].any(axis=1))
+        diverged_at = _first_unusable(state.time, time, diverged)
         for name in ("qpos", "qvel", "act", "sensordata"):
             if name in records:
                 _blank_after(records[name], diverged_at)
@@ -197,8 +198,8 @@ class MujocoBackend(Backend):
             kinds = [mujoco.mjtWarning(k).name for k in _DIVERGED if raised[:, k].any()]
             raise DivergedError(
                 f"backend 'mujoco': {worlds.size} of {len(raised)} worlds diverged in scene "
-                f"{self.scene.name!r} ({', '.join(kinds)}), world {int(worlds[0])} first; reduce the "
-                "timestep or the controls",
+                f"{self.scene.name!r} ({', '.join(kinds)}), world {int(worlds[0])} first; "
+                "reduce the timestep or the controls",
                 worlds.tolist(),
             )
 
@@ -213,7 +214,8 @@ class MujocoBackend(Backend):
 
 def _raised(batch: mujoco.batch.Batch) -> npt.NDArray[np.bool_]:
     """[nworld, kind]: which warnings the last call raised (`batch.warning` is info, count)."""
-    return batch.warning[:, :, 1] > 0
+    raised: npt.NDArray[np.bool_] = batch.warning[:, :, 1] > 0
+    return raised
 
 
 def _first_unusable(

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from typing import Any
 
 import mujoco
-import numpy as np
 import numpy.typing as npt
 
 from orbisim import gl
@@ -145,6 +144,4 @@ def _on_any_platform(make: Callable[[], mujoco.Renderer]) -> mujoco.Renderer:
                 return make()
             except Exception as error:  # each platform raises an error type of its own
                 reason = " ".join(str(error).split())[:200] or type(error).__name__
-    raise RenderingUnavailableError(
-        f"cannot make an OpenGL context ({reason}); {gl.INSTALL_HINT}"
-    )
+    raise RenderingUnavailableError(f"cannot make an OpenGL context ({reason}); {gl.INSTALL_HINT}")

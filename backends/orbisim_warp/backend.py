@@ -15,19 +15,19 @@ import warp as wp
 if not os.environ.get("ORBISIM_WARP_VERBOSE"):  # before mujoco_warp starts Warp
     wp.config.log_level = wp.LOG_ERROR  # it would list every kernel on standard output
 
-import mujoco_warp as mjw  # noqa: E402
+import mujoco_warp as mjw
 
-from orbisim.backend import Backend, Capability  # noqa: E402
-from orbisim.errors import (  # noqa: E402
+from orbisim.backend import Backend, Capability
+from orbisim.errors import (
     CapacityError,
     DivergedError,
     InputError,
     UnsupportedSceneError,
 )
-from orbisim.scene import Scene  # noqa: E402
-from orbisim.state import State  # noqa: E402
-from orbisim.trajectory import Trajectory  # noqa: E402
-from orbisim_warp import kernels  # noqa: E402
+from orbisim.scene import Scene
+from orbisim.state import State
+from orbisim.trajectory import Trajectory
+from orbisim_warp import kernels
 
 _PHYSICAL = ("qpos", "qvel", "act")
 _MEMORY = (
@@ -92,8 +92,8 @@ class WarpBackend(Backend):
         self._sizes = {"nconmax": nconmax, "njmax": njmax}
         self._torch = arrays == "torch"
         self._deterministic = deterministic
-        self._model: mjw.Model | None = None
-        self._data: mjw.Data | None = None
+        self._model: Any = None
+        self._data: Any = None
         self._graphs: dict[Any, Any] = {}
         capabilities = {Capability.CLASSICAL, Capability.CONTACT_FORCES}
         if self._wp_device.is_cuda:
@@ -127,7 +127,10 @@ class WarpBackend(Backend):
         """The model's reference configuration in every world."""
         count = nworld or self.nworld
         data = mujoco.MjData(self.model)
-        repeat = lambda value: np.repeat(np.array(value, np.float64)[None], count, axis=0)  # noqa: E731
+
+        def repeat(value: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+            return np.repeat(np.array(value, np.float64)[None], count, axis=0)
+
         state = State(
             time=np.zeros(count),
             qpos=repeat(data.qpos),
@@ -228,7 +231,9 @@ class WarpBackend(Backend):
         data, cursor = self._data, buffers["cursor"]
         if data.ctrl.size:
             wp.launch(
-                kernels.load_control, data.ctrl.shape, [cursor, hold, buffers["controls"], data.ctrl]
+                kernels.load_control,
+                data.ctrl.shape,
+                [cursor, hold, buffers["controls"], data.ctrl],
             )
         mjw.step(self._model, data)
         for name, buffer in buffers.items():
@@ -319,7 +324,8 @@ class WarpBackend(Backend):
         if lost.size:
             raise DivergedError(
                 f"backend 'warp': {lost.size} of {state.nworld} worlds diverged in scene "
-                f"{self.scene.name!r}, world {int(lost[0])} first; reduce the timestep or the controls",
+                f"{self.scene.name!r}, world {int(lost[0])} first; reduce the timestep or "
+                "the controls",
                 lost.tolist(),
             )
         return new
@@ -338,7 +344,11 @@ class WarpBackend(Backend):
             if name in ("qpos", "qvel", "act", "sensordata")
         }
         nworld, steps = state.nworld, int(controls.shape[1])
-        for name, size in (("qpos", self.model.nq), ("qvel", self.model.nv), ("act", self.model.na)):
+        for name, size in (
+            ("qpos", self.model.nq),
+            ("qvel", self.model.nv),
+            ("act", self.model.na),
+        ):
             if name not in records:
                 records[name] = self._array(wp.zeros((nworld, steps, size), dtype=float))
         diverged_at = _first_lost(records["qpos"], records["qvel"])
@@ -393,8 +403,7 @@ class WarpBackend(Backend):
     def _array(self, array: wp.array) -> Any:
         """A copy of a device array as this backend returns it."""
         if self._torch:
-            tensor = wp.to_torch(array).clone()
-            return tensor
+            return wp.to_torch(array).clone()
         host = array.numpy()
         return host.astype(np.float64) if host.dtype.kind == "f" else host.copy()
 
@@ -402,7 +411,9 @@ class WarpBackend(Backend):
         import torch
 
         def convert(value: npt.NDArray[Any]) -> Any:
-            return torch.as_tensor(value, dtype=torch.float32, device=wp.device_to_torch(self._wp_device))
+            return torch.as_tensor(
+                value, dtype=torch.float32, device=wp.device_to_torch(self._wp_device)
+            )
 
         return State(
             time=convert(state.time).double(),
@@ -425,7 +436,9 @@ def _device(name: str | None) -> wp.Device:
         return wp.get_device("cuda:0" if name == "cuda" else name)
     except (ValueError, RuntimeError) as error:
         known = ", ".join(str(device) for device in wp.get_devices())
-        raise InputError(f"backend 'warp' has no device {name!r}; this machine has {known}") from error
+        raise InputError(
+            f"backend 'warp' has no device {name!r}; this machine has {known}"
+        ) from error
 
 
 def _assign(target: wp.array, value: Any) -> None:

@@ -1,8 +1,8 @@
+# mypy: ignore-errors
+# Warp kernels are compiled from their source; their annotations are not types.
 """Kernels that move controls and records between rollout buffers and the simulation."""
 
 from __future__ import annotations
-
-
 
 import warp as wp
 
@@ -35,5 +35,3 @@ def record(
 def advance(cursor: wp.array(dtype=int)) -> None:
     """Moves on to the next step."""
     cursor[0] = cursor[0] + 1
-
-

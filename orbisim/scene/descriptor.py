@@ -435,9 +435,7 @@ def _part(model: mujoco.MjModel, body: int, surfaces: MeshSurfaces) -> PartDescr
     )
 
 
-def _geometry(
-    model: mujoco.MjModel, geom: int, surfaces: MeshSurfaces
-) -> GeometryDescriptor:
+def _geometry(model: mujoco.MjModel, geom: int, surfaces: MeshSurfaces) -> GeometryDescriptor:
     kind = mujoco.mjtGeom(model.geom_type[geom])
     mesh = None
     surface = None

@@ -76,7 +76,7 @@ def guarded(work: Callable[[], object], source: str, limits: Limits) -> None:
         raise SceneError(source, "the parser gave up on it without a message")
     if report:
         raise SceneError(
-            source, report["problem"], element=report["element"], remedy=report["remedy"]
+            source, str(report["problem"]), element=report["element"], remedy=report["remedy"]
         )
 
 

@@ -51,9 +51,7 @@ def load_scene(
     return _from_path(text, trusted, options)
 
 
-def _from_string(
-    text: str, assets: Mapping[str, bytes] | None, options: dict[str, Any]
-) -> Scene:
+def _from_string(text: str, assets: Mapping[str, bytes] | None, options: dict[str, Any]) -> Scene:
     from orbisim.scene.mjcf import read_mjcf_string
 
     tag = _root_tag(text)
@@ -115,9 +113,7 @@ def _reader(path: Path, suffix: str) -> Reader:
     tag = _root_tag(path.read_bytes()[:65536].decode(errors="replace"))
     if tag == "robot":
         if suffix != ".urdf":
-            raise SceneError(
-                str(path), "holds URDF (<robot>)", remedy="rename it to end in .urdf"
-            )
+            raise SceneError(str(path), "holds URDF (<robot>)", remedy="rename it to end in .urdf")
         from orbisim.scene.urdf import read_urdf
 
         return read_urdf

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import mujoco
@@ -48,8 +47,6 @@ class Reader(Protocol):
     Raises `orbisim.errors.SceneError` on input that is broken, hostile or not of this format.
     """
 
-    def __call__(self, path: str, **options: Any) -> ReadResult: ...
-
-
-Assets = Mapping[str, bytes]
-ReaderFactory = Callable[[], Reader]
+    def __call__(self, path: str, **options: Any) -> ReadResult:
+        """Reads the file at `path`."""
+        ...

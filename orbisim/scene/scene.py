@@ -228,7 +228,7 @@ def full_precision() -> Iterator[None]:
     The setting is an exported but undocumented function of the library; `tests/scene` checks
     that a saved scene compiles to the same model.
     """
-    import glob  # noqa: PTH207
+    import glob
     import os
 
     pattern = os.path.join(os.path.dirname(mujoco.__file__), "libmujoco.so*")  # noqa: PTH118,PTH120
