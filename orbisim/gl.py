@@ -18,6 +18,7 @@ INSTALL_HINT = (
     "or use the renderer 'null'"
 )
 
+_READ_AT_IMPORT = ("mujoco.rendering.classic.gl_context", "dm_control._render")
 _LIBRARIES = {"egl": "libEGL.so.1", "osmesa": "libOSMesa.so.8"}
 
 
@@ -35,11 +36,11 @@ def configure() -> None:
 
 
 def use(platform: str) -> None:
-    """Makes MuJoCo use `egl` or `osmesa` from now on, also if it is imported already."""
+    """Makes MuJoCo and dm_control use `egl` or `osmesa` from now on, also if already imported."""
     os.environ["MUJOCO_GL"] = os.environ["PYOPENGL_PLATFORM"] = platform
-    module = sys.modules.get("mujoco.rendering.classic.gl_context")
-    if module is not None:
-        importlib.reload(module)
+    for name in _READ_AT_IMPORT:
+        if name in sys.modules:
+            importlib.reload(sys.modules[name])
 
 
 @functools.cache

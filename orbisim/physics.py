@@ -106,15 +106,18 @@ class _Switchable:
         """The scene, with the model as it is now (tasks may have changed it)."""
         return self._current_scene()
 
-    @property
-    def state(self) -> State:
-        """The state as a value, with one world; assign it to restore it."""
+    def snapshot(self) -> State:
+        """The state as a value, with one world, memory of the backend included."""
         if self._mirror is not None:
             return self._mirror.state()
         return read_state(self.model.ptr, self.data.ptr)
 
-    @state.setter
-    def state(self, state: State) -> None:
+    def restore(self, state: State) -> None:
+        """Puts a state taken by `snapshot` back; what follows is what followed then.
+
+        Raises:
+          InputError: the state does not have exactly one world.
+        """
         if state.nworld != 1:
             raise InputError(f"Physics holds one world; got a state of {state.nworld}")
         write_state(self.model.ptr, self.data.ptr, state)
@@ -179,7 +182,7 @@ class _Switchable:
             )
         mode: Any = "depth" if depth else "segmentation" if segmentation else "rgb"
         return self._renderer.render(
-            self.state, camera=camera_id, height=height, width=width, mode=mode
+            self.snapshot(), camera=camera_id, height=height, width=width, mode=mode
         )
 
     def copy(self, share_model: bool = False) -> Self:

@@ -1,0 +1,32 @@
+# make demo   install, compare two backends on two scenes, write a report
+# make test   install, run the tests
+# make lint   ruff and mypy
+# make bench  benchmarks (minutes; results in docs/benchmarks.md)
+
+VENV ?= .venv
+export VENV
+PY := $(VENV)/bin/python
+export PYTHONNOUSERSITE := 1
+
+.PHONY: demo test lint bench setup clean
+
+demo:
+	@tools/setup.sh run
+	@$(PY) tools/demo.py
+
+test:
+	@tools/setup.sh test
+	@$(PY) -m pytest $(ARGS)
+
+lint:
+	@tools/setup.sh test
+	@$(PY) -m ruff check .
+	@$(PY) -m ruff format --check .
+	@$(PY) -m mypy
+
+bench:
+	@tools/setup.sh test
+	@$(PY) tools/bench.py
+
+clean:
+	rm -rf $(VENV) out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

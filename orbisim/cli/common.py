@@ -1,0 +1,128 @@
+"""Options and output that the commands share."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeVar
+
+import click
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def json_option(function: F) -> F:
+    """Adds --json."""
+    return click.option(
+        "--json", "as_json", is_flag=True, help="Print one JSON object and nothing else."
+    )(function)
+
+
+def seed_option(function: F) -> F:
+    """Adds --seed."""
+    return click.option("--seed", default=0, show_default=True, help="Of all random numbers.")(
+        function
+    )
+
+
+def trusted_option(function: F) -> F:
+    """Adds --trusted."""
+    return click.option(
+        "--trusted",
+        is_flag=True,
+        help="Read the scene without bounds on time and memory.",
+    )(function)
+
+
+def device_option(function: F) -> F:
+    """Adds --device."""
+    return click.option(
+        "--device",
+        default=None,
+        help="Where to compute: cpu, cuda, cuda:1. Default: the backend's.",
+    )(function)
+
+
+def emit_json(value: dict[str, Any]) -> None:
+    """Prints one JSON object; NaN and infinity become null."""
+    click.echo(json.dumps(_strict(value), indent=1, allow_nan=False))
+
+
+def _strict(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _strict(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_strict(item) for item in value]
+    if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):
+        return None
+    return value
+
+
+def note(text: str) -> None:
+    """A line for people, on standard error."""
+    click.echo(text, err=True)
+
+
+def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Prints a table on standard output; numbers are right-aligned."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title or None, title_justify="left", box=None, pad_edge=False)
+    for index, column in enumerate(columns):
+        numeric = all(_is_number(row[index]) for row in rows) and bool(rows)
+        table.add_column(column, justify="right" if numeric else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*(_cell(value) for value in row))
+    console = Console(soft_wrap=not sys.stdout.isatty(), width=None if sys.stdout.isatty() else 160)
+    console.print(table)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _cell(value: object) -> str:
+    from rich.markup import escape
+
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return escape(str(value))
+
+
+@contextlib.contextmanager
+def quiet_engine() -> Iterator[None]:
+    """Sends MuJoCo's and dm_control's warnings to standard error once each, and to no log file."""
+    import mujoco
+
+    seen: set[str] = set()
+
+    def once(message: Any) -> None:
+        text = message.decode(errors="replace") if isinstance(message, bytes) else str(message)
+        kind = text.split(" Time =")[0]
+        if kind not in seen:
+            seen.add(kind)
+            note(f"warning: {' '.join(text.split())}")
+
+    logging.getLogger("absl").setLevel(logging.ERROR)
+    previous = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(once)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(previous)
+
+
+def engine_command(function: F) -> F:
+    """For commands that load scenes: `quiet_engine` around them."""
+    import functools
+
+    @functools.wraps(function)
+    def wrapped(*args: Any, **kwargs: Any) -> Any:
+        with quiet_engine():
+            return function(*args, **kwargs)
+
+    return wrapped  # type: ignore[return-value]

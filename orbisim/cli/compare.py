@@ -1,0 +1,109 @@
+"""`orbisim compare`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from orbisim.cli.common import (
+    device_option,
+    emit_json,
+    engine_command,
+    json_option,
+    note,
+    print_table,
+    seed_option,
+)
+
+
+@click.command(
+    "compare", epilog="Example: orbisim compare suite:cheetah-run --a mujoco --b warp --out report"
+)
+@click.argument("scene")
+@click.option("--a", default="mujoco", show_default=True, help="The reference backend.")
+@click.option("--b", default="warp", show_default=True, help="The backend to compare with it.")
+@click.option("--episodes", default=16, show_default=True, help="Number of episodes.")
+@click.option("--horizon", default=2.0, show_default=True, help="Duration of an episode, s.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=None, help="Folder for report.html and .json."
+)
+@click.option("--video/--no-video", default=True, help="Whether the report shows a video.")
+@device_option
+@seed_option
+@json_option
+@engine_command
+def command(
+    scene: str,
+    a: str,
+    b: str,
+    episodes: int,
+    horizon: float,
+    out: Path | None,
+    video: bool,
+    device: str | None,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Run the same initial states and controls through two backends.
+
+    Prints the error over the horizon for each signal group, the energy and the speed of each side;
+    with --out, writes a report with plots and side-by-side video.
+    """
+    from orbisim.compare import compare
+
+    result = compare(scene, a, b, count=episodes, horizon=horizon, seed=seed, device=device)
+    if out is not None:
+        note(f"report: {result.report(out, video=video)}")
+    summary = result.to_json()
+    if as_json:
+        emit_json(summary)
+        return
+    _print(summary)
+
+
+def _print(summary: dict[str, Any]) -> None:
+    times = summary["horizon_s"]
+    picks = sorted({0, len(times) // 4, len(times) // 2, len(times) - 1})
+    rounding = summary["rounding"] or {}
+    print_table(
+        f"{summary['scene']}: median error of {summary['b']['backend']} against "
+        f"{summary['a']['backend']}, {summary['episodes']} episodes",
+        (
+            "signal group",
+            "unit",
+            *(f"{times[i]:.3g} s" for i in picks),
+            "95 % at the end",
+            "rounding",
+        ),
+        [
+            (
+                group,
+                entry["unit"],
+                *(_value(entry["median"][i]) for i in picks),
+                _value(entry["p95"][-1]),
+                _value(rounding[group]["median"][-1]) if group in rounding else "-",
+            )
+            for group, entry in summary["error"].items()
+        ],
+    )
+    print_table(
+        "\nSpeed",
+        ("backend", "control steps/s", "one step of one world (ms)", "control step (ms)"),
+        [
+            (
+                summary[side]["backend"],
+                summary[side]["steps_per_s"],
+                summary[side]["latency_s"] * 1e3,
+                summary[side]["control_step_s"] * 1e3,
+            )
+            for side in ("a", "b")
+        ],
+    )
+    if summary["diverged"]:
+        note(f"warning: {summary['diverged']} of {summary['episodes']} episodes became non-finite")
+
+
+def _value(value: float | None) -> float | str:
+    return "nan" if value is None else value

@@ -1,0 +1,101 @@
+"""The group of commands, and what every command does the same way."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from typing import Any, NoReturn
+
+import click
+
+COMMANDS = {
+    "info": "read a scene and print its static descriptors",
+    "sim": "simulate a scene; write the trajectory and a video",
+    "compare": "run the same episodes through two backends and report the differences",
+    "replay": "free-running simulation against a recording",
+    "view": "interactive viewer in the browser",
+}
+"""Commands in the order of the help text, each a module of this package."""
+
+
+class _Lazy(click.Group):
+    """Loads a command's module when the command is used, so that --help stays fast."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        module = importlib.import_module(f"orbisim.cli.{cmd_name}")
+        command: click.Command = module.command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        if args and args[0] not in COMMANDS:
+            from orbisim.errors import UnknownNameError
+
+            raise UnknownNameError("command", args[0], COMMANDS)
+        return super().resolve_command(ctx, args)
+
+
+@click.command(cls=_Lazy, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="orbisim")
+def cli() -> None:
+    """A hybrid robot simulator: classical and learned physics behind one interface.
+
+    SCENE is a path to MJCF (.xml), URDF, USD (.usd, .usda, .usdc, .usdz), or a task name such as
+    suite:cheetah-run.
+    """
+
+
+def main() -> NoReturn:
+    """Runs the command line; the exit status is 0, 1 (work failed) or 2 (input wrong)."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: list[str]) -> int:
+    """Runs the command line on `arguments`; returns the exit status."""
+    from orbisim.errors import OrbiSimError
+
+    try:
+        result = cli.main(arguments, prog_name="orbisim", standalone_mode=False)
+        return result if isinstance(result, int) else 0
+    except OrbiSimError as error:
+        _complain(str(error))
+        return error.exit_status
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.ctx.get_help() if error.ctx else "", err=True)
+        return 2
+    except click.ClickException as error:
+        _complain(_usage(error))
+        return 2
+    except (KeyboardInterrupt, click.exceptions.Abort):
+        _complain("interrupted")
+        return 130
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except Exception as error:
+        if os.environ.get("ORBISIM_DEBUG"):
+            raise
+        where = f"{type(error).__name__}: {error}"
+        _complain(f"a fault in OrbiSim: {where} (set ORBISIM_DEBUG=1 for the traceback)")
+        return 1
+
+
+def _usage(error: click.ClickException) -> str:
+    text = error.format_message()
+    ctx = getattr(error, "ctx", None)
+    if ctx is not None:
+        text += f" (see {ctx.command_path} --help)"
+    return text
+
+
+def _complain(text: str) -> None:
+    click.echo(f"error: {' '.join(text.split())}", err=True)

@@ -1,0 +1,130 @@
+"""Initial states and controls for open-loop episodes."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.physics import read_state
+from orbisim.scene import Scene, load_scene
+from orbisim.state import State
+
+Floats = npt.NDArray[np.float64]
+
+CONTROL_CORRELATION = 0.1
+"""Correlation time of random controls, s."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Episodes:
+    """What is needed to run episodes open-loop.
+
+    Attributes:
+      scene: the scene.
+      initial: one world for each episode.
+    """
+
+    scene: Scene
+    initial: State
+
+    def controls(self, duration: float, step: float, seed: int) -> Floats:
+        """Smooth random controls [nworld, T, nu], each held for `step` seconds."""
+        steps = max(1, round(duration / step))
+        return random_controls(self.scene.model, self.initial.nworld, steps, step, seed)
+
+
+def episodes(name: str, count: int, seed: int, **options: Any) -> Episodes:
+    """Makes episodes for a scene: a path, or a task name, whose own initial states are used.
+
+    Args:
+      name: what `orbisim.load_scene` takes.
+      count: number of episodes.
+      seed: of the random initial states.
+      **options: passed to `load_scene`.
+    """
+    if name.startswith("suite:"):
+        return _suite_episodes(name.removeprefix("suite:"), count, seed)
+    scene = load_scene(name, **options)
+    return Episodes(scene, random_initial_states(scene.model, count, seed))
+
+
+def _suite_episodes(task: str, count: int, seed: int) -> Episodes:
+    """Initial states that the task itself draws, on the model of its first episode."""
+    from orbisim import suite
+
+    environment = suite.load(*suite.split_name(task), task_kwargs={"random": seed})
+    physics = environment.physics
+    states: list[State] = []
+    scene = None
+    for _ in range(count):
+        environment.reset()
+        scene = scene or Scene.from_model(physics.model.ptr, source=f"suite:{task}")
+        state: State = physics.snapshot()
+        states.append(state.replace(time=np.zeros(1)))
+    assert scene is not None
+    return Episodes(dataclasses.replace(scene, name=task), State.stack(states))
+
+
+def random_initial_states(
+    model: mujoco.MjModel, count: int, seed: int, spread: float = 0.1
+) -> State:
+    """The first keyframe, or the reference configuration, with its joints moved at random.
+
+    Args:
+      model: the model.
+      count: number of worlds.
+      seed: of the random numbers.
+      spread: hinges move by up to this angle (rad), slides by a tenth of it (m), within their
+        limits. Free and ball joints stay.
+    """
+    rng = np.random.default_rng(seed)
+    data = mujoco.MjData(model)
+    if model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+    states: list[State] = []
+    base = data.qpos.copy()
+    for _ in range(count):
+        data.qpos[:] = base
+        for joint in range(model.njnt):
+            _move(model, data.qpos, joint, rng.uniform(-spread, spread))
+        states.append(read_state(model, data))
+    return State.stack(states)
+
+
+def _move(model: mujoco.MjModel, qpos: Floats, joint: int, angle: float) -> None:
+    kind, adr = model.jnt_type[joint], model.jnt_qposadr[joint]
+    if kind == mujoco.mjtJoint.mjJNT_SLIDE:
+        angle *= 0.1
+    elif kind != mujoco.mjtJoint.mjJNT_HINGE:
+        return
+    value = qpos[adr] + angle
+    if model.jnt_limited[joint]:
+        value = np.clip(value, *model.jnt_range[joint])
+    qpos[adr] = value
+
+
+def random_controls(
+    model: mujoco.MjModel, count: int, steps: int, step: float, seed: int
+) -> Floats:
+    """Smooth random controls [count, steps, nu] over the actuators' ranges (-1 to 1 without).
+
+    A first-order filter of white noise with the correlation time `CONTROL_CORRELATION`, scaled to
+    half the range and clipped.
+    """
+    rng = np.random.default_rng([seed, 1])
+    decay = float(np.exp(-step / CONTROL_CORRELATION))
+    noise = rng.standard_normal((count, steps, model.nu))
+    values = np.empty_like(noise)
+    current = rng.standard_normal((count, model.nu))
+    for t in range(steps):
+        current = decay * current + np.sqrt(1 - decay**2) * noise[:, t]
+        values[:, t] = current
+    limited = np.asarray(model.actuator_ctrllimited, bool)
+    low = np.where(limited, model.actuator_ctrlrange[:, 0], -1.0)
+    high = np.where(limited, model.actuator_ctrlrange[:, 1], 1.0)
+    scaled = (low + high) / 2 + values * (high - low) / 4
+    return np.clip(scaled, low, high)

@@ -1,0 +1,213 @@
+"""The page of `orbisim compare`."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from markupsafe import Markup
+
+from orbisim import metrics
+from orbisim.compare import Comparison, Side
+from orbisim.errors import OrbiSimError, RenderingUnavailableError
+from orbisim.report import figures, video
+from orbisim.report.page import render_page, si
+
+_SIZE = {"height": 240, "width": 320}
+_FPS = 30
+_TITLES = {
+    "joint_position": "Joint position",
+    "joint_velocity": "Joint velocity",
+    "object_position": "Object position",
+    "object_rotation": "Object rotation",
+    "object_velocity": "Object velocity",
+}
+_MAX_JOINTS = 6
+
+
+def write_report(comparison: Comparison, path: Path, *, video: bool = True) -> Path:
+    """Writes the page; returns its path."""
+    film, reason = _film(comparison) if video else (None, "it was not asked for")
+    page = render_page(
+        "compare.html",
+        source=comparison.source,
+        a=comparison.a,
+        b=comparison.b,
+        episodes=comparison.episodes,
+        worst=comparison.worst_episode,
+        rows=_rows(comparison),
+        summary=_summary(comparison),
+        first=float(comparison.horizon_s[0]),
+        last=float(comparison.horizon_s[-1]),
+        horizon=float(comparison.horizon_s[-1]),
+        has_rounding=comparison.rounding is not None,
+        error_charts=[_error_chart(comparison, group) for group in comparison.error],
+        worst_charts=_worst_charts(comparison),
+        state_charts=_state_charts(comparison),
+        speed_note=_speed_note(comparison),
+        seed=comparison.seed,
+        diverged=comparison.diverged,
+        video=film,
+        no_video=reason,
+        command=_command(comparison),
+    )
+    path.write_text(page, encoding="utf-8")
+    return path
+
+
+def _command(comparison: Comparison) -> str:
+    return (
+        f"orbisim compare {comparison.source} --a {comparison.a.backend} "
+        f"--b {comparison.b.backend} --episodes {comparison.episodes} "
+        f"--horizon {comparison.horizon_s[-1]:g} --seed {comparison.seed}"
+    )
+
+
+def _rows(comparison: Comparison) -> list[dict[str, Any]]:
+    units = metrics.layout(comparison.scene.model).units
+    rows: list[dict[str, Any]] = []
+    for group, values in comparison.error.items():
+        median, p95 = metrics.quantiles(values)
+        rounding = None
+        if comparison.rounding is not None:
+            rounding = metrics.quantiles(comparison.rounding[group], (0.5,))[0][-1]
+        rows.append(
+            {
+                "name": _TITLES[group],
+                "unit": units[group],
+                "first": median[0],
+                "last": median[-1],
+                "p95": p95[-1],
+                "rounding": rounding,
+            }
+        )
+    return rows
+
+
+def _summary(comparison: Comparison) -> str:
+    """One sentence: how far apart, compared with rounding, and which side is faster."""
+    rows = _rows(comparison)
+    group = next((r for r in rows if r["name"].endswith("position")), rows[0] if rows else None)
+    if group is None:
+        return "The scene has no joints: there is nothing to compare."
+    horizon = si(float(comparison.horizon_s[-1]), "s")
+    text = (
+        f"After {horizon} the median {group['name'].lower()} error is "
+        f"{group['last']:.2g} {group['unit']}"
+    )
+    if group["rounding"] is not None:
+        text += f" (float32 rounding of the initial state alone: {group['rounding']:.2g})"
+    fast, slow = sorted((comparison.a, comparison.b), key=lambda s: -s.steps_per_s)
+    ratio = fast.steps_per_s / slow.steps_per_s
+    return f"{text}. Here {fast.backend} is {ratio:.2g} times as fast as {slow.backend}."
+
+
+def _speed_note(comparison: Comparison) -> str:
+    return (
+        "Wall-clock time of this run on this machine, all episodes as one batch; kernel compilation "
+        "and loading are left out. A GPU backend needs thousands of worlds to show its strength."
+    )
+
+
+def _error_chart(comparison: Comparison, group: str) -> Markup:
+    unit = metrics.layout(comparison.scene.model).units[group]
+    drawn, axes = figures.figure()
+    values = comparison.error[group]
+    if comparison.rounding is not None:
+        figures.band(
+            axes, comparison.horizon_s, comparison.rounding[group], figures.C, "float32 rounding"
+        )
+    figures.band(axes, comparison.horizon_s, values, figures.B, comparison.b.backend)
+    shown = [values] if comparison.rounding is None else [values, comparison.rounding[group]]
+    figures.log_if_wide(axes, shown)
+    axes.set(title=f"{_TITLES[group]} error", xlabel="time (s)", ylabel=unit)
+    figures.legend(axes)
+    return figures.to_svg(drawn, f"{_TITLES[group]} error over time")
+
+
+def _worst_charts(comparison: Comparison) -> list[Markup]:
+    """The elements that differ most in the worst episode, both sides over time."""
+    world = comparison.worst_episode
+    model = comparison.scene.model
+    a, b = (side.trajectory.qpos[world] for side in (comparison.a, comparison.b))
+    time = comparison.a.trajectory.time[world] - comparison.a.trajectory.initial.time[world]
+    spread = np.nan_to_num(np.abs(b - a).max(axis=0), nan=np.inf)
+    names = _qpos_names(model)
+    chosen = np.argsort(-spread, kind="stable")[:_MAX_JOINTS]
+    charts: list[Markup] = []
+    for index in chosen:
+        drawn, axes = figures.figure(height=2.2)
+        axes.plot(time, a[:, index], color=figures.A, label=comparison.a.backend)
+        axes.plot(time, b[:, index], color=figures.B, label=comparison.b.backend, linestyle="--")
+        axes.set(title=f"qpos {names[index]}", xlabel="time (s)")
+        figures.legend(axes)
+        charts.append(figures.to_svg(drawn, f"qpos {names[index]} of both sides over time"))
+    return charts
+
+
+def _qpos_names(model: mujoco.MjModel) -> list[str]:
+    from orbisim.scene.descriptor import name_of
+
+    parts = {
+        int(mujoco.mjtJoint.mjJNT_FREE): ("x", "y", "z", "qw", "qx", "qy", "qz"),
+        int(mujoco.mjtJoint.mjJNT_BALL): ("qw", "qx", "qy", "qz"),
+    }
+    names: list[str] = []
+    for joint in range(model.njnt):
+        name = name_of(model, mujoco.mjtObj.mjOBJ_JOINT, joint, "joint")
+        suffixes = parts.get(int(model.jnt_type[joint]))
+        names += [f"{name}/{s}" for s in suffixes] if suffixes else [name]
+    return names
+
+
+def _state_charts(comparison: Comparison) -> list[Markup]:
+    def energy(side: Side) -> Any:
+        return side.energies.total
+
+    def contacts(side: Side) -> Any:
+        return np.where(side.energies.contacts >= 0, side.energies.contacts, np.nan)
+
+    charts: list[Markup] = []
+    for title, unit, values in (("Mechanical energy", "J", energy), ("Contacts", "", contacts)):
+        drawn, axes = figures.figure()
+        for side, colour in ((comparison.a, figures.A), (comparison.b, figures.B)):
+            figures.band(axes, comparison.horizon_s, values(side), colour, side.backend)
+        axes.set(title=title, xlabel="time (s)", ylabel=unit)
+        figures.legend(axes)
+        charts.append(figures.to_svg(drawn, f"{title} of both sides over time"))
+    return charts
+
+
+def _film(comparison: Comparison) -> tuple[str | None, str]:
+    """The worst episode side by side as a data URI, or None and why not."""
+    from orbisim.registry import make_renderer
+
+    world = comparison.worst_episode
+    try:
+        renderer = make_renderer("mujoco", comparison.scene)
+        films = [
+            video.frames_of(
+                renderer,
+                side.trajectory.time[world],
+                side.trajectory.qpos[world],
+                dataclasses.replace(side.trajectory.initial)[world],
+                _FPS,
+                camera=_camera(comparison.scene.model),
+                **_SIZE,
+            )
+            for side in (comparison.a, comparison.b)
+        ]
+        renderer.close()
+    except RenderingUnavailableError as error:
+        return None, str(error)
+    except OrbiSimError as error:
+        return None, f"rendering failed: {error}"
+    return video.data_uri(video.side_by_side(*films), _FPS), ""
+
+
+def _camera(model: mujoco.MjModel) -> int:
+    """The first camera of the scene, or the free camera."""
+    return 0 if model.ncam else -1

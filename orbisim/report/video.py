@@ -1,0 +1,74 @@
+"""Videos: side by side, in a file or inside a page."""
+
+from __future__ import annotations
+
+import base64
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as iio
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.renderer import Renderer
+from orbisim.state import State
+
+Frames = npt.NDArray[np.uint8]
+
+
+def write_video(path: str | Path, frames: Sequence[Frames], fps: float) -> None:
+    """Writes H.264 frames [height, width, 3] (even sizes) to an MP4 file."""
+    iio.imwrite(
+        path,
+        np.stack(frames),
+        plugin="FFMPEG",
+        fps=fps,
+        codec="libx264",
+        macro_block_size=2,
+        output_params=["-pix_fmt", "yuv420p", "-crf", "26", "-movflags", "+faststart"],
+        ffmpeg_log_level="error",
+    )
+
+
+def data_uri(frames: Sequence[Frames], fps: float) -> str:
+    """The frames as a video inside a URI, for a page that needs no other file."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "video.mp4"
+        write_video(path, frames, fps)
+        encoded = base64.b64encode(path.read_bytes()).decode()
+    return f"data:video/mp4;base64,{encoded}"
+
+
+def side_by_side(left: Sequence[Frames], right: Sequence[Frames]) -> list[Frames]:
+    """Frames of two videos next to each other, with a gap."""
+    gap = np.full((left[0].shape[0], 4, 3), 128, np.uint8)
+    return [np.concatenate([a, gap, b], axis=1) for a, b in zip(left, right, strict=True)]
+
+
+def frames_of(
+    renderer: Renderer,
+    time: npt.NDArray[np.float64],
+    qpos: npt.NDArray[np.float64],
+    base: State,
+    fps: float,
+    **options: Any,
+) -> list[Frames]:
+    """Renders one world's positions at a steady rate.
+
+    Args:
+      time: [T], s. qpos: [T, nq]; from the first row that is not finite on, the last image stays.
+      base: a state of one world whose other fields are used.
+      fps: frames for each second of simulated time.
+      **options: passed to the renderer.
+    """
+    steps = np.searchsorted(time, np.arange(time[0], time[-1] + 1e-9, 1.0 / fps))
+    frames: list[Frames] = []
+    for step in np.minimum(steps, len(time) - 1):
+        if frames and not np.isfinite(qpos[step]).all():
+            frames.append(frames[-1])
+            continue
+        state = base.replace(time=time[step : step + 1], qpos=qpos[step : step + 1])
+        frames.append(renderer.render(state, **options))
+    return frames
