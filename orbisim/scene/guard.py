@@ -20,6 +20,9 @@ from collections.abc import Callable
 from orbisim.errors import OrbiSimError, SceneError
 
 _MEGABYTE = 2**20
+_ADDRESS_SPACE = 16 * 2**30
+_WATCH = 0.02
+_IF_TRUSTED = "if the file is trusted, pass trusted=True (command line: --trusted)"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,10 +31,11 @@ class Limits:
 
     Attributes:
       seconds: wall-clock time.
-      memory: bytes that may be allocated on top of what the process holds already.
+      memory: bytes that may become resident on top of what the process holds already. (Address
+        space is bounded far above it: MuJoCo reserves more than it touches.)
     """
 
-    seconds: float = 4.0
+    seconds: float = 3.0
     memory: int = 1536 * _MEGABYTE
 
     def for_input_of(self, nbytes: int) -> Limits:
@@ -59,16 +63,12 @@ def guarded(work: Callable[[], object], source: str, limits: Limits) -> None:
         _child(work, write_end, limits)
     os.close(write_end)
     try:
-        report, timed_out = _read_report(read_end, limits.seconds)
+        report, excess = _read_report(read_end, pid, limits)
     finally:
         os.close(read_end)
         status = _reap(pid)
-    if timed_out:
-        raise SceneError(
-            source,
-            f"reading it took more than {limits.seconds:.3g} s",
-            remedy="if the file is trusted, pass trusted=True (command line: --trusted)",
-        )
+    if excess:
+        raise SceneError(source, excess, remedy=_IF_TRUSTED)
     if os.WIFSIGNALED(status):
         name = signal.Signals(os.WTERMSIG(status)).name
         raise SceneError(source, f"the parser crashed on it ({name})", remedy="repair the file")
@@ -93,11 +93,7 @@ def _child(work: Callable[[], object], write_end: int, limits: Limits) -> None:
     except SceneError as error:
         report = {"problem": error.problem, "element": error.element, "remedy": error.remedy}
     except MemoryError:
-        report = {
-            "problem": f"reading it needs more than {limits.memory // _MEGABYTE} MB",
-            "element": None,
-            "remedy": "if the file is trusted, pass trusted=True (command line: --trusted)",
-        }
+        report = {"problem": _too_large(limits), "element": None, "remedy": _IF_TRUSTED}
     except OrbiSimError as error:
         report = {"problem": str(error), "element": None, "remedy": None}
     except BaseException as error:
@@ -109,33 +105,54 @@ def _child(work: Callable[[], object], write_end: int, limits: Limits) -> None:
 
 
 def _limit_memory(nbytes: int) -> None:
+    """A last resort below the parent's watch, for a single huge allocation that is touched."""
     try:
         import resource
 
-        with open("/proc/self/statm") as statm:  # noqa: PTH123 (cheap, no Path import in a child)
-            held = int(statm.read().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (held + nbytes, held + nbytes))
+        limit = _resident(os.getpid(), 0) + _ADDRESS_SPACE + 8 * nbytes
+        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     except (ImportError, OSError, ValueError):
         pass  # not Linux: the bound on time still holds
 
 
-def _read_report(fd: int, seconds: float) -> tuple[dict[str, str | None] | None, bool]:
-    deadline = time.monotonic() + seconds
+def _resident(pid: int, field: int = 1) -> int:
+    """Bytes that a process holds (field 1: resident, 0: address space); 0 if unknown."""
+    try:
+        with open(f"/proc/{pid}/statm") as statm:  # noqa: PTH123 (no Path import in a child)
+            return int(statm.read().split()[field]) * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, ValueError, IndexError):
+        return 0
+
+
+def _too_large(limits: Limits) -> str:
+    return f"reading it needs more than {limits.memory // _MEGABYTE} MB of memory"
+
+
+def _read_report(
+    fd: int, pid: int, limits: Limits
+) -> tuple[dict[str, str | None] | None, str | None]:
+    """The child's report, and which bound it broke, if any."""
+    deadline = time.monotonic() + limits.seconds
+    ceiling = _resident(os.getpid()) + limits.memory
     chunks: list[bytes] = []
     while True:
         left = deadline - time.monotonic()
-        ready, _, _ = select.select([fd], [], [], max(left, 0.0))
+        if left <= 0:
+            return None, f"reading it took more than {limits.seconds:.3g} s"
+        if _resident(pid) > ceiling:
+            return None, _too_large(limits)
+        ready, _, _ = select.select([fd], [], [], min(left, _WATCH))
         if not ready:
-            return None, True
+            continue
         chunk = os.read(fd, 65536)
         if not chunk:
             break
         chunks.append(chunk)
     try:
-        return json.loads(b"".join(chunks)), False
+        return json.loads(b"".join(chunks)), None
     except ValueError:
-        return None, False
+        return None, None
 
 
 def _reap(pid: int) -> int:

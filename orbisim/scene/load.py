@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -100,7 +101,7 @@ def _from_path(text: str, trusted: bool, options: dict[str, Any]) -> Scene:
         return Scene.from_read(reader(text, **options), text)
 
     if not trusted:
-        guarded(work, text, Limits().for_input_of(_size_of_folder(path)))
+        guarded(work, text, Limits().for_input_of(_size_with_references(path)))
     return work()
 
 
@@ -156,15 +157,32 @@ def _root_tag(text: str) -> str:
     return ""
 
 
-def _size_of_folder(path: Path) -> int:
-    """Bytes in the file and the files near it that it may refer to (a generous estimate)."""
+_REFERENCE = re.compile(r"""(?:file\w*|filename)\s*=\s*["']([^"']+)["']""")
+_DIRECTORY = re.compile(r"""(?:meshdir|texturedir|assetdir)\s*=\s*["']([^"']+)["']""")
+
+
+def _size_with_references(path: Path, seen: set[Path] | None = None) -> int:
+    """Bytes in an XML file and in the files that it names, included documents and theirs too."""
+    seen = set() if seen is None else seen
+    seen.add(path)
     total = path.stat().st_size
-    for count, entry in enumerate(path.parent.rglob("*")):
-        if count > 2000:
-            break
-        if entry.is_file():
-            total += entry.stat().st_size
-    return min(total, 2**30)
+    text = path.read_bytes().decode(errors="replace")
+    folders = [path.parent, *(path.parent / name for name in _DIRECTORY.findall(text))]
+    for name in set(_REFERENCE.findall(text)):
+        found = next((f / name for f in folders if _is_file(f / name)), None)
+        if found is None or found in seen or len(seen) > 10_000:
+            continue
+        seen.add(found)
+        is_xml = found.suffix.lower() == ".xml"
+        total += _size_with_references(found, seen) if is_xml else found.stat().st_size
+    return total
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name that no file can have
+        return False
 
 
 def _similar_files(path: Path) -> str:

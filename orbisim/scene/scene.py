@@ -58,7 +58,6 @@ class Scene:
         Raises:
           SceneError: MuJoCo cannot compile it, or the compiled model is not finite.
         """
-        spec = spec.copy()
         with _collect_warnings() as compiler_warnings:
             try:
                 model = spec.compile()
@@ -66,7 +65,8 @@ class Scene:
                 raise as_scene_error(error, source) from None
         _check_finite(model, source)
         found = (*reader_warnings, *dict.fromkeys(compiler_warnings))
-        return cls(spec.modelname or "scene", source, model, tuple(unsupported), found, spec)
+        kept = spec.copy()  # only now: a copy drops references to what is missing, unnoticed
+        return cls(spec.modelname or "scene", source, model, tuple(unsupported), found, kept)
 
     @classmethod
     def from_read(cls, read: ReadResult, source: str) -> Scene:
