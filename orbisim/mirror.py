@@ -91,6 +91,8 @@ class Mirror:
 
     def leave(self) -> None:
         """Leaves MjData as C MuJoCo needs it to go on: the same state, its own derived fields."""
+        for name in ACCELERATION_FIELDS:  # some are only computed on request
+            getattr(self._data, name)[:] = 0.0
         self._data.qacc_warmstart[:] = np.nan_to_num(self._data.qacc_warmstart)
         mujoco.mj_forward(self._model, self._data)
 

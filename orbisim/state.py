@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -127,7 +128,7 @@ class State:
                     **{name: file[name] for name in _PHYSICAL},
                     memory={name: file[name] for name in header["memory"]},
                 )
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
             raise InputError(f"{path}: not a saved state ({error})") from None
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -100,7 +101,7 @@ class Trajectory:
                 names = ("control", "time", "qpos", "qvel", "act", "diverged_at")
                 arrays = {name: file[name] for name in names}
                 sensordata = file.get("sensordata")
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
             raise InputError(f"{path}: not a saved trajectory ({error})") from None
         last = State(**{name: arrays[name][:, -1] for name in ("time", "qpos", "qvel", "act")})
         return Trajectory(initial=initial, **arrays, sensordata=sensordata, final=last), notes

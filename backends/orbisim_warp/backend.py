@@ -41,7 +41,17 @@ _MEMORY = (
     "userdata",
 )
 _BODY_FORCES = frozenset({"cacc", "cfrc_ext", "cfrc_int"})
-_GROWTH = 2
+_TOO_SMALL = int(
+    mjw.OverflowType.NEFC
+    | mjw.OverflowType.NJMAX_NNZ
+    | mjw.OverflowType.BROADPHASE
+    | mjw.OverflowType.NARROWPHASE
+    | mjw.OverflowType.CCD
+    | mjw.OverflowType.NVMAX
+)  # larger buffers help; reaching the solver's iteration limit is no error, as in C MuJoCo
+_BROKEN = int(
+    mjw.OverflowType.HFIELD | mjw.OverflowType.CONTACT_MATCH | mjw.OverflowType.TACTILE
+)
 _ATTEMPTS = 6
 
 
@@ -115,6 +125,7 @@ class WarpBackend(Backend):
             raise UnsupportedSceneError(
                 scene.source, f"MuJoCo-Warp cannot simulate it: {error}", remedy="use 'mujoco'"
             ) from None
+        self._model.opt.warn_overflow = 0  # overflows are noticed, and repaired, here
         if self._deterministic:
             self._model.opt.deterministic = int(mjw.DeterminismType.ALL)
         self._scene = scene
@@ -263,18 +274,29 @@ class WarpBackend(Backend):
             self._allocate(nworld)
             run()
             overflow = int(np.bitwise_or.reduce(self._data.overflow.numpy(), initial=0))
-            if not overflow:
+            if overflow & _BROKEN:
+                raise CapacityError(
+                    f"backend 'warp': scene {self.scene.name!r} overflows "
+                    f"{mjw.OverflowType(overflow & _BROKEN)!r}, which cannot be enlarged; use 'mujoco'"
+                )
+            if not overflow & _TOO_SMALL:
                 return
-            self._data.overflow.zero_()
-            self._sizes = {
-                "nconmax": _GROWTH * max(1, -(-self._data.naconmax // nworld)),
-                "njmax": _GROWTH * max(1, self._data.njmax),
-            }
-            self._forget()
+            self._enlarge(nworld)
         raise CapacityError(
             f"backend 'warp': scene {self.scene.name!r} needs more than {self._sizes['nconmax']} "
             f"contacts or {self._sizes['njmax']} constraints a world; pass nconmax and njmax"
         )
+
+    def _enlarge(self, nworld: int) -> None:
+        """Twice the present buffers, or half as much again as the last step asked for."""
+        data = self._data
+        contacts = int(max(data.nacon.numpy().max(), data.ncollision.numpy().max()))
+        rows = int(data.nefc.numpy().max())
+        self._sizes = {
+            "nconmax": max(2 * -(-data.naconmax // nworld), -(-3 * contacts // (2 * nworld)), 8),
+            "njmax": max(2 * data.njmax, 3 * rows // 2, 16),
+        }
+        self._forget()
 
     def _allocate(self, nworld: int) -> None:
         if self._data is not None and self._data.nworld == nworld:

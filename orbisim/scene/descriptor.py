@@ -469,10 +469,11 @@ def _joint(model: mujoco.MjModel, joint: int) -> JointDescriptor:
     body = int(model.jnt_bodyid[joint])
     dof = int(model.jnt_dofadr[joint])
     adr = int(model.jnt_qposadr[joint])
-    scalar = model.jnt_type[joint] in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+    kind = mujoco.mjtJoint(model.jnt_type[joint])
+    scalar = kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
     return JointDescriptor(
         name=name_of(model, mujoco.mjtObj.mjOBJ_JOINT, joint, "joint"),
-        type=_enum_name(mujoco.mjtJoint(model.jnt_type[joint])),
+        type=_enum_name(kind),
         parent=_body_name(model, int(model.body_parentid[body])),
         child=_body_name(model, body),
         limited=bool(model.jnt_limited[joint]),

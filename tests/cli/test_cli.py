@@ -1,0 +1,149 @@
+"""The command line: what it prints, what it returns, what it says when the input is wrong."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orbisim import Trajectory
+from orbisim.cli.main import COMMANDS, run
+from orbisim.testing import scenes
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> str:
+    path = tmp_path / "cartpole.xml"
+    path.write_text(scenes.CARTPOLE)
+    return str(path)
+
+
+def output(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    status = run(list(arguments))
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_has_an_example(capsys: pytest.CaptureFixture[str], command: str) -> None:
+    status, out, _ = output(capsys, command, "--help")
+    assert status == 0
+    assert f"Example: orbisim {command}" in " ".join(out.split())
+    assert "--json" in out or command == "view"
+
+
+def test_help_lists_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = output(capsys, "--help")
+    assert status == 0
+    assert all(command in out for command in COMMANDS)
+
+
+def test_info(capsys: pytest.CaptureFixture[str], scene: str) -> None:
+    status, out, _ = output(capsys, "info", scene)
+    assert status == 0
+    assert all(word in out for word in ("cart", "pole", "hinge", "motor", "gravity") if word != "motor")
+    status, out, err = output(capsys, "info", scene, "--json")
+    result = json.loads(out)
+    assert (status, err) == (0, "")
+    assert result["schema"] == "orbisim.info/1"
+    assert result["entities"][1]["kind"] == "robot"
+    assert result["unsupported"] == []
+
+
+def test_sim(capsys: pytest.CaptureFixture[str], scene: str, tmp_path: Path) -> None:
+    arguments = ["sim", scene, "--duration", "0.5", "--worlds", "3", "--controls", "random"]
+    status, out, _ = output(capsys, *arguments, "--seed", "4", "--out", str(tmp_path / "o"), "--json")
+    result = json.loads(out)
+    assert status == 0
+    assert (result["steps"], result["worlds"], result["diverged"]) == (100, 3, 0)
+    trajectory, notes = Trajectory.load(tmp_path / "o" / "trajectory.npz")
+    assert trajectory.qpos.shape == (3, 100, 2)
+    assert notes["seed"] == 4
+    output(capsys, *arguments, "--seed", "4", "--out", str(tmp_path / "p"))
+    again, _ = Trajectory.load(tmp_path / "p" / "trajectory.npz")
+    np.testing.assert_array_equal(again.qpos, trajectory.qpos)
+
+
+def test_sim_makes_a_video(capsys: pytest.CaptureFixture[str], scene: str, tmp_path: Path) -> None:
+    arguments = ("--duration", "0.2", "--size", "64x96", "--out", str(tmp_path / "o"), "--json")
+    status, out, _ = output(capsys, "sim", scene, "--renderer", "null", *arguments)
+    assert status == 0
+    import imageio.v3 as iio
+
+    frames = iio.imread(tmp_path / "o" / "video.mp4", plugin="FFMPEG")
+    assert frames.shape[1:] == (64, 96, 3)
+    assert 6 <= len(frames) <= 8
+    assert json.loads(out)["files"][1].endswith("video.mp4")
+
+
+def test_compare(capsys: pytest.CaptureFixture[str], scene: str, tmp_path: Path) -> None:
+    arguments = ["compare", scene, "--b", "mujoco", "--episodes", "2", "--horizon", "0.1"]
+    status, out, _ = output(capsys, *arguments, "--json", "--out", str(tmp_path / "r"), "--no-video")
+    assert status == 0
+    assert json.loads(out)["schema"] == "orbisim.compare/1"
+    assert (tmp_path / "r" / "report.html").exists()
+    status, out, _ = output(capsys, *arguments)
+    assert "joint_position" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["inof", "x"], "did you mean 'info'"),
+        (["info", "nothing.xml"], "nothing.xml: no such file"),
+        (["info"], "Missing argument 'SCENE'"),
+        (["sim", "SCENE", "--backend", "wrap"], "did you mean 'warp'"),
+        (["sim", "SCENE", "--renderer", "mujco"], "did you mean 'mujoco'"),
+        (["sim", "SCENE", "--duration", "-1"], "duration"),
+        (["sim", "SCENE", "--duration", "x"], "'x' is not a valid float"),
+        (["sim", "SCENE", "--size", "big", "--renderer", "null"], "height x width"),
+        (["compare", "SCENE", "--episodes", "0"], "at least one episode"),
+        (["compare", "suite:cheetah-fly"], "unknown task"),
+        (["info", "SCENE", "--frobnicate"], "No such option"),
+    ],
+)
+def test_wrong_input(
+    capsys: pytest.CaptureFixture[str], scene: str, arguments: list[str], message: str
+) -> None:
+    status, out, err = output(capsys, *[scene if a == "SCENE" else a for a in arguments])
+    assert status == 2
+    assert out == ""
+    assert message in err
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+
+
+def test_a_fault_of_ours_is_no_traceback(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, scene: str
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise RuntimeError("two\nlines")
+
+    monkeypatch.setattr("orbisim.compare.compare", broken)
+    status, _, err = output(capsys, "compare", scene)
+    assert status == 1
+    assert "a fault in OrbiSim: RuntimeError: two lines" in err
+    assert "Traceback" not in err
+
+
+def test_the_program_is_installed(scene: str) -> None:
+    program = Path(sys.executable).with_name("orbisim")
+    done = subprocess.run([program, "info", scene, "--json"], capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout)["name"] == "cartpole"
+    bad = subprocess.run([program, "info", "x.abc"], capture_output=True, text=True)
+    assert bad.returncode == 2
+
+
+def test_importing_orbisim_loads_nothing_heavy() -> None:
+    code = (
+        "import sys, orbisim; "
+        "heavy = {'torch', 'warp', 'mujoco', 'dm_control', 'matplotlib', 'trimesh'} & set(sys.modules); "
+        "assert not heavy, heavy; "
+        "orbisim.load_scene('<mujoco/>'); "
+        "assert not {'torch', 'warp', 'matplotlib'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

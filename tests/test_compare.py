@@ -1,0 +1,164 @@
+"""Comparisons: errors that are what they say, reports that stand alone."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from orbisim import load_scene, metrics
+from orbisim.compare import Comparison, compare
+from orbisim.episodes import random_controls, random_initial_states
+from orbisim.errors import InputError
+from orbisim.testing import scenes
+
+from .test_physics import Drift
+
+MIXED = """
+<mujoco model="mixed">
+  <compiler angle="radian"/>
+  <option timestep="0.01"/>
+  <worldbody>
+    <body name="box" pos="0 0 1"><freejoint/><geom type="box" size="0.1 0.1 0.1" mass="1"/></body>
+    <body name="arm" pos="2 0 1"><joint name="hinge" axis="0 1 0" range="-0.02 0.02" limited="true"/><joint name="slide" type="slide"/>
+      <geom size="0.1"/></body>
+  </worldbody>
+  <actuator><motor joint="hinge" ctrlrange="-2 4" ctrllimited="true"/><motor joint="slide"/></actuator>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="module")
+def comparison() -> Comparison:
+    return compare(load_scene(MIXED), "mujoco", Drift(), count=3, horizon=0.2, seed=1)
+
+
+def test_errors_are_those_of_a_falling_box(comparison: Comparison) -> None:
+    """`drift` leaves the box where it is while it falls: 1/2 g t^2, velocity g t."""
+    t = comparison.horizon_s
+    np.testing.assert_allclose(t, np.arange(1, 21) * 0.01)
+    fallen = 9.81 * 0.01**2 * np.arange(1, 21) * np.arange(2, 22) / 2  # semi-implicit Euler
+    np.testing.assert_allclose(comparison.error["object_position"], [fallen] * 3, rtol=1e-9)
+    np.testing.assert_allclose(comparison.error["object_velocity"], [9.81 * t] * 3, rtol=1e-9)
+    np.testing.assert_allclose(comparison.error["object_rotation"], 0, atol=1e-7)
+
+
+def test_json_keeps_to_the_contract(comparison: Comparison) -> None:
+    result = json.loads(json.dumps(comparison.to_json(), allow_nan=False))
+    assert result["schema"] == "orbisim.compare/1"
+    assert result["a"]["backend"] == "mujoco"
+    assert result["b"]["backend"] == "drift"
+    assert result["a"]["steps_per_s"] > 0
+    assert set(result["error"]) == set(metrics.GROUPS)
+    for group, unit in (("joint_position", "rad or m"), ("object_rotation", "rad")):
+        entry = result["error"][group]
+        assert entry["unit"] == unit
+        assert len(entry["median"]) == len(entry["p95"]) == len(result["horizon_s"])
+    assert result["diverged"] == 0
+
+
+def test_the_reference_against_itself_is_zero() -> None:
+    result = compare(load_scene(MIXED), "mujoco", "mujoco", count=2, horizon=0.1)
+    assert all((values == 0).all() for values in result.error.values())
+    assert result.rounding is not None
+    assert 0 < result.rounding["joint_position"].max() < 1e-5
+
+
+def test_the_report_stands_alone(comparison: Comparison, tmp_path: Path) -> None:
+    page = comparison.report(tmp_path, video=False).read_text()
+    assert json.loads((tmp_path / "report.json").read_text())["schema"] == "orbisim.compare/1"
+    assert page.count("<svg") >= len(metrics.GROUPS) + 3
+    assert "prefers-color-scheme: dark" in page
+    assert 'name="viewport"' in page
+    links = re.findall(r'(?:src|href)="([^"]+)"', page)
+    assert all(link.startswith(("#", "data:")) for link in links)
+    assert "orbisim compare" in page
+
+
+def test_names_in_the_report_are_escaped(tmp_path: Path) -> None:
+    result = compare(load_scene(MIXED), count=1, horizon=0.05, b="mujoco")
+    import dataclasses
+
+    page = dataclasses.replace(result, source="<script>alert(1)</script>").report(tmp_path, video=False)
+    assert "<script>" not in page.read_text()
+
+
+def test_divergence_is_counted() -> None:
+    class Fails(Drift):
+        name = "fails"
+
+        def step(self, state, control=None, nstep=1):  # type: ignore[no-untyped-def]
+            from orbisim.errors import DivergedError
+
+            lost = np.flatnonzero((state.time > 0.05) & (np.arange(state.nworld) == state.nworld - 1))
+            if lost.size and state.nworld == 3:
+                raise DivergedError("gone", lost)
+            return super().step(state, None, nstep)
+
+    result = compare(load_scene(MIXED), "mujoco", Fails(), count=3, horizon=0.1)
+    assert result.diverged == 1
+    assert result.worst_episode == 2
+    summary = json.dumps(result.to_json(), allow_nan=False)  # NaN became null
+    assert "NaN" not in summary
+
+
+def test_no_episodes() -> None:
+    with pytest.raises(InputError, match="at least one episode"):
+        compare(load_scene(MIXED), count=0)
+
+
+def test_backends_that_do_not_fit() -> None:
+    class Odd(Drift):
+        name = "odd"
+        timestep = 0.015  # type: ignore[assignment]
+
+    with pytest.raises(InputError, match="cannot be compared"):
+        compare(load_scene(MIXED), "mujoco", Odd())
+
+
+def test_controls_and_initial_states_are_within_limits() -> None:
+    model = load_scene(MIXED).model
+    controls = random_controls(model, 4, 500, 0.01, 0)
+    assert controls[..., 0].min() >= -2
+    assert controls[..., 0].max() <= 4
+    assert abs(controls[..., 0].mean() - 1) < 0.3
+    assert np.abs(controls[..., 1]).max() <= 1
+    jumps = np.abs(np.diff(controls[..., 0], axis=1)).mean()
+    assert jumps < 0.6  # smooth
+    states = random_initial_states(model, 50, 0)
+    assert np.abs(states.qpos[:, 7]).max() <= 0.02
+    assert states.qpos[:, 7].std() > 0.005
+    np.testing.assert_array_equal(random_initial_states(model, 50, 0).qpos, states.qpos)
+
+
+quaternions = st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(
+    lambda q: np.linalg.norm(q) > 0.1
+)
+
+
+@given(quaternions, quaternions, quaternions)
+def test_rotation_angle_is_a_metric(p: list[float], q: list[float], r: list[float]) -> None:
+    a, b, c = (np.array(x) / np.linalg.norm(x) for x in (p, q, r))
+    ab, bc, ac = (metrics.rotation_angle(x, y) for x, y in ((a, b), (b, c), (a, c)))
+    assert metrics.rotation_angle(a, a) == pytest.approx(0, abs=1e-7)
+    assert metrics.rotation_angle(a, -a) == pytest.approx(0, abs=1e-7)
+    assert ab == pytest.approx(metrics.rotation_angle(b, a), abs=1e-7)
+    assert 0 <= ab <= np.pi + 1e-9
+    assert ac <= ab + bc + 1e-6
+
+
+def test_rotation_angle_of_known_rotations() -> None:
+    for angle in (1e-9, 0.3, 3.0):
+        turned = np.array([np.cos(angle / 2), 0, np.sin(angle / 2), 0])
+        assert metrics.rotation_angle(np.array([1.0, 0, 0, 0]), turned) == pytest.approx(angle, rel=1e-6)
+
+
+def test_energy_of_a_pendulum() -> None:
+    model = load_scene(scenes.PENDULUM).model
+    found = metrics.energies(model, np.array([[[0.0], [np.pi / 2]]]), np.zeros((1, 2, 1)))
+    assert found.total[0, 1] - found.total[0, 0] == pytest.approx(9.81 * 0.25, rel=1e-6)

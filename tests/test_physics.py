@@ -1,0 +1,207 @@
+"""Physics with a backend other than C MuJoCo: what is mirrored, what is not known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from dm_control.rl import control
+
+from orbisim import Backend, Physics, State, load_scene, make_backend, register_backend
+from orbisim.errors import DivergedError, InputError, SceneError, UnknownNameError
+from orbisim.mirror import ACCELERATION_FIELDS, ModelWatch
+from orbisim.testing import scenes
+
+TOUCH = """
+<mujoco>
+  <option timestep="0.01"/>
+  <worldbody>
+    <geom type="plane" size="1 1 0.1"/>
+    <body pos="0 0 0.1"><freejoint/><geom size="0.1"/><site name="s" size="0.2"/></body>
+    <body pos="1 0 1"><joint name="hinge" axis="0 1 0"/><geom size="0.1" pos="0 0 -0.3"/></body>
+  </worldbody>
+  <actuator><motor name="m" joint="hinge"/></actuator>
+  <sensor><touch site="s"/><jointpos joint="hinge"/><accelerometer site="s"/></sensor>
+</mujoco>
+"""
+
+
+class Drift(Backend):
+    """Moves everything along its velocity; knows nothing of accelerations."""
+
+    name = "drift"
+
+    def __init__(self, **config: object) -> None:
+        super().__init__(**config)  # type: ignore[arg-type]
+        self.loads = 0
+
+    def load(self, scene: object) -> None:
+        self._scene = scene
+        self.loads += 1
+
+    def reset(self, nworld: int | None = None, seed: int | None = None) -> State:
+        return make_backend("mujoco", self.scene).reset(nworld or self.nworld)
+
+    def step(self, state: State, control: object = None, nstep: int = 1) -> State:
+        control = self.check_control(state, control)
+        dt = nstep * self.timestep
+        seen = state.memory.get("steps", np.zeros(state.nworld)) + nstep
+        qpos = np.array(state.qpos)
+        qpos[:, 7:] += dt * np.array(state.qvel)[:, 6:]
+        if not np.isfinite(qpos).all() or (np.abs(control) > 100).any():
+            raise DivergedError("drift diverged", [0])
+        return state.replace(time=state.time + dt, qpos=qpos).with_memory(steps=seen)
+
+
+register_backend("drift", Drift)
+
+
+@pytest.fixture
+def physics() -> Physics:
+    return Physics.from_xml_string(TOUCH, backend="drift")
+
+
+def test_positions_and_velocities_are_mirrored(physics: Physics) -> None:
+    physics.named.data.qvel["hinge"] = 2.0
+    physics.step(3)
+    assert physics.named.data.qpos["hinge"] == pytest.approx(0.06)
+    assert physics.time() == pytest.approx(0.03)
+    assert physics.data.sensordata[1] == pytest.approx(0.06)
+    tip = physics.data.geom_xpos[2]  # kinematics follow
+    np.testing.assert_allclose(tip, [1 - 0.3 * np.sin(0.06), 0, 1 - 0.3 * np.cos(0.06)], atol=1e-9)
+
+
+def test_unknown_fields_are_nan(physics: Physics) -> None:
+    physics.step()
+    for name in ACCELERATION_FIELDS:
+        field = getattr(physics.data, name)
+        assert np.isnan(field).all(), name
+    assert np.isnan(physics.data.sensordata[[0, 2, 3, 4]]).all()  # touch, accelerometer
+
+
+def test_unknown_fields_are_nan_after_a_reset_too(physics: Physics) -> None:
+    with physics.reset_context():
+        physics.named.data.qpos["hinge"] = 1.0
+    assert np.isnan(physics.data.qacc).all()
+    assert physics.data.sensordata[1] == pytest.approx(1.0)
+
+
+def test_going_back_to_mujoco_leaves_no_nan(physics: Physics) -> None:
+    physics.step()
+    physics.use_backend("mujoco")
+    for name in ACCELERATION_FIELDS:
+        assert np.isfinite(getattr(physics.data, name)).all(), name
+    physics.step(10)
+    assert np.isfinite(physics.get_state()).all()
+
+
+def test_private_memory_is_kept_until_the_state_is_edited(physics: Physics) -> None:
+    physics.step(2)
+    physics.step(3)
+    assert physics.snapshot().memory["steps"] == 5
+    physics.named.data.qpos["hinge"] = 0.5
+    assert "steps" not in physics.snapshot().memory
+    physics.step()
+    assert physics.snapshot().memory["steps"] == 1
+
+
+def test_snapshot_and_restore(physics: Physics) -> None:
+    physics.named.data.qvel["hinge"] = 2.0
+    physics.step(2)
+    kept = physics.snapshot()
+    physics.step(5)
+    physics.restore(kept)
+    assert physics.snapshot().memory["steps"] == 2
+    assert physics.named.data.qpos["hinge"] == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize("steps", [1, 7])
+def test_restoring_in_contact_gives_the_same_future(steps: int) -> None:
+    physics = Physics.from_xml_string(scenes.RESTING_BOX)
+    physics.data.qvel[:] = [0.5, 0, 0, 1, 2, 3]
+    physics.step(20)
+    kept = physics.snapshot()
+    physics.step(steps)
+    future = physics.get_state()
+    physics.restore(kept)
+    physics.step(steps)
+    np.testing.assert_array_equal(physics.get_state(), future)
+
+
+def test_divergence_is_dm_controls_physics_error(physics: Physics) -> None:
+    physics.data.ctrl[:] = 1000.0
+    with pytest.raises(control.PhysicsError) as caught:
+        physics.step()
+    assert isinstance(caught.value, DivergedError)
+
+
+def test_a_changed_model_is_noticed() -> None:
+    physics = Physics.from_xml_string(TOUCH)
+    engine = Drift()
+    physics.use_backend(engine)
+    physics.step()
+    assert engine.loads == 1
+    physics.named.model.body_mass[2] = 7.0
+    physics.step()
+    assert engine.loads == 2
+    assert engine.model.body_mass[2] == 7.0
+    physics.step()
+    assert engine.loads == 2
+
+
+def test_model_watch_sees_options() -> None:
+    model = load_scene(TOUCH).model
+    watch = ModelWatch(model)
+    assert not watch.changed()
+    model.opt.gravity[2] = -1.6
+    assert watch.changed()
+    assert not watch.changed()
+
+
+def test_timesteps_must_fit() -> None:
+    class Slow(Drift):
+        name = "slow"
+        timestep = 0.02  # type: ignore[assignment]
+
+    physics = Physics.from_xml_string(TOUCH, backend=Slow())
+    physics.step(2)
+    with pytest.raises(InputError, match="not a multiple"):
+        physics.step(3)
+
+
+def test_an_unknown_backend_leaves_the_old_one() -> None:
+    physics = Physics.from_xml_string(TOUCH, backend="drift")
+    with pytest.raises(UnknownNameError, match="did you mean 'mujoco'"):
+        physics.use_backend("mujoko")
+    assert physics.backend == "drift"
+    physics.step()
+
+
+def test_from_xml_path_reads_any_scene(tmp_path: object) -> None:
+    with pytest.raises(SceneError, match="no such file"):
+        Physics.from_xml_path("nothing/here.xml")
+
+
+def test_a_scene_stays_as_it_is() -> None:
+    scene = load_scene(TOUCH)
+    physics = Physics.from_scene(scene)
+    physics.model.opt.gravity[2] = 0
+    assert scene.model.opt.gravity[2] == -9.81
+    assert physics.scene.model.opt.gravity[2] == 0
+
+
+def test_reloading_takes_the_backend_along(physics: Physics) -> None:
+    physics.reload_from_xml_string(scenes.CARTPOLE)
+    assert physics.backend == "drift"
+    assert physics.scene.model.nu == 1
+    physics.step()
+
+
+def test_renderers_are_switched() -> None:
+    physics = Physics.from_xml_string(scenes.COLOURS, renderer="null")
+    assert physics.renderer == "null"
+    assert physics.render(4, 6, depth=True).shape == (4, 6)
+    with pytest.raises(InputError, match="overlays"):
+        physics.render(4, 6, overlays=("text",))
+    with pytest.raises(UnknownNameError):
+        physics.use_renderer("opengl")
+    assert physics.renderer == "null"
