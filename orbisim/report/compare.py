@@ -102,7 +102,7 @@ def _summary(comparison: Comparison) -> str:
         text += f" (float32 rounding of the initial state alone: {group['rounding']:.2g})"
     fast, slow = sorted((comparison.a, comparison.b), key=lambda s: -s.steps_per_s)
     ratio = fast.steps_per_s / slow.steps_per_s
-    return f"{text}. Here {fast.backend} is {ratio:.2g} times as fast as {slow.backend}."
+    return f"{text}. Here {fast.backend} is {ratio:.3g} times as fast as {slow.backend}."
 
 
 def _speed_note(comparison: Comparison) -> str:

@@ -8,7 +8,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import numpy.typing as npt
-import trimesh
 
 POINTS = 512
 """Points sampled from each surface."""
@@ -49,6 +48,8 @@ def sample_surface(
     Args:
       vertices: [nvert, 3]. faces: [nface, 3] indices into them.
     """
+    import trimesh  # takes a second; scenes without meshes need none of it
+
     mesh = trimesh.Trimesh(np.asarray(vertices, float), np.asarray(faces), process=False)
     area = float(mesh.area)
     if not area > 0.0:  # degenerate: a point or a line

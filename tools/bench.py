@@ -1,0 +1,190 @@
+"""Benchmarks as ratios within one run; `make bench`.
+
+    python tools/bench.py [--only physics,rollout,import,help] [--json FILE]
+
+Each figure is the median of alternating runs of OrbiSim and what it is measured against.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+REPEATS = 7
+
+
+def main() -> int:
+    """Runs the chosen benchmarks and prints a Markdown table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", default=",".join(BENCHMARKS))
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    rows = [row for name in options.only.split(",") for row in BENCHMARKS[name]()]
+    print("| what | OrbiSim | against | ratio | goal | reached |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    for row in rows:
+        print("| {what} | {ours} | {theirs} | {ratio:.3f} | {goal} | {reached} |".format(**row))
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=1))
+    return 0
+
+
+def paired(ours: Callable[[], float], theirs: Callable[[], float]) -> tuple[float, float, float]:
+    """Medians of alternating measurements, and the median of their ratios."""
+    ours(), theirs()
+    pairs = [(ours(), theirs()) for _ in range(REPEATS)]
+    ratio = statistics.median(a / b for a, b in pairs)
+    return statistics.median(a for a, _ in pairs), statistics.median(b for _, b in pairs), ratio
+
+
+def row(what: str, values: tuple[float, float, float], unit: str, goal: str, ok: bool) -> dict[str, Any]:
+    """One line of the table."""
+    ours, theirs, ratio = values
+    return {
+        "what": what,
+        "ours": f"{ours:.4g} {unit}",
+        "theirs": f"{theirs:.4g} {unit}",
+        "ratio": ratio,
+        "goal": goal,
+        "reached": "yes" if ok else "no",
+    }
+
+
+def physics() -> list[dict[str, Any]]:
+    """Overhead of `Physics.step` over dm_control's."""
+    import numpy as np
+    from dm_control import suite as dm_suite
+
+    from orbisim import suite
+
+    rows = []
+    for domain, task in (("cartpole", "swingup"), ("humanoid", "walk")):
+        plain = dm_suite.load(domain, task, task_kwargs={"random": 0}).physics
+        ours = suite.load(domain, task, task_kwargs={"random": 0}).physics
+        start = plain.get_state()
+        count = 20_000 if domain == "cartpole" else 3_000
+
+        def timed(physics: Any, start: Any = start, count: int = count) -> float:
+            with physics.reset_context():
+                physics.set_state(start)
+            physics.set_control(np.zeros(physics.model.nu))
+            step = physics.step
+            began = time.perf_counter()
+            for _ in range(count):
+                step()
+            return (time.perf_counter() - began) / count * 1e6
+
+        values = paired(lambda p=ours: timed(p), lambda p=plain: timed(p))
+        rows.append(
+            row(
+                f"`Physics.step`, {domain}, against dm_control's",
+                values, "µs", "at most 1.05", values[2] <= 1.05,
+            )
+        )  # fmt: skip
+    return rows
+
+
+def rollout() -> list[dict[str, Any]]:
+    """Throughput of a batched rollout against the faster of MuJoCo's own two."""
+    import os
+
+    import mujoco
+    import mujoco.batch
+    import mujoco.rollout
+    import numpy as np
+
+    from orbisim import make_backend
+    from orbisim.suite import load_scene
+
+    rows = []
+    threads = os.cpu_count() or 1
+    for name, nworld, steps in (("cartpole-swingup", 256, 500), ("humanoid-walk", 64, 100)):
+        scene = load_scene(name)
+        model = scene.model
+        controls = np.random.default_rng(0).uniform(-1, 1, (nworld, steps, model.nu))
+        backend = make_backend("mujoco", scene, nworld=nworld)
+        state = backend.reset()
+        datas = [mujoco.MjData(model) for _ in range(threads)]
+        full = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        data = mujoco.MjData(model)
+        start = np.empty(mujoco.mj_stateSize(model, full))
+        mujoco.mj_getState(model, data, start, full)
+        initial = np.tile(start, (nworld, 1))
+        batch = mujoco.batch.Batch(model, nworld, threads)
+
+        def ours(b: Any = backend, s: Any = state, c: Any = controls) -> float:
+            began = time.perf_counter()
+            b.rollout(s, c)
+            return nworld * steps / (time.perf_counter() - began)
+
+        with mujoco.rollout.Rollout(nthread=threads) as pool:
+
+            def raw_rollout(m: Any = model, i: Any = initial, c: Any = controls) -> float:
+                began = time.perf_counter()
+                pool.rollout(m, datas, i, c)
+                return nworld * steps / (time.perf_counter() - began)
+
+            def raw_batch(b: Any = batch, c: Any = controls) -> float:
+                began = time.perf_counter()
+                b.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+                b.rollout(steps, c, record=[full, "sensordata"] if model.nsensordata else [full])
+                return nworld * steps / (time.perf_counter() - began)
+
+            by_rollout = paired(ours, raw_rollout)
+            by_batch = paired(ours, raw_batch)
+        values = min(by_rollout, by_batch, key=lambda v: v[2])
+        rows.append(
+            row(
+                f"`rollout`, {name}, {nworld} worlds x {steps} steps, against the faster of "
+                "`mujoco.rollout` and `mujoco.batch`",
+                values, "steps/s", "at least 0.95", values[2] >= 0.95,
+            )
+        )  # fmt: skip
+    return rows
+
+
+def run(*arguments: str) -> float:
+    """Seconds that a command takes as a whole process."""
+    began = time.perf_counter()
+    subprocess.run(arguments, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    return time.perf_counter() - began
+
+
+def imports() -> list[dict[str, Any]]:
+    """Time of `import orbisim`, by itself and with `Physics`."""
+    theirs = "import mujoco, dm_control.mujoco"
+    rows = []
+    for what in ("import orbisim", "import orbisim; orbisim.Physics; orbisim.load_scene"):
+        values = paired(
+            lambda w=what: run(sys.executable, "-c", w), lambda: run(sys.executable, "-c", theirs)
+        )
+        name = f"`{what}`, against `{theirs}`"
+        rows.append(row(name, values, "s", "at most 1.2", values[2] <= 1.2))
+    return rows
+
+
+def help_text() -> list[dict[str, Any]]:
+    """Time of `orbisim --help`, against starting Python."""
+    program = str(Path(sys.executable).with_name("orbisim"))
+    values = paired(lambda: run(program, "--help"), lambda: run(sys.executable, "-c", "pass"))
+    return [
+        row("`orbisim --help`, against an empty Python", values, "s", "under 0.5 s", values[0] < 0.5)
+    ]
+
+
+BENCHMARKS: dict[str, Callable[[], list[dict[str, Any]]]] = {
+    "physics": physics,
+    "rollout": rollout,
+    "import": imports,
+    "help": help_text,
+}
+
+if __name__ == "__main__":
+    sys.exit(main())
