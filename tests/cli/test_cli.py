@@ -33,7 +33,7 @@ def test_help_has_an_example(capsys: pytest.CaptureFixture[str], command: str) -
     status, out, _ = output(capsys, command, "--help")
     assert status == 0
     assert f"Example: orbisim {command}" in " ".join(out.split())
-    assert "--json" in out or command == "view"
+    assert "--json" in out
 
 
 def test_help_lists_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
@@ -45,7 +45,9 @@ def test_help_lists_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
 def test_info(capsys: pytest.CaptureFixture[str], scene: str) -> None:
     status, out, _ = output(capsys, "info", scene)
     assert status == 0
-    assert all(word in out for word in ("cart", "pole", "hinge", "motor", "gravity") if word != "motor")
+    assert all(
+        word in out for word in ("cart", "pole", "hinge", "motor", "gravity") if word != "motor"
+    )
     status, out, err = output(capsys, "info", scene, "--json")
     result = json.loads(out)
     assert (status, err) == (0, "")
@@ -56,7 +58,9 @@ def test_info(capsys: pytest.CaptureFixture[str], scene: str) -> None:
 
 def test_sim(capsys: pytest.CaptureFixture[str], scene: str, tmp_path: Path) -> None:
     arguments = ["sim", scene, "--duration", "0.5", "--worlds", "3", "--controls", "random"]
-    status, out, _ = output(capsys, *arguments, "--seed", "4", "--out", str(tmp_path / "o"), "--json")
+    status, out, _ = output(
+        capsys, *arguments, "--seed", "4", "--out", str(tmp_path / "o"), "--json"
+    )
     result = json.loads(out)
     assert status == 0
     assert (result["steps"], result["worlds"], result["diverged"]) == (100, 3, 0)
@@ -82,7 +86,9 @@ def test_sim_makes_a_video(capsys: pytest.CaptureFixture[str], scene: str, tmp_p
 
 def test_compare(capsys: pytest.CaptureFixture[str], scene: str, tmp_path: Path) -> None:
     arguments = ["compare", scene, "--b", "mujoco", "--episodes", "2", "--horizon", "0.1"]
-    status, out, _ = output(capsys, *arguments, "--json", "--out", str(tmp_path / "r"), "--no-video")
+    status, out, _ = output(
+        capsys, *arguments, "--json", "--out", str(tmp_path / "r"), "--no-video"
+    )
     assert status == 0
     assert json.loads(out)["schema"] == "orbisim.compare/1"
     assert (tmp_path / "r" / "report.html").exists()
@@ -132,7 +138,9 @@ def test_a_fault_of_ours_is_no_traceback(
 
 def test_the_program_is_installed(scene: str) -> None:
     program = Path(sys.executable).with_name("orbisim")
-    done = subprocess.run([program, "info", scene, "--json"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [program, "info", scene, "--json"], capture_output=True, text=True, check=True
+    )
     assert json.loads(done.stdout)["name"] == "cartpole"
     bad = subprocess.run([program, "info", "x.abc"], capture_output=True, text=True)
     assert bad.returncode == 2
@@ -147,3 +155,21 @@ def test_importing_orbisim_loads_nothing_heavy() -> None:
         "assert not {'torch', 'warp', 'matplotlib'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_view_writes_a_page(capsys: pytest.CaptureFixture[str], scene: str, tmp_path: Path) -> None:
+    pytest.importorskip("meshcat")
+    output(capsys, "sim", scene, "--duration", "0.2", "--out", str(tmp_path / "o"))
+    saved = str(tmp_path / "o" / "trajectory.npz")
+    page = tmp_path / "page.html"
+    arguments = ("--trajectory", saved, "--ghost", saved, "--html", str(page), "--json")
+    status, out, _ = output(capsys, "view", scene, *arguments)
+    assert status == 0
+    assert json.loads(out)["file"] == str(page)
+    assert page.stat().st_size > 100_000
+    status, out, _ = output(capsys, "view", scene, "--no-browser", "--duration", "0.3", "--json")
+    assert status == 0
+    assert json.loads(out)["url"].startswith("http://127.0.0.1:")
+    status, _, err = output(capsys, "view", scene, "--ghost", saved)
+    assert status == 2
+    assert "--trajectory" in err

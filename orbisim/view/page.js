@@ -1,0 +1,177 @@
+// Runs the commands that the page carries, or that a live server sends, on meshcat's viewer.
+"use strict";
+
+const THREE = MeshCat.THREE;
+const tracks = [];
+
+function notice(text) {
+    const item = document.createElement("li");
+    item.textContent = text;
+    document.getElementById("notices").append(item);
+}
+
+function openViewer() {
+    try {
+        return new MeshCat.Viewer(document.getElementById("meshcat-pane"));
+    } catch (error) {
+        notice("This page needs WebGL, which this browser does not offer (" + error.message + ").");
+        throw error;
+    }
+}
+
+const viewer = openViewer();
+
+function objectAt(path) {
+    const names = path.split("/").filter((name) => name.length > 0);
+    return viewer.scene_tree.find(names.concat("<object>")).object;
+}
+
+// -- commands beyond meshcat's own ------------------------------------------------------------
+
+function setVertices(object, positions) {
+    const geometry = object.geometry;
+    const old = geometry.attributes.position;
+    if (old && old.array.length === positions.length) {
+        old.array.set(positions);
+        old.needsUpdate = true;
+    } else {
+        const grown = new THREE.BufferGeometry();
+        grown.setIndex(geometry.index);
+        grown.setAttribute("position", new THREE.BufferAttribute(positions.slice(), 3));
+        geometry.dispose();
+        object.geometry = grown;
+    }
+    if (object.isMesh) {
+        object.geometry.computeVertexNormals();
+    }
+}
+
+function showTrack(track, time) {
+    if (track.shown === time) {
+        return;
+    }
+    track.shown = time;
+    const size = track.positions.length / track.times.length;
+    let after = track.times.findIndex((t) => t > time);
+    if (after < 0) {
+        after = track.times.length - 1;
+    }
+    const before = Math.max(after - 1, 0);
+    const span = track.times[after] - track.times[before];
+    let part = span > 0 ? Math.min(Math.max((time - track.times[before]) / span, 0), 1) : 0;
+    if (!track.interpolate) {
+        part = Math.round(part);
+    }
+    const from = track.positions.subarray(before * size, (before + 1) * size);
+    const to = track.positions.subarray(after * size, (after + 1) * size);
+    const mixed = from.map((value, i) => value + part * (to[i] - value));
+    setVertices(objectAt(track.path), mixed);
+}
+
+const added = {
+    set_vertices: (command) => setVertices(objectAt(command.path), command.positions),
+    vertex_track: (command) => tracks.push(command),
+    look_at: (command) => viewer.controls.target.fromArray(command.target),
+    set_clock: (command) => { document.getElementById("clock").textContent = command.text; },
+    notice: (command) => notice(command.text),
+};
+
+// Objects with textures appear only when these are decoded; `drawn` waits for them.
+let missing = 0;
+let allDrawn = () => {};
+
+function drawn() {
+    return new Promise((done) => {
+        allDrawn = done;
+        if (missing === 0) {
+            done();
+        }
+    });
+}
+
+const handleCommand = viewer.handle_command.bind(viewer);
+viewer.handle_command = (command) => {
+    missing += command.type === "set_object";
+    (added[command.type] || handleCommand)(command);
+    viewer.set_dirty();
+};
+
+// meshcat makes every object cast shadows, lights and floors too; here the object decides.
+const setObject = viewer.set_object.bind(viewer);
+viewer.set_object = (path, object) => {
+    Object.assign(object, object.userData);
+    setObject(path, object);
+    if (object.target) {
+        object.parent.add(object.target);  // lights shine at the origin of their node
+    }
+    missing -= 1;
+    if (missing === 0) {
+        allDrawn();
+    }
+};
+
+const render = viewer.render.bind(viewer);
+viewer.render = () => {
+    tracks.forEach((track) => showTrack(track, viewer.animator.time));
+    render();
+};
+
+// -- running them -----------------------------------------------------------------------------
+
+function run(bytes) {
+    const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+    for (let at = 0; at < bytes.length;) {
+        const end = at + 4 + view.getUint32(at, true);
+        viewer.handle_command_bytearray(bytes.slice(at + 4, end));
+        at = end;
+    }
+}
+
+async function unpacked(text) {
+    const packed = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
+    const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+    return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+// Before it was played once, meshcat's time slider moves nothing.
+function pauseAt(time) {
+    viewer.animator.play();
+    viewer.animator.pause();
+    viewer.animator.seek(time);
+    viewer.animator.display_progress(time);
+}
+
+function openControls() {
+    viewer.gui.width = 260;
+    viewer.gui.open();
+    viewer.gui.__folders["Scene"].close();
+}
+
+function followServer() {
+    const secure = location.protocol === "https:";
+    const socket = new WebSocket((secure ? "wss://" : "ws://") + location.host + "/stream");
+    socket.binaryType = "arraybuffer";
+    socket.onmessage = (message) => run(new Uint8Array(message.data));
+    socket.onclose = () => notice("The simulation has ended.");
+    const ask = (what) => () => socket.send(what);
+    viewer.gui.add({ "pause / go on": ask("pause") }, "pause / go on");
+    viewer.gui.add({ "restart": ask("restart") }, "restart");
+    openControls();
+}
+
+async function start() {
+    run(await unpacked(document.getElementById("commands").textContent));
+    if (viewer.animator.actions.length > 0) {
+        openControls();
+        const time = new URLSearchParams(location.hash.slice(1)).get("t");
+        if (time !== null) {
+            pauseAt(Number(time));
+        }
+    }
+    await drawn();
+    if (config.live) {
+        followServer();
+    }
+}
+
+window.orbisim = { viewer, THREE, ready: start() };
