@@ -22,6 +22,7 @@ from dm_control.rl import control as _control
 
 from orbisim import gl
 from orbisim.backend import Backend
+from orbisim.effects.carry import hooks_of
 from orbisim.errors import DivergedError, InputError, RenderingUnavailableError
 from orbisim.mirror import Mirror
 from orbisim.registry import backend_class, make_backend, make_renderer
@@ -74,7 +75,7 @@ class _Switchable:
           UnsupportedSceneError: the backend cannot simulate this scene. The backend in use stays.
         """
         self._forward_native_if_mirrored()
-        if _is_native(backend):
+        if _is_native(backend) and not hooks_of(self.model.ptr):
             self._mirror, self._backend_name = None, _NATIVE
             return
         scene = self._current_scene()
@@ -208,6 +209,8 @@ class _Switchable:
         super()._reload_from_data(data)  # type: ignore[misc]
         if backend is not None:
             self.use_backend(backend)
+        elif hooks_of(self.model.ptr):
+            self.use_backend(_NATIVE)
         if self._renderer is not None:
             self._renderer.load(self._current_scene())
 

@@ -11,6 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.backend import Backend, Capability, Linearization
+from orbisim.effects.carry import hooks_of
+from orbisim.effects.running import HookRunner, stage_of
 from orbisim.errors import CapacityError, DivergedError, InputError
 from orbisim.scene import Scene
 from orbisim.state import State
@@ -79,6 +81,7 @@ class MujocoBackend(Backend):
 
     def load(self, scene: Scene) -> None:
         """Prepares to simulate `scene`; every scene that MuJoCo compiles is supported."""
+        self._hooks = hooks_of(scene.model)
         self._scene = scene
         self._batch = None
 
@@ -96,7 +99,10 @@ class MujocoBackend(Backend):
         for name in self.report:
             batch.bind(name)
         batch.warning[:] = 0
-        batch.step(nstep=nstep)
+        if self._hooks:
+            self._step_with_hooks(batch, control, nstep)
+        else:
+            batch.step(nstep=nstep)
         self._check(_raised(batch))
         return self._read(batch)
 
@@ -110,6 +116,10 @@ class MujocoBackend(Backend):
         raise_on_divergence: bool = False,
     ) -> Trajectory:
         """Applies a sequence of controls open-loop, all worlds in parallel threads."""
+        if self._hooks:  # they act between timesteps
+            return super().rollout(
+                state, controls, nstep=nstep, sensors=sensors, raise_on_divergence=raise_on_divergence
+            )
         controls = self.check_controls(state, controls)
         batch = self._write(state)
         held = controls if nstep == 1 else np.repeat(controls, nstep, axis=1)
@@ -144,6 +154,8 @@ class MujocoBackend(Backend):
 
     def linearize(self, state: State, control: Any = None, *, eps: float = 1e-6) -> Linearization:
         """Derivatives of one step by `mjd_transitionFD` (central differences)."""
+        if self._hooks:
+            return super().linearize(state, control, eps=eps)
         control = self.check_control(state, control)
         batch, model = self._write(state), self.model
         batch.bind("ctrl")[:] = control
@@ -159,6 +171,29 @@ class MujocoBackend(Backend):
     def close(self) -> None:
         """Frees the batch and its threads."""
         self._batch = None
+
+    def _step_with_hooks(self, batch: mujoco.batch.Batch, control: Any, nstep: int) -> None:
+        """Timestep by timestep, with effects that MuJoCo cannot express applied before each."""
+        runner = HookRunner(self.model, self._hooks, batch.nsim)
+        stage = int(stage_of(runner.derived))
+        applied = {n: np.array(batch.bind(n)) for n in ("qfrc_applied", "xfrc_applied")}
+        expanded = {name: batch.expand(name) for name in runner.fields}
+        base = {name: getattr(self.model, name)[None] for name in runner.fields}
+        base = {name: np.repeat(value, batch.nsim, axis=0) for name, value in base.items()}
+        for name in runner.derived:
+            batch.bind(name)
+        if runner.derived:
+            batch.forward(stage=stage)
+        for _ in range(nstep):
+            moment = runner.inputs(batch.bind, control, applied, base)
+            batch.bind("ctrl")[:] = moment.ctrl
+            batch.bind("qfrc_applied")[:] = moment.qfrc
+            batch.bind("xfrc_applied")[:] = moment.xfrc
+            for name, values in moment.fields.items():
+                expanded[name][:] = values
+            batch.step(stage=stage)
+        for name, values in applied.items():
+            batch.bind(name)[:] = values
 
     # -- the batch and the state ---------------------------------------------------------------
 

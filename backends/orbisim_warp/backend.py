@@ -125,6 +125,7 @@ class WarpBackend(Backend):
             raise UnsupportedSceneError(
                 scene.source, f"MuJoCo-Warp cannot simulate it: {error}", remedy="use 'mujoco'"
             ) from None
+        self._hooks = hooks_of(scene.model)
         self._model.opt.warn_overflow = 0  # overflows are noticed, and repaired, here
         if self._deterministic:
             self._model.opt.deterministic = int(mjw.DeterminismType.ALL)
@@ -173,6 +174,9 @@ class WarpBackend(Backend):
 
         def run() -> None:
             self._write(state, control)
+            if self._hooks:
+                self._step_with_hooks(state, control, nstep)
+                return
             for _ in range(nstep):
                 self._launch("step", self._one_step)
 
@@ -211,6 +215,14 @@ class WarpBackend(Backend):
         raise_on_divergence: bool = False,
     ) -> Trajectory:
         """Applies a sequence of controls open-loop, recording on the device."""
+        if self._hooks:  # they act between timesteps
+            return super().rollout(
+                state,
+                controls,
+                nstep=nstep,
+                sensors=sensors,
+                raise_on_divergence=raise_on_divergence,
+            )
         controls = self.check_controls(state, controls)
         self.check_state(state)
         steps = int(controls.shape[1])
@@ -237,6 +249,31 @@ class WarpBackend(Backend):
 
     def _one_step(self) -> None:
         mjw.step(self._model, self._data)
+
+    def _step_with_hooks(self, state: State, control: Any, nstep: int) -> None:
+        """Timestep by timestep, with effects that MuJoCo cannot express applied before each."""
+        data, nworld = self._data, state.nworld
+        runner = HookRunner(self.model, self._hooks, nworld)
+        applied = {n: _host(getattr(data, n)) for n in ("qfrc_applied", "xfrc_applied")}
+        base = {n: np.tile(getattr(self.model, n), (nworld, 1)) for n in runner.fields}
+        control = control.detach().cpu().numpy() if hasattr(control, "detach") else control
+
+        def read(name: str) -> npt.NDArray[np.float64]:
+            return _host(getattr(data, name))
+
+        with self._scope():
+            for _ in range(nstep):
+                if runner.derived:
+                    mjw.forward(self._model, data)
+                moment = runner.inputs(read, control, applied, base)
+                _assign(data.ctrl, moment.ctrl)
+                _assign(data.qfrc_applied, moment.qfrc)
+                _assign(data.xfrc_applied, moment.xfrc)
+                for name, values in moment.fields.items():
+                    _assign(getattr(self._model, name), values)
+                mjw.step(self._model, data)
+            for name, values in applied.items():
+                _assign(getattr(data, name), values)
 
     def _one_recorded_step(self, buffers: dict[str, wp.array], hold: int) -> None:
         data, cursor = self._data, buffers["cursor"]
@@ -305,6 +342,16 @@ class WarpBackend(Backend):
         with self._scope():
             self._data = mjw.make_data(self.model, nworld=nworld, **self._sizes)
             self._data.overflow.zero_()
+        if changes_fields(self._hooks):
+            self._give_worlds_their_own_fields(nworld)
+
+    def _give_worlds_their_own_fields(self, nworld: int) -> None:
+        with self._scope():
+            for name in CHANGED_FIELDS:
+                shared = getattr(self._model, name).numpy()[:1]
+                array = wp.array(np.repeat(shared, nworld, axis=0), dtype=float)
+                array._is_batched = True
+                setattr(self._model, name, array)
 
     def _forget(self) -> None:
         self._data = None
@@ -476,6 +523,11 @@ def _assign(target: wp.array, value: Any) -> None:
     numbers = np.broadcast_to(np.asarray(value), shape)
     dtype = np.bool_ if target.dtype is wp.bool else np.float32
     target.assign(np.ascontiguousarray(numbers, dtype))
+
+
+def _host(array: wp.array) -> npt.NDArray[np.float64]:
+    """A device array on the host in float64."""
+    return np.asarray(array.numpy(), np.float64)
 
 
 def _first_lost(qpos: Any, qvel: Any) -> npt.NDArray[np.int64]:

@@ -8,19 +8,22 @@ import ctypes
 import dataclasses
 import functools
 import hashlib
-import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 
 from orbisim.errors import InputError, SceneError
 from orbisim.scene.descriptor import SceneDescriptor, describe
+from orbisim.scene.guard import COMPILING
 from orbisim.scene.mjcf import as_scene_error
 from orbisim.scene.reading import ReadResult, Unsupported
+
+if TYPE_CHECKING:
+    from orbisim.effects import EffectInstance
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -66,7 +69,10 @@ class Scene:
         _check_finite(model, source)
         found = (*reader_warnings, *dict.fromkeys(compiler_warnings))
         kept = spec.copy()  # only now: a copy drops references to what is missing, unnoticed
-        return cls(spec.modelname or "scene", source, model, tuple(unsupported), found, kept)
+        scene = cls(spec.modelname or "scene", source, model, tuple(unsupported), found, kept)
+        if any(text.name == "orbisim:effects" for text in kept.texts):
+            _ = scene.effects  # raises if they are not readable
+        return scene
 
     @classmethod
     def from_read(cls, read: ReadResult, source: str) -> Scene:
@@ -88,6 +94,17 @@ class Scene:
     def descriptor(self) -> SceneDescriptor:
         """The static descriptors of the scene (see `orbisim.scene.descriptor`)."""
         return describe(self.model, name=self.name)
+
+    @functools.cached_property
+    def effects(self) -> tuple[EffectInstance, ...]:
+        """Effects that the scene carries because MJCF cannot express them.
+
+        Raises:
+          SceneError: they are not readable or do not fit the scene.
+        """
+        from orbisim.effects.carry import carried_effects
+
+        return carried_effects(self.model, self.source)
 
     @property
     def spec(self) -> mujoco.MjSpec:
@@ -194,9 +211,6 @@ def _check_finite(model: mujoco.MjModel, source: str) -> None:
         )
 
 
-_WARNING_LOCK = threading.Lock()
-
-
 @contextlib.contextmanager
 def _collect_warnings() -> Iterator[list[str]]:
     """Collects MuJoCo's warnings, which otherwise go to standard error and a log file."""
@@ -206,7 +220,7 @@ def _collect_warnings() -> Iterator[list[str]]:
         text = message.decode(errors="replace") if isinstance(message, bytes) else str(message)
         collected.append(" ".join(text.split()))
 
-    with _WARNING_LOCK, warnings.catch_warnings(record=True) as caught:
+    with COMPILING, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         previous = mujoco.get_mju_user_warning()
         mujoco.set_mju_user_warning(keep)

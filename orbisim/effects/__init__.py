@@ -1,0 +1,18 @@
+"""Physical effects that a scene may lack: a catalogue, their MJCF form, their simulation."""
+
+from orbisim.effects.base import Effect, EffectInstance, Hook, Moment, Parameter
+from orbisim.effects.carry import add_effects, carried_effects
+from orbisim.effects.catalogue import effect_names, find, register
+
+__all__ = [
+    "Effect",
+    "EffectInstance",
+    "Hook",
+    "Moment",
+    "Parameter",
+    "add_effects",
+    "carried_effects",
+    "effect_names",
+    "find",
+    "register",
+]

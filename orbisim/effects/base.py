@@ -1,0 +1,291 @@
+"""What an effect is: a physical phenomenon that a scene may lack, at a target, with parameters.
+
+An effect is written natively into MJCF where MuJoCo can express it. Where it cannot, it travels in
+`<custom><text name="orbisim:effects">` as JSON, and the classical backends apply it through a
+`Hook` at every timestep. Effects of the measurement (a biased sensor, a fast clock) act on
+recordings instead.
+"""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.errors import InputError, UnknownNameError
+from orbisim.scene.descriptor import name_of
+
+Floats = npt.NDArray[np.float64]
+Values = Mapping[str, float]
+TargetKind = Literal["joint", "actuator", "body", "geom", "sensor", "world", "recording"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """One number of an effect.
+
+    Attributes:
+      name: as it appears in reports.
+      unit: SI.
+      low, high: bounds of what is physically meaningful.
+      scale: a typical size, where a search starts.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    scale: float
+
+    def check(self, effect: str, target: str, value: float) -> float:
+        """The value as a float.
+
+        Raises:
+          InputError: it is not finite or out of bounds.
+        """
+        number = float(value)
+        if not (np.isfinite(number) and self.low <= number <= self.high):
+            raise InputError(
+                f"{effect} at {target!r}: {self.name} is {value}; it must be within "
+                f"{self.low:g} to {self.high:g} {self.unit}"
+            )
+        return number
+
+
+@dataclasses.dataclass(frozen=True)
+class EffectInstance:
+    """An effect at a target with values, as carried by a scene or named by a diagnosis.
+
+    Attributes:
+      effect: name in the catalogue.
+      target: name of the joint, actuator, body, geom or sensor; "world" or "recording" for those.
+      values: a number for each parameter.
+      options: choices that are not numbers (the other joint of a coupling, say).
+    """
+
+    effect: str
+    target: str
+    values: Mapping[str, float]
+    options: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """As it stands in the MJCF."""
+        return {
+            "effect": self.effect,
+            "target": self.target,
+            "parameters": {name: float(value) for name, value in self.values.items()},
+            **({"options": dict(self.options)} if self.options else {}),
+        }
+
+    @staticmethod
+    def from_json(data: Mapping[str, Any]) -> EffectInstance:
+        """Reads what `to_json` wrote.
+
+        Raises:
+          InputError: a key is missing or a parameter is not a number.
+        """
+        try:
+            values = {str(k): float(v) for k, v in data["parameters"].items()}
+            options = {str(k): str(v) for k, v in data.get("options", {}).items()}
+            return EffectInstance(str(data["effect"]), str(data["target"]), values, options)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise InputError(f"not an effect: {data!r} ({error!r})") from None
+
+    def replace(self, **values: float) -> EffectInstance:
+        """The same effect with other values."""
+        return dataclasses.replace(self, values={**self.values, **values})
+
+    def __str__(self) -> str:
+        numbers = ", ".join(f"{name}={value:.4g}" for name, value in self.values.items())
+        return f"{self.effect}({self.target}: {numbers})"
+
+
+class Effect(abc.ABC):
+    """One entry of the catalogue.
+
+    Attributes:
+      name: as in contracts and reports.
+      kind: what it acts on.
+      phrase: the noun phrase of a verdict ("Coulomb friction").
+      native: whether MuJoCo expresses it; then `edit` writes it, otherwise `hook` applies it.
+      measurement: whether it acts on recordings instead of the simulation.
+      structural: whether `edit` changes the model's sizes (adds joints or actuator states).
+    """
+
+    name: ClassVar[str]
+    kind: ClassVar[TargetKind]
+    phrase: ClassVar[str]
+    native: ClassVar[bool] = True
+    measurement: ClassVar[bool] = False
+    structural: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        """The effect's parameters at a target; the first is the one that reports quote."""
+
+    def targets(self, model: mujoco.MjModel) -> tuple[str, ...]:
+        """Names of everything in the model that can have this effect."""
+        return tuple(
+            name for name in names_of_kind(model, self.kind) if self.possible(model, name)
+        )
+
+    def possible(self, model: mujoco.MjModel, target: str) -> bool:
+        """Whether this target can have the effect."""
+        return True
+
+    def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
+        """Writes a native effect into the document."""
+        raise InputError(f"{self.name} has no native form in MJCF")
+
+    def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
+        """What applies an effect that is not native."""
+        raise InputError(f"{self.name} needs no hook")
+
+    def check(self, model: mujoco.MjModel, instance: EffectInstance) -> None:
+        """Raises if the target or a value is impossible.
+
+        Raises:
+          UnknownNameError: the model has no such target.
+          InputError: a parameter is missing, unknown or out of bounds.
+        """
+        names = names_of_kind(model, self.kind)
+        if instance.target not in names:
+            raise UnknownNameError(self.kind, instance.target, names, f"needed by {self.name}")
+        if not self.possible(model, instance.target):
+            raise InputError(f"{self.name} is not possible at {self.kind} {instance.target!r}")
+        known = {p.name: p for p in self.parameters(model, instance.target)}
+        for name, value in instance.values.items():
+            if name not in known:
+                raise UnknownNameError(f"parameter of {self.name}", name, known)
+            known[name].check(self.name, instance.target, value)
+        missing = [name for name in known if name not in instance.values]
+        if missing:
+            raise InputError(f"{self.name} at {instance.target!r} lacks {', '.join(missing)}")
+
+
+class Hook(abc.ABC):
+    """Applies an effect that MuJoCo cannot express, in many worlds at once.
+
+    Parameter values may differ between worlds: `values` maps each name to an array [nworld] or to
+    a number.
+
+    Attributes:
+      derived: names of MjData's position- and velocity-stage fields that it reads.
+    """
+
+    derived: frozenset[str] = frozenset()
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        self.values = {name: np.asarray(value, np.float64) for name, value in values.items()}
+
+    def value(self, name: str, extra: int = 0) -> Floats:
+        """A parameter, with `extra` trailing axes for broadcasting against [nworld, ...]."""
+        array = self.values[name]
+        return array.reshape(array.shape + (1,) * extra)
+
+    def control(self, moment: Moment) -> None:
+        """Changes `moment.ctrl` in place."""
+
+    def force(self, moment: Moment) -> None:
+        """Adds to `moment.qfrc` and `moment.xfrc` in place."""
+
+    def fields(self, moment: Moment) -> None:
+        """Changes per-world model fields in `moment.fields` in place."""
+
+
+@dataclasses.dataclass
+class Moment:
+    """What hooks see and change before a timestep.
+
+    Attributes:
+      model: read-only.
+      time: [nworld], s. qpos: [nworld, nq]. qvel: [nworld, nv].
+      ctrl: [nworld, nu], to be changed in place.
+      qfrc: [nworld, nv] generalized forces, to be added to.
+      xfrc: [nworld, nbody, 6] forces and torques at the bodies' centres of mass in the world
+        frame (force first), to be added to.
+      derived: MjData fields that hooks asked for, each [nworld, ...].
+      fields: per-world values of model fields that hooks change, each [nworld, ...].
+    """
+
+    model: mujoco.MjModel
+    time: Floats
+    qpos: Floats
+    qvel: Floats
+    ctrl: Floats
+    qfrc: Floats
+    xfrc: Floats
+    derived: Mapping[str, Floats]
+    fields: dict[str, Floats]
+
+    def body_velocity(self, body: int) -> tuple[Floats, Floats]:
+        """Angular and linear velocity of a body's centre of mass, world frame, each [nworld, 3].
+
+        `cvel` is the velocity of the frame at the tree's centre of mass: v = v_c + w x r.
+        """
+        cvel = self.derived["cvel"][:, body]
+        root = int(self.model.body_rootid[body])
+        arm = self.derived["xipos"][:, body] - self.derived["subtree_com"][:, root]
+        return cvel[:, :3], cvel[:, 3:] + np.cross(cvel[:, :3], arm)
+
+
+BODY_MOTION = frozenset({"cvel", "xipos", "subtree_com"})
+"""What `Moment.body_velocity` needs."""
+
+
+_KINDS = {
+    "joint": (mujoco.mjtObj.mjOBJ_JOINT, "njnt"),
+    "actuator": (mujoco.mjtObj.mjOBJ_ACTUATOR, "nactuator"),
+    "body": (mujoco.mjtObj.mjOBJ_BODY, "nbody"),
+    "geom": (mujoco.mjtObj.mjOBJ_GEOM, "ngeom"),
+    "sensor": (mujoco.mjtObj.mjOBJ_SENSOR, "nsensor"),
+}
+
+
+def names_of_kind(model: mujoco.MjModel, kind: str) -> tuple[str, ...]:
+    """Names of all joints, actuators ... of a model; unnamed ones as `joint3`."""
+    if kind in ("world", "recording"):
+        return (kind,)
+    code, count = _KINDS[kind]
+    return tuple(name_of(model, code, i, kind) for i in range(getattr(model, count)))
+
+
+def index_of(model: mujoco.MjModel, kind: str, name: str) -> int:
+    """The id of a named (or `joint3`-style) element.
+
+    Raises:
+      UnknownNameError: there is none.
+    """
+    names = names_of_kind(model, kind)
+    if name not in names:
+        raise UnknownNameError(kind, name, names)
+    return names.index(name)
+
+
+def spec_element(spec: mujoco.MjSpec, kind: str, name: str) -> Any:
+    """The element of a document by name, or by `joint3`-style number in the compiled order."""
+    found = getattr(spec, kind)(name)
+    if found is not None:
+        return found
+    elements = getattr(spec, {"body": "bodies"}.get(kind, f"{kind}s"))
+    digits = name.removeprefix(kind)
+    if digits.isdigit() and int(digits) < len(elements) and not elements[int(digits)].name:
+        return elements[int(digits)]
+    raise UnknownNameError(kind, name, [e.name for e in elements if e.name])
+
+
+def joint_unit(model: mujoco.MjModel, target: str, angular: str, linear: str) -> str:
+    """The unit that applies to a hinge or to a slide."""
+    kind = model.jnt_type[index_of(model, "joint", target)]
+    return linear if kind == mujoco.mjtJoint.mjJNT_SLIDE else angular
+
+
+def is_scalar_joint(model: mujoco.MjModel, target: str) -> bool:
+    """Whether the joint is a hinge or a slide."""
+    kind = int(model.jnt_type[index_of(model, "joint", target)])
+    return kind in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))

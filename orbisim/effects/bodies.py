@@ -1,0 +1,317 @@
+"""Effects on bodies and on the world."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from orbisim.effects.base import (
+    BODY_MOTION,
+    Effect,
+    EffectInstance,
+    Hook,
+    Moment,
+    Parameter,
+    index_of,
+    is_scalar_joint,
+    names_of_kind,
+    spec_element,
+)
+
+_LARGE = 1e6
+_AXES = ("x", "y", "z")
+
+
+class BodyEffect(Effect):
+    """An effect on a body that can move."""
+
+    kind = "body"
+
+    def possible(self, model: mujoco.MjModel, target: str) -> bool:
+        """Bodies with a joint, or welded to one that has."""
+        body = index_of(model, "body", target)
+        return bool(model.body_weldid[body] != 0 and model.body_mass[body] > 0)
+
+
+class Payload(BodyEffect):
+    """A point mass fixed to the body: a child body with `inertial`."""
+
+    name = "payload"
+    phrase = "a payload"
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        reach = [Parameter(f"com_{axis}", "m", -10.0, 10.0, 0.1) for axis in _AXES]
+        return (Parameter("mass", "kg", -_LARGE, _LARGE, 0.2), *reach)
+
+    def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
+        body = spec_element(spec, "body", instance.target)
+        position = np.array([instance.values[f"com_{axis}"] for axis in _AXES])
+        add_point_mass(spec, body, instance.values["mass"], position)
+
+
+class ComOffset(BodyEffect):
+    """The centre of mass lies elsewhere in the body than declared."""
+
+    name = "com_offset"
+    phrase = "an offset of the centre of mass"
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        parts = [Parameter(axis, "m", -10.0, 10.0, 0.02) for axis in _AXES]
+        return (Parameter("offset", "m", 0.0, 20.0, 0.02), *parts)
+
+    def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
+        body = spec_element(spec, "body", instance.target)
+        mass, pos, quat, inertia = inertial_of(spec, instance.target)
+        offset = np.array([instance.values[axis] for axis in _AXES])
+        write_inertial(body, mass, pos + offset, quat, inertia)
+
+
+class Buoyancy(BodyEffect):
+    """The weight of a displaced mass, upwards at the centre of mass: MJCF `gravcomp`."""
+
+    name = "buoyancy"
+    phrase = "buoyancy"
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        return (Parameter("displaced_mass", "kg", 0.0, _LARGE, 0.1),)
+
+    def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
+        body = spec_element(spec, "body", instance.target)
+        mass = inertial_of(spec, instance.target)[0]
+        body.gravcomp += instance.values["displaced_mass"] / mass
+
+
+class ConstantForce(BodyEffect):
+    """A force of constant size and direction in the world, at the centre of mass."""
+
+    name = "constant_force"
+    phrase = "a constant force"
+    native = False
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        parts = [Parameter(axis, "N", -_LARGE, _LARGE, 1.0) for axis in _AXES]
+        return (Parameter("magnitude", "N", 0.0, 2 * _LARGE, 1.0), *parts)
+
+    def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
+        return _ConstantForce(model, instance)
+
+
+class PeriodicDisturbance(Effect):
+    """A sin(2 pi f t + phase): a torque or force at a joint, or a force on a body (with the options
+    x, y, z of its direction in the world).
+    """
+
+    name = "periodic_disturbance"
+    kind = "joint"
+    phrase = "a periodic disturbance"
+    native = False
+
+    def targets(self, model: mujoco.MjModel) -> tuple[str, ...]:
+        joints = [n for n in names_of_kind(model, "joint") if is_scalar_joint(model, n)]
+        free = [
+            name
+            for body, name in enumerate(names_of_kind(model, "body"))
+            if model.body_jntnum[body] == 1
+            and model.jnt_type[model.body_jntadr[body]] == mujoco.mjtJoint.mjJNT_FREE
+        ]
+        return (*joints, *(name for name in free if name not in joints))
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        return (
+            Parameter("amplitude", "N*m or N", 0.0, _LARGE, 0.1),
+            Parameter("frequency", "Hz", 1e-3, 1e4, 2.0),
+            Parameter("phase", "rad", -10.0, 10.0, 0.0),
+        )
+
+    def check(self, model: mujoco.MjModel, instance: EffectInstance) -> None:
+        """As `Effect.check`; the target is a joint or a body."""
+        if instance.target in names_of_kind(model, "joint"):
+            super().check(model, instance)
+            return
+        index_of(model, "body", instance.target)
+        for parameter in self.parameters(model, instance.target):
+            parameter.check(self.name, instance.target, instance.values[parameter.name])
+
+    def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
+        return _Periodic(model, instance)
+
+
+class LinearDrag(BodyEffect):
+    """A force -c v at the centre of mass."""
+
+    name = "linear_drag"
+    phrase = "linear drag"
+    native = False
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        return (Parameter("coefficient", "N*s/m", 0.0, _LARGE, 0.05),)
+
+    def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
+        return _Drag(model, instance, power=0)
+
+
+class QuadraticDrag(BodyEffect):
+    """A force -c v |v| at the centre of mass."""
+
+    name = "quadratic_drag"
+    phrase = "quadratic drag"
+    native = False
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        return (Parameter("coefficient", "N*s^2/m^2", 0.0, _LARGE, 0.01),)
+
+    def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
+        return _Drag(model, instance, power=1)
+
+
+class Magnus(BodyEffect):
+    """A force c (w x v) at the centre of mass of a spinning body."""
+
+    name = "magnus"
+    phrase = "a Magnus force"
+    native = False
+
+    def possible(self, model: mujoco.MjModel, target: str) -> bool:
+        """Free bodies: others do not spin through a medium."""
+        body = index_of(model, "body", target)
+        joint = model.body_jntadr[body]
+        free = joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+        return bool(free and super().possible(model, target))
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        return (Parameter("coefficient", "kg", -_LARGE, _LARGE, 1e-3),)
+
+    def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
+        return _Magnus(model, instance)
+
+
+class GravityTilt(Effect):
+    """Gravity has another direction: MJCF `gravity`, of the declared magnitude."""
+
+    name = "gravity_tilt"
+    kind = "world"
+    phrase = "a tilt against gravity"
+
+    def possible(self, model: mujoco.MjModel, target: str) -> bool:
+        """Scenes with gravity."""
+        return bool(np.linalg.norm(model.opt.gravity) > 0)
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        parts = [Parameter(axis, "m/s^2", -100.0, 100.0, 0.5) for axis in _AXES]
+        return (Parameter("angle", "deg", 0.0, 180.0, 3.0), *parts)
+
+    def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
+        spec.option.gravity = [instance.values[axis] for axis in _AXES]
+
+
+# ---------------------------------------------------------------------------------------------
+# Hooks
+
+
+class _BodyHook(Hook):
+    derived = BODY_MOTION
+
+    def __init__(self, model: mujoco.MjModel, instance: EffectInstance) -> None:
+        super().__init__(instance.values)
+        self._body = index_of(model, "body", instance.target)
+
+
+class _ConstantForce(_BodyHook):
+    derived = frozenset()
+
+    def force(self, moment: Moment) -> None:
+        for axis, name in enumerate(_AXES):
+            moment.xfrc[:, self._body, axis] += self.value(name)
+
+
+class _Drag(_BodyHook):
+    def __init__(self, model: mujoco.MjModel, instance: EffectInstance, power: int) -> None:
+        super().__init__(model, instance)
+        self._power = power
+
+    def force(self, moment: Moment) -> None:
+        _, velocity = moment.body_velocity(self._body)
+        speed = np.linalg.norm(velocity, axis=1, keepdims=True) ** self._power
+        moment.xfrc[:, self._body, :3] -= self.value("coefficient", 1) * speed * velocity
+
+
+class _Magnus(_BodyHook):
+    def force(self, moment: Moment) -> None:
+        spin, velocity = moment.body_velocity(self._body)
+        lift = self.value("coefficient", 1) * np.cross(spin, velocity)
+        moment.xfrc[:, self._body, :3] += lift
+
+
+class _Periodic(Hook):
+    def __init__(self, model: mujoco.MjModel, instance: EffectInstance) -> None:
+        super().__init__(instance.values)
+        self._direction: np.ndarray | None = None
+        if instance.target in names_of_kind(model, "joint"):
+            joint = index_of(model, "joint", instance.target)
+            self._index = int(model.jnt_dofadr[joint])
+        else:
+            self._index = index_of(model, "body", instance.target)
+            direction = np.array([float(instance.options.get(a, "0")) for a in _AXES])
+            norm = np.linalg.norm(direction)
+            self._direction = direction / norm if norm else np.array([0.0, 0.0, 1.0])
+
+    def force(self, moment: Moment) -> None:
+        phase = 2 * np.pi * self.value("frequency") * moment.time + self.value("phase")
+        push = self.value("amplitude") * np.sin(phase)
+        if self._direction is None:
+            moment.qfrc[:, self._index] += push
+        else:
+            moment.xfrc[:, self._index, :3] += push[:, None] * self._direction
+
+
+# ---------------------------------------------------------------------------------------------
+# Inertia in a document
+
+
+def inertial_of(
+    spec: mujoco.MjSpec, name: str
+) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+    """Mass, centre of mass, principal axes and moments of a body as the compiler has them."""
+    model = spec.copy().compile()
+    body = index_of(model, "body", name)
+    return (
+        float(model.body_mass[body]),
+        model.body_ipos[body].copy(),
+        model.body_iquat[body].copy(),
+        model.body_inertia[body].copy(),
+    )
+
+
+def write_inertial(
+    body: object, mass: float, pos: np.ndarray, quat: np.ndarray, inertia: np.ndarray
+) -> None:
+    """Makes the body's inertia explicit."""
+    for name, value in (
+        ("explicitinertial", True),
+        ("mass", mass),
+        ("ipos", pos),
+        ("iquat", quat),
+        ("inertia", inertia),
+    ):
+        setattr(body, name, value)
+
+
+def add_point_mass(spec: mujoco.MjSpec, body: object, mass: float, position: np.ndarray) -> None:
+    """Merges a point mass into a body's inertia (parallel axes); it may be negative."""
+    name = str(getattr(body, "name", ""))
+    own, com, quat, moments = inertial_of(spec, name)
+    frame = np.zeros(9)
+    mujoco.mju_quat2Mat(frame, quat)
+    axes = frame.reshape(3, 3)
+    tensor = axes @ np.diag(moments) @ axes.T
+    total = own + mass
+    centre = (own * com + mass * position) / total
+    for part, at in ((own, com), (mass, position)):
+        arm = at - centre
+        tensor = tensor + part * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    moments, vectors = np.linalg.eigh(tensor)
+    if np.linalg.det(vectors) < 0:
+        vectors[:, 0] *= -1
+    rotation = np.zeros(4)
+    mujoco.mju_mat2Quat(rotation, vectors.ravel())
+    write_inertial(body, total, centre, rotation, moments)

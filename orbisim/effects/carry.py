@@ -1,0 +1,84 @@
+"""How a scene carries effects: native MJCF, or JSON in `<custom><text name="orbisim:effects">`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+import mujoco
+
+from orbisim.effects.base import EffectInstance, Hook
+from orbisim.effects.catalogue import find
+from orbisim.errors import InputError, OrbiSimError, SceneError
+
+if TYPE_CHECKING:
+    from orbisim.scene import Scene
+
+TEXT_NAME = "orbisim:effects"
+
+
+def add_effects(scene: Scene, instances: Iterable[EffectInstance]) -> Scene:
+    """The scene with effects added: natively where MJCF can, else carried as text.
+
+    Raises:
+      InputError: an effect is unknown, or does not fit the scene; or the scene was made from a
+        compiled model and cannot be edited.
+    """
+    from orbisim.scene import Scene
+
+    spec = scene.spec
+    carried = list(carried_effects(scene.model))
+    for instance in instances:
+        effect = find(instance.effect)
+        effect.check(scene.model, instance)
+        if effect.native:
+            effect.edit(spec, instance)
+        else:
+            carried.append(instance)
+    write_carried(spec, carried)
+    return Scene.from_spec(spec, source=scene.source, unsupported=scene.unsupported)
+
+
+def write_carried(spec: mujoco.MjSpec, instances: Sequence[EffectInstance]) -> None:
+    """Replaces the effects that the document carries as text."""
+    for text in list(spec.texts):
+        if text.name == TEXT_NAME:
+            spec.delete(text)
+    if instances:
+        data = json.dumps([instance.to_json() for instance in instances])
+        spec.add_text(name=TEXT_NAME, data=data)
+
+
+def carried_effects(model: mujoco.MjModel, source: str = "scene") -> tuple[EffectInstance, ...]:
+    """The effects that a compiled model carries as text.
+
+    Raises:
+      SceneError: the text is not what `write_carried` writes, or does not fit the scene.
+    """
+    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, TEXT_NAME)
+    if index < 0:
+        return ()
+    start, size = int(model.text_adr[index]), int(model.text_size[index])
+    raw = bytes(model.text_data[start : start + size]).split(b"\0")[0]
+    try:
+        entries = json.loads(raw.decode())
+        if not isinstance(entries, list):
+            raise InputError(f"expected a list of effects, got {type(entries).__name__}")
+        instances = tuple(EffectInstance.from_json(entry) for entry in entries)
+        for instance in instances:
+            find(instance.effect).check(model, instance)
+    except (ValueError, OrbiSimError) as error:
+        raise SceneError(
+            source, str(error), element=f"<custom><text name='{TEXT_NAME}'>"
+        ) from None
+    return instances
+
+
+def hooks_of(model: mujoco.MjModel) -> list[Hook]:
+    """Hooks for the carried effects that act on the simulation."""
+    return [
+        find(instance.effect).hook(model, instance)
+        for instance in carried_effects(model)
+        if not find(instance.effect).measurement
+    ]

@@ -1,0 +1,92 @@
+"""The catalogue of effects, open to third parties.
+
+A package registers its own with the entry point group `orbisim.effects`, or calls `register`.
+"""
+
+from __future__ import annotations
+
+import functools
+from importlib import metadata
+
+from orbisim.effects import actuators, bodies, contacts, joints, sensors
+from orbisim.effects.base import Effect
+from orbisim.errors import InputError, UnknownNameError
+
+_BUILT_IN: tuple[type[Effect], ...] = (
+    joints.CoulombFriction,
+    joints.ViscousDamping,
+    joints.QuadraticDamping,
+    joints.StribeckFriction,
+    joints.LoadDependentFriction,
+    joints.JointSpring,
+    joints.Armature,
+    joints.Cogging,
+    joints.Backlash,
+    joints.JointFlexibility,
+    joints.HardStop,
+    joints.JointCoupling,
+    actuators.TorqueGain,
+    actuators.TorqueBias,
+    actuators.TorqueSaturation,
+    actuators.Deadband,
+    actuators.ActuatorLag,
+    actuators.ActuatorDelay,
+    bodies.Payload,
+    bodies.ComOffset,
+    bodies.ConstantForce,
+    bodies.PeriodicDisturbance,
+    bodies.LinearDrag,
+    bodies.QuadraticDrag,
+    bodies.Magnus,
+    bodies.Buoyancy,
+    bodies.GravityTilt,
+    contacts.SlidingFriction,
+    contacts.TorsionalFriction,
+    contacts.RollingFriction,
+    contacts.AnisotropicFriction,
+    contacts.Restitution,
+    contacts.ContactCompliance,
+    contacts.Adhesion,
+    sensors.SensorBias,
+    sensors.SensorScale,
+    sensors.SensorDelay,
+    sensors.ClockSkew,
+)
+
+_registered: dict[str, Effect] = {cls.name: cls() for cls in _BUILT_IN}
+
+
+@functools.cache
+def _entry_points() -> dict[str, metadata.EntryPoint]:
+    return {entry.name: entry for entry in metadata.entry_points(group="orbisim.effects")}
+
+
+def effect_names() -> tuple[str, ...]:
+    """Names of all effects."""
+    return tuple(dict.fromkeys([*_registered, *_entry_points()]))
+
+
+def register(effect: Effect) -> None:
+    """Adds an effect to the catalogue.
+
+    Raises:
+      InputError: it is not an effect, or another has its name.
+    """
+    if not isinstance(effect, Effect):
+        raise InputError(f"an effect is an object of a subclass of Effect; got {effect!r}")
+    if effect.name in _registered and type(_registered[effect.name]) is not type(effect):
+        raise InputError(f"there is an effect named {effect.name!r} already")
+    _registered[effect.name] = effect
+
+
+def find(name: str) -> Effect:
+    """The effect of that name.
+
+    Raises:
+      UnknownNameError: there is none.
+    """
+    if name not in _registered:
+        if name not in _entry_points():
+            raise UnknownNameError("effect", name, effect_names())
+        register(_entry_points()[name].load()())
+    return _registered[name]

@@ -1,0 +1,214 @@
+"""Effects at contacts: the target is the geom."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from scipy import optimize
+
+from orbisim.effects.base import Effect, EffectInstance, Parameter, index_of, spec_element
+from orbisim.errors import InputError
+
+
+class ContactEffect(Effect):
+    """An effect at a geom that can touch something and moves."""
+
+    kind = "geom"
+
+    def possible(self, model: mujoco.MjModel, target: str) -> bool:
+        """Colliding geoms of moving bodies."""
+        geom = index_of(model, "geom", target)
+        collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
+        return bool(collides and model.body_weldid[model.geom_bodyid[geom]] != 0)
+
+
+class _Coefficient(ContactEffect):
+    """One of MJCF's friction coefficients, set for every contact of the geom."""
+
+    index: int
+    condim: int
+    unit: str
+    scale: float
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        return (Parameter("coefficient", self.unit, 0.0, 100.0, self.scale),)
+
+    def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
+        geom = spec_element(spec, "geom", instance.target)
+        geom.friction[self.index] = max(instance.values["coefficient"], 1e-5)
+        geom.condim = max(int(geom.condim), self.condim)
+        _prevail(spec, geom)
+
+
+class SlidingFriction(_Coefficient):
+    """The sliding coefficient of the geom's contacts: MJCF `friction`, with priority."""
+
+    name = "sliding_friction"
+    phrase = "another sliding friction"
+    index, condim, unit, scale = 0, 3, "1", 0.3
+
+
+class TorsionalFriction(_Coefficient):
+    """The torsional coefficient: MJCF `friction`, `condim` at least 4."""
+
+    name = "torsional_friction"
+    phrase = "torsional friction"
+    index, condim, unit, scale = 1, 4, "m", 0.01
+
+
+class RollingFriction(_Coefficient):
+    """The rolling coefficient: MJCF `friction`, `condim` 6."""
+
+    name = "rolling_friction"
+    phrase = "rolling friction"
+    index, condim, unit, scale = 2, 6, "m", 0.005
+
+
+class AnisotropicFriction(ContactEffect):
+    """Two sliding coefficients: an explicit contact pair with an elliptic cone.
+
+    The ratio is that of the second tangential coefficient to the first; the first keeps its
+    declared value. The directions are the contact frame's.
+    """
+
+    name = "anisotropic_friction"
+    phrase = "anisotropic friction"
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        return (
+            Parameter("ratio", "1", 0.01, 100.0, 0.5),
+            Parameter("coefficient", "1", 1e-5, 100.0, 0.5),
+        )
+
+    def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
+        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        model = spec.copy().compile()
+        own = index_of(model, "geom", instance.target)
+        first = instance.values["coefficient"]
+        for other in _partners(model, own):
+            _pair(spec, model, own, other, (first, first * instance.values["ratio"]))
+
+
+class Restitution(ContactEffect):
+    """The geom bounces: `solref` as stiffness and damping that give the coefficient.
+
+    The damping ratio is that of a linear spring and damper that cannot pull (Schwager and Poeschel,
+    Granular Matter 9, 2007: `restitution_of`); `stiffness` is that of the reference
+    acceleration, 1/s^2.
+    """
+
+    name = "restitution"
+    phrase = "restitution"
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        return (
+            Parameter("coefficient", "1", 0.0, 1.2, 0.5),
+            Parameter("stiffness", "1/s^2", 10.0, 1e9, 1e5),
+        )
+
+    def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
+        geom = spec_element(spec, "geom", instance.target)
+        stiffness = instance.values["stiffness"]
+        ratio = damping_ratio_for(instance.values["coefficient"])
+        geom.solref = [-stiffness, -2.0 * ratio * np.sqrt(stiffness)]
+        _prevail(spec, geom)
+
+
+def restitution_of(ratio: float) -> float:
+    """Coefficient of restitution of a spring and damper of this damping ratio, without tension.
+
+    The contact ends when the force is back at zero, before the deflection is. Schwager and
+    Poeschel (2007), equations 20 and 21.
+    """
+    if ratio <= 0:
+        return float(np.exp(-ratio * np.pi))
+    if ratio < 1:
+        swing = np.sqrt(1 - ratio**2)
+        angle = np.arctan2(2 * ratio * swing, 1 - 2 * ratio**2)
+        return float(np.exp(-ratio / swing * (np.pi - angle)))
+    if ratio == 1:
+        return float(np.exp(-2.0))
+    spread = np.sqrt(ratio**2 - 1)
+    return float(np.exp(-ratio / spread * np.log((ratio + spread) / (ratio - spread))))
+
+
+def damping_ratio_for(coefficient: float) -> float:
+    """The damping ratio that gives a coefficient of restitution (below 0: more than 1)."""
+    low, high = -0.1, 50.0
+    if coefficient >= restitution_of(low):
+        return low
+    if coefficient <= restitution_of(high):
+        return high
+    return float(optimize.brentq(lambda r: restitution_of(r) - coefficient, low, high))
+
+
+class ContactCompliance(ContactEffect):
+    """The geom is softer than declared: `solref` as stiffness and damping."""
+
+    name = "contact_compliance"
+    phrase = "a compliant contact"
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        return (
+            Parameter("stiffness", "1/s^2", 10.0, 1e9, 2e3),
+            Parameter("damping_ratio", "1", 0.0, 100.0, 1.0),
+        )
+
+    def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
+        geom = spec_element(spec, "geom", instance.target)
+        stiffness = instance.values["stiffness"]
+        ratio = instance.values["damping_ratio"]
+        geom.solref = [-stiffness, -2.0 * ratio * np.sqrt(stiffness)]
+        _prevail(spec, geom)
+
+
+class Adhesion(ContactEffect):
+    """A force that holds the geom to what it touches: MJCF `adhesion`."""
+
+    name = "adhesion"
+    phrase = "adhesion"
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        return (Parameter("force", "N", 0.0, 1e6, 1.0),)
+
+    def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
+        spec_element(spec, "geom", instance.target).adhesion = instance.values["force"]
+
+
+def _prevail(spec: mujoco.MjSpec, geom: Any) -> None:
+    """Makes the geom's contact parameters win over its partners'."""
+    geom.priority = max((int(g.priority) for g in spec.geoms), default=0) + 1
+
+
+def _partners(model: mujoco.MjModel, own: int) -> list[int]:
+    """Geoms of other bodies that can touch the geom."""
+    bits = model.geom_contype[own], model.geom_conaffinity[own]
+    return [
+        other
+        for other in range(model.ngeom)
+        if model.geom_bodyid[other] != model.geom_bodyid[own]
+        and (bits[0] & model.geom_conaffinity[other] or bits[1] & model.geom_contype[other])
+    ]
+
+
+def _pair(
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    own: int,
+    other: int,
+    sliding: tuple[float, float],
+) -> None:
+    names = [model.geom(i).name for i in (own, other)]
+    if not all(names):
+        raise InputError("anisotropic_friction needs named geoms on both sides of the contact")
+    friction = np.maximum(model.geom_friction[own], model.geom_friction[other])
+    spec.add_pair(
+        geomname1=names[0],
+        geomname2=names[1],
+        condim=max(int(model.geom_condim[own]), 3),
+        friction=[*sliding, friction[1], friction[2], friction[2]],
+        solref=list(model.geom_solref[own]),
+        solimp=list(model.geom_solimp[own]),
+    )

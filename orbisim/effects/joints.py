@@ -1,0 +1,371 @@
+"""Effects at joints."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from orbisim.effects.base import (
+    Effect,
+    EffectInstance,
+    Hook,
+    Moment,
+    Parameter,
+    index_of,
+    is_scalar_joint,
+    joint_unit,
+    spec_element,
+)
+from orbisim.errors import InputError
+
+_LARGE = 1e6
+
+
+class JointEffect(Effect):
+    """An effect at a hinge or a slide."""
+
+    kind = "joint"
+
+    def possible(self, model: mujoco.MjModel, target: str) -> bool:
+        """Hinges and slides only."""
+        return is_scalar_joint(model, target)
+
+
+class CoulombFriction(JointEffect):
+    """Dry friction of constant size against the motion: MJCF `frictionloss`, added to."""
+
+    name = "coulomb_friction"
+    phrase = "Coulomb friction"
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        unit = joint_unit(model, target, "N*m", "N")
+        return (Parameter("torque", unit, 0.0, _LARGE, 0.1),)
+
+    def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
+        spec_element(spec, "joint", instance.target).frictionloss += instance.values["torque"]
+
+
+class ViscousDamping(JointEffect):
+    """Damping proportional to velocity: the first coefficient of MJCF `damping`, added to."""
+
+    name = "viscous_damping"
+    phrase = "viscous damping"
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        unit = joint_unit(model, target, "N*m*s/rad", "N*s/m")
+        return (Parameter("coefficient", unit, -_LARGE, _LARGE, 0.1),)
+
+    def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
+        _add(spec_element(spec, "joint", instance.target), "damping", 0, instance.values["coefficient"])
+
+
+class QuadraticDamping(JointEffect):
+    """c v |v|: the second coefficient of MJCF `damping`, added to."""
+
+    name = "quadratic_damping"
+    phrase = "quadratic damping"
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        unit = joint_unit(model, target, "N*m*s^2/rad^2", "N*s^2/m^2")
+        return (Parameter("coefficient", unit, 0.0, _LARGE, 0.05),)
+
+    def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
+        _add(spec_element(spec, "joint", instance.target), "damping", 1, instance.values["coefficient"])
+
+
+class JointSpring(JointEffect):
+    """A spring about a rest position: MJCF `stiffness` and `springref`."""
+
+    name = "joint_spring"
+    phrase = "a joint spring"
+
+    def possible(self, model: mujoco.MjModel, target: str) -> bool:
+        joint = index_of(model, "joint", target)
+        return super().possible(model, target) and not model.jnt_stiffness[joint]
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        stiffness = joint_unit(model, target, "N*m/rad", "N/m")
+        position = joint_unit(model, target, "rad", "m")
+        return (
+            Parameter("stiffness", stiffness, -_LARGE, _LARGE, 1.0),
+            Parameter("rest_position", position, -100.0, 100.0, 0.1),
+        )
+
+    def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
+        joint = spec_element(spec, "joint", instance.target)
+        _add(joint, "stiffness", 0, instance.values["stiffness"])
+        joint.springref = _angle(spec, joint, instance.values["rest_position"])
+
+
+class Armature(JointEffect):
+    """Inertia reflected from a rotor through the gear: MJCF `armature`, added to."""
+
+    name = "armature"
+    phrase = "reflected rotor inertia"
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        unit = joint_unit(model, target, "kg*m^2", "kg")
+        return (Parameter("inertia", unit, 0.0, _LARGE, 0.01),)
+
+    def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
+        spec_element(spec, "joint", instance.target).armature += instance.values["inertia"]
+
+
+class Cogging(JointEffect):
+    """A torque A sin(n q + phase) of the motor's magnets or the gear's teeth.
+
+    A passive DC motor of negligible motor constant carries it (`dcmotor cogging`); it reads no
+    control.
+    """
+
+    name = "cogging"
+    phrase = "cogging"
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        unit = joint_unit(model, target, "N*m", "N")
+        per = joint_unit(model, target, "1/turn", "1/(2*pi*m)")
+        return (
+            Parameter("amplitude", unit, 0.0, _LARGE, 0.1),
+            Parameter("periods", per, 0.5, 1000.0, 6.0),
+            Parameter("phase", "rad", -10.0, 10.0, 0.0),
+        )
+
+    def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
+        values = instance.values
+        motor = spec.add_actuator(
+            name=f"cogging_{instance.target}",
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            target=instance.target,
+        )
+        motor.set_to_dcmotor(
+            motorconst=[1e-9, 1e-9],
+            resistance=1.0,
+            cogging=[values["amplitude"], values["periods"], values["phase"]],
+            ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_NONE),
+        )
+
+
+class HardStop(JointEffect):
+    """An undeclared limit: MJCF `range` on the side where the position lies."""
+
+    name = "hard_stop"
+    phrase = "an undeclared hard stop"
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        unit = joint_unit(model, target, "rad", "m")
+        return (
+            Parameter("position", unit, -100.0, 100.0, 0.5),
+            Parameter("side", "1", -1.0, 1.0, 1.0),
+        )
+
+    def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
+        joint = spec_element(spec, "joint", instance.target)
+        limit = _angle(spec, joint, instance.values["position"])
+        open_end = _angle(spec, joint, 1000.0)
+        limited = joint.limited == mujoco.mjtLimited.mjLIMITED_TRUE or (
+            joint.limited == mujoco.mjtLimited.mjLIMITED_AUTO and joint.range[0] < joint.range[1]
+        )
+        low, high = joint.range if limited else (-open_end, open_end)
+        upper = instance.values["side"] > 0
+        joint.range = [low, min(high, limit)] if upper else [max(low, limit), high]
+        joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+
+
+class Backlash(JointEffect):
+    """Play between motor and link: a second joint on the same axis, free within half the width.
+
+    The joint keeps its name, its actuator and its encoder (motor side); the link turns by the
+    sum of the two. A small armature on the motor side keeps the equations well posed when the
+    joint has none.
+    """
+
+    name = "backlash"
+    phrase = "backlash"
+    structural = True
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        return (Parameter("width", joint_unit(model, target, "rad", "m"), 0.0, 1.0, 0.02),)
+
+    def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
+        joint = spec_element(spec, "joint", instance.target)
+        play = _second_joint(spec, joint, f"{instance.target}_backlash")
+        half = _angle(spec, joint, instance.values["width"] / 2)
+        play.range = [-half, half]
+        play.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        play.solref_limit[:] = [2.5 * spec.option.timestep, 1.0]
+
+
+class JointFlexibility(JointEffect):
+    """An elastic transmission: a second joint on the same axis with a spring and a damper.
+
+    The joint keeps its name, its actuator and its encoder (motor side).
+    """
+
+    name = "joint_flexibility"
+    phrase = "an elastic transmission"
+    structural = True
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        return (
+            Parameter("stiffness", joint_unit(model, target, "N*m/rad", "N/m"), 1e-3, 1e9, 100.0),
+            Parameter("damping", joint_unit(model, target, "N*m*s/rad", "N*s/m"), 0.0, 1e6, 0.1),
+        )
+
+    def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
+        joint = spec_element(spec, "joint", instance.target)
+        bend = _second_joint(spec, joint, f"{instance.target}_flexibility")
+        bend.stiffness[0] = instance.values["stiffness"]
+        bend.damping[0] = instance.values["damping"]
+
+
+class StribeckFriction(JointEffect):
+    """Friction that falls from a static to the Coulomb level as the joint starts to move.
+
+    Level (Fc + (Fs - Fc) exp(-(v/vs)^2)), set as `frictionloss` at every timestep, so that the joint
+    really sticks.
+    """
+
+    name = "stribeck_friction"
+    phrase = "Stribeck friction"
+    native = False
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        unit = joint_unit(model, target, "N*m", "N")
+        speed = joint_unit(model, target, "rad/s", "m/s")
+        return (
+            Parameter("coulomb", unit, 0.0, _LARGE, 0.1),
+            Parameter("static", unit, 0.0, _LARGE, 0.2),
+            Parameter("velocity", speed, 1e-4, 100.0, 0.1),
+        )
+
+    def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
+        return _FrictionLevel(model, instance, _stribeck)
+
+
+class LoadDependentFriction(JointEffect):
+    """Friction proportional to the load that the transmission carries.
+
+    The load is the magnitude of the actuators' generalized force at the joint (`load`: actuator), or
+    of gravity, Coriolis and constraint forces on it (`load`: external).
+    """
+
+    name = "load_dependent_friction"
+    phrase = "load-dependent friction"
+    native = False
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        return (Parameter("coefficient", "1", 0.0, 10.0, 0.1),)
+
+    def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
+        load = instance.options.get("load", "actuator")
+        if load not in _LOADS:
+            raise InputError(f"{self.name}: load is one of {', '.join(_LOADS)}; got {load!r}")
+        hook = _FrictionLevel(model, instance, _LOADS[load])
+        hook.derived = frozenset(_LOAD_FIELDS[load])
+        return hook
+
+
+class JointCoupling(JointEffect):
+    """Another joint acts on this one: coefficient times the other's actuator torque, position
+    or velocity (`by`: torque, position, velocity), added as a generalized force.
+    """
+
+    name = "joint_coupling"
+    phrase = "a coupling to another joint"
+    native = False
+
+    def targets(self, model: mujoco.MjModel) -> tuple[str, ...]:
+        found = super().targets(model)
+        return found if len(found) > 1 else ()
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        return (Parameter("coefficient", "SI", -_LARGE, _LARGE, 0.1),)
+
+    def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
+        return _Coupling(model, instance)
+
+
+# ---------------------------------------------------------------------------------------------
+
+
+class _FrictionLevel(Hook):
+    """Adds a level that depends on the state to a joint's `frictionloss`."""
+
+    derived = frozenset()
+
+    def __init__(self, model: mujoco.MjModel, instance: EffectInstance, level: Any) -> None:
+        super().__init__(instance.values)
+        self._dof = int(model.jnt_dofadr[index_of(model, "joint", instance.target)])
+        self._base = float(model.dof_frictionloss[self._dof])
+        self._level = level
+
+    def fields(self, moment: Moment) -> None:
+        levels = moment.fields["dof_frictionloss"]
+        levels[:, self._dof] += self._level(self, moment, self._dof)
+
+
+def _stribeck(hook: Hook, moment: Moment, dof: int) -> Any:
+    speed = moment.qvel[:, dof] / hook.value("velocity")
+    coulomb, static = hook.value("coulomb"), hook.value("static")
+    return coulomb + (static - coulomb) * np.exp(-(speed**2))
+
+
+def _actuator_load(hook: Hook, moment: Moment, dof: int) -> Any:
+    return hook.value("coefficient") * np.abs(moment.derived["qfrc_actuator"][:, dof])
+
+
+def _external_load(hook: Hook, moment: Moment, dof: int) -> Any:
+    force = moment.derived["qfrc_constraint"][:, dof] - moment.derived["qfrc_bias"][:, dof]
+    return hook.value("coefficient") * np.abs(force)
+
+
+_LOADS = {"actuator": _actuator_load, "external": _external_load}
+_LOAD_FIELDS = {"actuator": ("qfrc_actuator",), "external": ("qfrc_constraint", "qfrc_bias")}
+
+
+class _Coupling(Hook):
+    def __init__(self, model: mujoco.MjModel, instance: EffectInstance) -> None:
+        super().__init__(instance.values)
+        other = instance.options.get("other", "")
+        joint, source = (index_of(model, "joint", name) for name in (instance.target, other))
+        self._dof, self._source = int(model.jnt_dofadr[joint]), int(model.jnt_dofadr[source])
+        self._address = int(model.jnt_qposadr[source])
+        self._by = instance.options.get("by", "torque")
+        if self._by not in ("torque", "position", "velocity"):
+            raise InputError(
+                f"joint_coupling: by is torque, position or velocity; got {self._by!r}"
+            )
+        if self._by == "torque":
+            self.derived = frozenset({"qfrc_actuator"})
+
+    def force(self, moment: Moment) -> None:
+        if self._by == "torque":
+            source = moment.derived["qfrc_actuator"][:, self._source]
+        elif self._by == "position":
+            source = moment.qpos[:, self._address]
+        else:
+            source = moment.qvel[:, self._source]
+        moment.qfrc[:, self._dof] += self.value("coefficient") * source
+
+
+def _add(element: Any, attribute: str, index: int, value: float) -> None:
+    getattr(element, attribute)[index] += value
+
+
+def _angle(spec: mujoco.MjSpec, joint: Any, value: float) -> float:
+    """An angle in the document's unit (a length stays as it is)."""
+    hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
+    return float(np.degrees(value)) if spec.compiler.degree and hinge else value
+
+
+def _second_joint(spec: mujoco.MjSpec, joint: Any, name: str) -> Any:
+    """A further joint on the same axis of the same body; the first becomes the motor's side."""
+    body = joint.parent
+    if not joint.armature:
+        joint.armature = _MOTOR_ARMATURE
+    return body.add_joint(name=name, type=joint.type, axis=list(joint.axis), pos=list(joint.pos))
+
+
+_MOTOR_ARMATURE = 1e-3
