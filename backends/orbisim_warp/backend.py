@@ -18,6 +18,8 @@ if not os.environ.get("ORBISIM_WARP_VERBOSE"):  # before mujoco_warp starts Warp
 import mujoco_warp as mjw
 
 from orbisim.backend import Backend, Capability
+from orbisim.effects.carry import hooks_of
+from orbisim.effects.running import CHANGED_FIELDS, HookRunner, changes_fields
 from orbisim.errors import (
     CapacityError,
     DivergedError,
