@@ -12,11 +12,11 @@ import numpy.typing as npt
 
 from orbisim.backend import Backend, Capability, Linearization
 from orbisim.effects.carry import hooks_of
-from orbisim.effects.running import HookRunner, stage_of
 from orbisim.errors import CapacityError, DivergedError, InputError
 from orbisim.scene import Scene
 from orbisim.state import State
 from orbisim.trajectory import Trajectory
+from orbisim_mujoco.stepping import step_batch
 
 _PHYSICAL = ("time", "qpos", "qvel", "act")
 _MEMORY = (
@@ -95,14 +95,10 @@ class MujocoBackend(Backend):
         """`mj_step` in every world, `nstep` times."""
         control = self.check_control(state, control)
         batch = self._write(state)
-        batch.bind("ctrl")[:] = control
         for name in self.report:
             batch.bind(name)
         batch.warning[:] = 0
-        if self._hooks:
-            self._step_with_hooks(batch, control, nstep)
-        else:
-            batch.step(nstep=nstep)
+        step_batch(self.model, batch, self._hooks, control, nstep)
         self._check(_raised(batch))
         return self._read(batch)
 
@@ -171,29 +167,6 @@ class MujocoBackend(Backend):
     def close(self) -> None:
         """Frees the batch and its threads."""
         self._batch = None
-
-    def _step_with_hooks(self, batch: mujoco.batch.Batch, control: Any, nstep: int) -> None:
-        """Timestep by timestep, with effects that MuJoCo cannot express applied before each."""
-        runner = HookRunner(self.model, self._hooks, batch.nsim)
-        stage = int(stage_of(runner.derived))
-        applied = {n: np.array(batch.bind(n)) for n in ("qfrc_applied", "xfrc_applied")}
-        expanded = {name: batch.expand(name) for name in runner.fields}
-        base = {name: getattr(self.model, name)[None] for name in runner.fields}
-        base = {name: np.repeat(value, batch.nsim, axis=0) for name, value in base.items()}
-        for name in runner.derived:
-            batch.bind(name)
-        if runner.derived:
-            batch.forward(stage=stage)
-        for _ in range(nstep):
-            moment = runner.inputs(batch.bind, control, applied, base)
-            batch.bind("ctrl")[:] = moment.ctrl
-            batch.bind("qfrc_applied")[:] = moment.qfrc
-            batch.bind("xfrc_applied")[:] = moment.xfrc
-            for name, values in moment.fields.items():
-                expanded[name][:] = values
-            batch.step(stage=stage)
-        for name, values in applied.items():
-            batch.bind(name)[:] = values
 
     # -- the batch and the state ---------------------------------------------------------------
 

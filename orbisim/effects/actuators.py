@@ -14,6 +14,7 @@ from orbisim.effects.base import (
     index_of,
     spec_element,
 )
+from orbisim.effects.screening import Candidate, Column, Floats, View, keyed
 from orbisim.errors import InputError
 
 _LARGE = 1e6
@@ -51,6 +52,11 @@ class TorqueGain(ActuatorEffect):
         actuator.gainprm[:3] = np.asarray(actuator.gainprm[:3]) * gain
         actuator.biasprm[:3] = np.asarray(actuator.biasprm[:3]) * gain
 
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        index = index_of(view.model, "actuator", target)
+        force = _force(view, index, view.actuator_force[:, index])
+        return [Candidate(self.name, target, (force,), lambda c: {"gain": 1.0 + float(c[0])})]
+
 
 class TorqueBias(ActuatorEffect):
     """A constant added to the actuator's output force."""
@@ -65,6 +71,11 @@ class TorqueBias(ActuatorEffect):
         actuator = spec_element(spec, "actuator", instance.target)
         actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         actuator.biasprm[0] += instance.values["offset"]
+
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        index = index_of(view.model, "actuator", target)
+        force = _force(view, index, np.ones(len(view.time)))
+        return [Candidate(self.name, target, (force,), keyed("offset"))]
 
 
 class TorqueSaturation(ActuatorEffect):
@@ -87,6 +98,18 @@ class TorqueSaturation(ActuatorEffect):
         actuator.forcerange = [low, high]
         actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
 
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        index = index_of(view.model, "actuator", target)
+        force = view.actuator_force[:, index]
+        levels = np.quantile(np.abs(force), [0.15, 0.3, 0.5, 0.65, 0.8, 0.9, 0.96])
+        return [
+            _known(
+                self.name, target, _force(view, index, np.clip(force, -x, x) - force), {"limit": x}
+            )
+            for x in levels
+            if x > 0
+        ]
+
 
 class ActuatorLag(ActuatorEffect):
     """A first-order lag of the control: MJCF `dyntype="filterexact"`."""
@@ -107,6 +130,20 @@ class ActuatorLag(ActuatorEffect):
         actuator = spec_element(spec, "actuator", instance.target)
         actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
         actuator.dynprm[0] = instance.values["time_constant"]
+
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        index = index_of(view.model, "actuator", target)
+        control = int(view.model.actuator_ctrladr[index])
+        gain, now = view.control_gain(index), view.ctrl[:, control]
+        return [
+            _known(
+                self.name,
+                target,
+                _force(view, index, gain * (view.filtered_control(control, tau) - now)),
+                {"time_constant": float(tau)},
+            )
+            for tau in _TIMES
+        ]
 
 
 class ActuatorDelay(ActuatorEffect):
@@ -131,6 +168,20 @@ class ActuatorDelay(ActuatorEffect):
         actuator.nsample = max(2, int(np.ceil(delay / spec.option.timestep)) + 2)
         actuator.interp = 0
 
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        index = index_of(view.model, "actuator", target)
+        control = int(view.model.actuator_ctrladr[index])
+        gain, now = view.control_gain(index), view.ctrl[:, control]
+        return [
+            _known(
+                self.name,
+                target,
+                _force(view, index, gain * (view.delayed_control(control, delay) - now)),
+                {"delay": float(delay)},
+            )
+            for delay in _TIMES
+        ]
+
 
 class Deadband(ActuatorEffect):
     """Controls within half the width of zero do nothing; the rest is moved towards zero by it.
@@ -147,6 +198,43 @@ class Deadband(ActuatorEffect):
 
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Deadband(model, instance)
+
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        index = index_of(view.model, "actuator", target)
+        u = view.ctrl[:, int(view.model.actuator_ctrladr[index])]
+        gain, found = view.control_gain(index), []
+        for half in np.unique(np.quantile(np.abs(u), [0.05, 0.1, 0.2, 0.3, 0.45, 0.6])):
+            if half <= 0:
+                continue
+            shifted = np.where(np.abs(u) > half, u - np.sign(u) * half, 0.0)
+            gated = np.where(np.abs(u) > half, u, 0.0)
+            for kind, passed in (("shift", shifted), ("gate", gated)):
+                column = _force(view, index, gain * (passed - u))
+                values = {"width": 2 * float(half)}
+                found.append(_known(self.name, target, column, values, {"kind": kind}))
+        return found
+
+
+_TIMES = np.geomspace(0.002, 0.4, 16)
+"""Time constants and delays that are tried, s."""
+
+
+def _force(view: View, actuator: int, force: Floats) -> Column:
+    """A scalar actuator force [M] as a generalized force."""
+    return Column("force", view.moment(actuator) * force[:, None])
+
+
+def _known(
+    effect: str,
+    target: str,
+    column: Column,
+    values: dict[str, float],
+    options: dict[str, str] | None = None,
+) -> Candidate:
+    """A candidate whose size follows from its parameter."""
+    return Candidate(
+        effect, target, (column,), lambda c: values, options or {}, fixed=True, shape=1
+    )
 
 
 class _Deadband(Hook):

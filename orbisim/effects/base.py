@@ -11,7 +11,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import mujoco
 import numpy as np
@@ -19,6 +19,9 @@ import numpy.typing as npt
 
 from orbisim.errors import InputError, UnknownNameError
 from orbisim.scene.descriptor import name_of
+
+if TYPE_CHECKING:
+    from orbisim.effects.screening import Candidate, View
 
 Floats = npt.NDArray[np.float64]
 Values = Mapping[str, float]
@@ -145,6 +148,22 @@ class Effect(abc.ABC):
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         """What applies an effect that is not native."""
         raise InputError(f"{self.name} needs no hook")
+
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        """Candidates for a regression along a measured motion; none if there is no such form."""
+        return []
+
+    def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
+        """Parameter values from which a search by simulation may start."""
+        return [{p.name: p.scale for p in self.parameters(model, target)}]
+
+    def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
+        """Names of the parameters that a fit changes; the others follow from them."""
+        return tuple(p.name for p in self.parameters(model, target))
+
+    def complete(self, model: mujoco.MjModel, target: str, values: Values) -> Values:
+        """All parameters from the free ones."""
+        return values
 
     def check(self, model: mujoco.MjModel, instance: EffectInstance) -> None:
         """Raises if the target or a value is impossible.

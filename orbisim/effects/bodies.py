@@ -12,11 +12,13 @@ from orbisim.effects.base import (
     Hook,
     Moment,
     Parameter,
+    Values,
     index_of,
     is_scalar_joint,
     names_of_kind,
     spec_element,
 )
+from orbisim.effects.screening import Candidate, Column, Floats, Solve, View, keyed, positive
 
 _LARGE = 1e6
 _AXES = ("x", "y", "z")
@@ -48,6 +50,18 @@ class Payload(BodyEffect):
         position = np.array([instance.values[f"com_{axis}"] for axis in _AXES])
         add_point_mass(spec, body, instance.values["mass"], position)
 
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        """1 kg at the frame's origin, and the first moments about it (linear in mass times place)."""
+        columns = (_inertia(view, target, np.zeros(3)), *_first_moments(view, target))
+
+        def solve(c: Floats) -> dict[str, float] | None:
+            if c[0] <= 0:
+                return None
+            place = np.clip(c[1:] / c[0], -2.0, 2.0)
+            return {"mass": float(c[0]), **dict(zip(("com_x", "com_y", "com_z"), map(float, place), strict=True))}
+
+        return [Candidate(self.name, target, columns, solve)]
+
 
 class ComOffset(BodyEffect):
     """The centre of mass lies elsewhere in the body than declared."""
@@ -65,6 +79,19 @@ class ComOffset(BodyEffect):
         offset = np.array([instance.values[axis] for axis in _AXES])
         write_inertial(body, mass, pos + offset, quat, inertia)
 
+    def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
+        return _AXES
+
+    def complete(self, model: mujoco.MjModel, target: str, values: Values) -> Values:
+        return {"offset": _norm(values), **{axis: values[axis] for axis in _AXES}}
+
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        mass = float(view.model.body_mass[index_of(view.model, "body", target)])
+        columns = tuple(
+            Column("force", mass * column.values) for column in _first_moments(view, target)
+        )
+        return [Candidate(self.name, target, columns, _vector("offset"))]
+
 
 class Buoyancy(BodyEffect):
     """The weight of a displaced mass, upwards at the centre of mass: MJCF `gravcomp`."""
@@ -80,6 +107,11 @@ class Buoyancy(BodyEffect):
         mass = inertial_of(spec, instance.target)[0]
         body.gravcomp += instance.values["displaced_mass"] / mass
 
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        motion = view.body_motion(index_of(view.model, "body", target))
+        lift = motion.force(-np.asarray(view.model.opt.gravity))
+        return [Candidate(self.name, target, (Column("force", lift),), positive("displaced_mass"))]
+
 
 class ConstantForce(BodyEffect):
     """A force of constant size and direction in the world, at the centre of mass."""
@@ -94,6 +126,17 @@ class ConstantForce(BodyEffect):
 
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _ConstantForce(model, instance)
+
+    def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
+        return _AXES
+
+    def complete(self, model: mujoco.MjModel, target: str, values: Values) -> Values:
+        return {"magnitude": _norm(values), **{axis: values[axis] for axis in _AXES}}
+
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        motion = view.body_motion(index_of(view.model, "body", target))
+        columns = tuple(Column("force", motion.force(axis)) for axis in np.eye(3))
+        return [Candidate(self.name, target, columns, _vector("magnitude"))]
 
 
 class PeriodicDisturbance(Effect):
@@ -135,6 +178,36 @@ class PeriodicDisturbance(Effect):
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Periodic(model, instance)
 
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        model = view.model
+        if target not in names_of_kind(model, "joint"):
+            return self._on_body(view, target)
+        dof = int(model.jnt_dofadr[index_of(model, "joint", target)])
+        unit = np.zeros((len(view.time), model.nv))
+        unit[:, dof] = 1.0
+        return [
+            Candidate(self.name, target, _waves(view, f, unit), _wave_values(f), shape=1)
+            for f in view.spectrum_peaks(dof, "time")
+        ]
+
+    def _on_body(self, view: View, target: str) -> list[Candidate]:
+        """Along each axis of the world in turn."""
+        model = view.model
+        body = index_of(model, "body", target)
+        motion = view.body_motion(body)
+        first = int(model.jnt_dofadr[model.body_jntadr[body]])
+        found: list[Candidate] = []
+        for axis, name in enumerate(_AXES):
+            unit = motion.force(np.eye(3)[axis])
+            options = {a: str(float(a == name)) for a in _AXES}
+            found += [
+                Candidate(
+                    self.name, target, _waves(view, f, unit), _wave_values(f), options, shape=1
+                )
+                for f in view.spectrum_peaks(first + axis, "time")
+            ]
+        return found
+
 
 class LinearDrag(BodyEffect):
     """A force -c v at the centre of mass."""
@@ -149,6 +222,11 @@ class LinearDrag(BodyEffect):
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Drag(model, instance, power=0)
 
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        motion = view.body_motion(index_of(view.model, "body", target))
+        column = Column("force", motion.force(-motion.velocity))
+        return [Candidate(self.name, target, (column,), positive("coefficient"))]
+
 
 class QuadraticDrag(BodyEffect):
     """A force -c v |v| at the centre of mass."""
@@ -162,6 +240,12 @@ class QuadraticDrag(BodyEffect):
 
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Drag(model, instance, power=1)
+
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        motion = view.body_motion(index_of(view.model, "body", target))
+        speed = np.linalg.norm(motion.velocity, axis=1, keepdims=True)
+        column = Column("force", motion.force(-speed * motion.velocity))
+        return [Candidate(self.name, target, (column,), positive("coefficient"))]
 
 
 class Magnus(BodyEffect):
@@ -184,6 +268,11 @@ class Magnus(BodyEffect):
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Magnus(model, instance)
 
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        motion = view.body_motion(index_of(view.model, "body", target))
+        column = Column("force", motion.force(np.cross(motion.spin, motion.velocity)))
+        return [Candidate(self.name, target, (column,), keyed("coefficient"))]
+
 
 class GravityTilt(Effect):
     """Gravity has another direction: MJCF `gravity`, of the declared magnitude."""
@@ -202,6 +291,90 @@ class GravityTilt(Effect):
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         spec.option.gravity = [instance.values[axis] for axis in _AXES]
+
+    def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
+        return ("tilt_1", "tilt_2")
+
+    def complete(self, model: mujoco.MjModel, target: str, values: Values) -> Values:
+        """From the tangents of the tilt along two horizontal directions."""
+        if "angle" in values:
+            return values
+        gravity = np.asarray(model.opt.gravity)
+        size = float(np.linalg.norm(gravity))
+        across = _across(gravity)
+        tilted = gravity / size + values["tilt_1"] * across[0] + values["tilt_2"] * across[1]
+        tilted *= size / np.linalg.norm(tilted)
+        angle = np.degrees(np.arctan(np.hypot(values["tilt_1"], values["tilt_2"])))
+        return {"angle": float(angle), **dict(zip(_AXES, map(float, tilted), strict=True))}
+
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        model = view.model
+        size = float(np.linalg.norm(model.opt.gravity))
+        columns = []
+        for direction in _across(np.asarray(model.opt.gravity)):
+            force = np.zeros((len(view.time), model.nv))
+            for body in range(1, model.nbody):
+                if model.body_weldid[body] and model.body_mass[body] > 0:
+                    weight = float(model.body_mass[body]) * size * direction
+                    force += view.body_motion(body).force(weight)
+            columns.append(Column("force", force))
+        return [Candidate(self.name, target, tuple(columns), keyed("tilt_1", "tilt_2"))]
+
+
+def _norm(values: Values) -> float:
+    return float(np.linalg.norm([values[axis] for axis in _AXES]))
+
+
+def _vector(first: str) -> Solve:
+    """Coefficients as x, y, z, and their norm as the first parameter."""
+
+    def solve(c: Floats) -> dict[str, float]:
+        parts = dict(zip(_AXES, map(float, c), strict=True))
+        return {first: _norm(parts), **parts}
+
+    return solve
+
+
+def _across(gravity: Floats) -> Floats:
+    """Two unit vectors perpendicular to gravity."""
+    down = gravity / np.linalg.norm(gravity)
+    helper = np.eye(3)[int(np.argmin(np.abs(down)))]
+    first = helper - down * (helper @ down)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(down, first)])
+
+
+def _inertia(view: View, body: str, place: Floats) -> Column:
+    motion = view.body_motion(index_of(view.model, "body", body))
+    return Column("force", motion.point_inertia(place))
+
+
+def _first_moments(view: View, body: str) -> tuple[Column, ...]:
+    """The part of a point mass's inertia that is linear in its place."""
+    motion = view.body_motion(index_of(view.model, "body", body))
+    return tuple(
+        Column("force", 0.5 * (motion.point_inertia(axis) - motion.point_inertia(-axis)))
+        for axis in np.eye(3)
+    )
+
+
+def _waves(view: View, frequency: float, unit: Floats) -> tuple[Column, Column]:
+    phase = 2 * np.pi * frequency * view.time
+    return (
+        Column("force", np.sin(phase)[:, None] * unit),
+        Column("force", np.cos(phase)[:, None] * unit),
+    )
+
+
+def _wave_values(frequency: float) -> Solve:
+    def solve(c: Floats) -> dict[str, float]:
+        return {
+            "amplitude": float(np.hypot(c[0], c[1])),
+            "frequency": float(frequency),
+            "phase": float(np.arctan2(c[1], c[0])),
+        }
+
+    return solve
 
 
 # ---------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
@@ -18,6 +19,16 @@ from orbisim.effects.base import (
     joint_unit,
     spec_element,
 )
+from orbisim.effects.screening import (
+    Candidate,
+    Column,
+    Floats,
+    Solve,
+    View,
+    directions,
+    keyed,
+    positive,
+)
 from orbisim.errors import InputError
 
 _LARGE = 1e6
@@ -31,6 +42,13 @@ class JointEffect(Effect):
     def possible(self, model: mujoco.MjModel, target: str) -> bool:
         """Hinges and slides only."""
         return is_scalar_joint(model, target)
+
+    def candidate(
+        self, view: View, target: str, forces: list[Floats], solve: Solve, **more: Any
+    ) -> Candidate:
+        """Columns of generalized forces [M] at the joint's own degree of freedom."""
+        columns = tuple(_at_dof(view, target, force) for force in forces)
+        return Candidate(self.name, target, columns, solve, **more)
 
 
 class CoulombFriction(JointEffect):
@@ -46,6 +64,9 @@ class CoulombFriction(JointEffect):
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         spec_element(spec, "joint", instance.target).frictionloss += instance.values["torque"]
 
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        return [self.candidate(view, target, [-_sign(view, target)], positive("torque"))]
+
 
 class ViscousDamping(JointEffect):
     """Damping proportional to velocity: the first coefficient of MJCF `damping`, added to."""
@@ -60,6 +81,9 @@ class ViscousDamping(JointEffect):
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         _add(spec_element(spec, "joint", instance.target), "damping", 0, instance.values["coefficient"])
 
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        return [self.candidate(view, target, [-_speed(view, target)], keyed("coefficient"))]
+
 
 class QuadraticDamping(JointEffect):
     """c v |v|: the second coefficient of MJCF `damping`, added to."""
@@ -73,6 +97,10 @@ class QuadraticDamping(JointEffect):
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         _add(spec_element(spec, "joint", instance.target), "damping", 1, instance.values["coefficient"])
+
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        v = _speed(view, target)
+        return [self.candidate(view, target, [-v * np.abs(v)], positive("coefficient"))]
 
 
 class JointSpring(JointEffect):
@@ -98,6 +126,16 @@ class JointSpring(JointEffect):
         _add(joint, "stiffness", 0, instance.values["stiffness"])
         joint.springref = _angle(spec, joint, instance.values["rest_position"])
 
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        q = _position(view, target)
+
+        def solve(c: Floats) -> dict[str, float] | None:
+            if c[0] <= 0:
+                return None
+            return {"stiffness": float(c[0]), "rest_position": float(c[1] / c[0])}
+
+        return [self.candidate(view, target, [-q, np.ones_like(q)], solve)]
+
 
 class Armature(JointEffect):
     """Inertia reflected from a rotor through the gear: MJCF `armature`, added to."""
@@ -111,6 +149,10 @@ class Armature(JointEffect):
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         spec_element(spec, "joint", instance.target).armature += instance.values["inertia"]
+
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        acceleration = view.qacc[:, _dof(view.model, target)]
+        return [self.candidate(view, target, [-acceleration], positive("inertia"))]
 
 
 class Cogging(JointEffect):
@@ -146,6 +188,15 @@ class Cogging(JointEffect):
             ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_NONE),
         )
 
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        q = _position(view, target)
+        return [
+            self.candidate(
+                view, target, [np.sin(n * q), np.cos(n * q)], _wave("periods", n), shape=1
+            )
+            for n in view.spectrum_peaks(_dof(view.model, target), "position")
+        ]
+
 
 class HardStop(JointEffect):
     """An undeclared limit: MJCF `range` on the side where the position lies."""
@@ -172,6 +223,23 @@ class HardStop(JointEffect):
         joint.range = [low, min(high, limit)] if upper else [max(low, limit), high]
         joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
 
+    def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
+        return ("position",)
+
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        """A force at one end of the travel that grows with how far the end is approached."""
+        q = _position(view, target)
+        found: list[Candidate] = []
+        for side in (1.0, -1.0):
+            end = float((side * q).max())
+            for depth in (0.003, 0.01, 0.03):
+                start = end - depth * float(np.ptp(q))
+                push = np.clip((side * q - start) / max(end - start, 1e-12), 0, None)
+                values = {"position": side * start, "side": side}
+                solve = _if_positive(values)
+                found.append(self.candidate(view, target, [-side * push], solve, shape=1))
+        return found
+
 
 class Backlash(JointEffect):
     """Play between motor and link: a second joint on the same axis, free within half the width.
@@ -196,6 +264,9 @@ class Backlash(JointEffect):
         play.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         play.solref_limit[:] = [2.5 * spec.option.timestep, 1.0]
 
+    def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
+        return [{"width": width} for width in (0.005, 0.02, 0.08)]
+
 
 class JointFlexibility(JointEffect):
     """An elastic transmission: a second joint on the same axis with a spring and a damper.
@@ -218,6 +289,13 @@ class JointFlexibility(JointEffect):
         bend = _second_joint(spec, joint, f"{instance.target}_flexibility")
         bend.stiffness[0] = instance.values["stiffness"]
         bend.damping[0] = instance.values["damping"]
+
+    def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
+        inertia = float(model.dof_M0[_dof(model, target)])
+        return [
+            {"stiffness": inertia * (2 * np.pi * f) ** 2, "damping": 0.1 * inertia * 2 * np.pi * f}
+            for f in (3.0, 8.0, 20.0)
+        ]
 
 
 class StribeckFriction(JointEffect):
@@ -243,6 +321,16 @@ class StribeckFriction(JointEffect):
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _FrictionLevel(model, instance, _stribeck)
 
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        speed, sign = _speed(view, target), _sign(view, target)
+        typical = float(np.sqrt(np.mean(speed**2))) or 1.0
+        found: list[Candidate] = []
+        for scale in typical * np.array([0.03, 0.1, 0.2, 0.4, 0.8]):
+            bump = sign * np.exp(-((speed / scale) ** 2))
+            solve = _stribeck_values(float(scale))
+            found.append(self.candidate(view, target, [-sign, -bump], solve, shape=1))
+        return found
+
 
 class LoadDependentFriction(JointEffect):
     """Friction proportional to the load that the transmission carries.
@@ -266,6 +354,17 @@ class LoadDependentFriction(JointEffect):
         hook.derived = frozenset(_LOAD_FIELDS[load])
         return hook
 
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        dof, sign = _dof(view.model, target), _sign(view, target)
+        loads = {"actuator": view.qfrc_actuator[:, dof], "external": view.qfrc_bias[:, dof]}
+        return [
+            self.candidate(
+                view, target, [-sign * np.abs(load)], positive("coefficient"), options={"load": name}
+            )
+            for name, load in loads.items()
+            if np.abs(load).max() > 0
+        ]
+
 
 class JointCoupling(JointEffect):
     """Another joint acts on this one: coefficient times the other's actuator torque, position
@@ -285,6 +384,26 @@ class JointCoupling(JointEffect):
 
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Coupling(model, instance)
+
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        model, found = view.model, []
+        for other in self.targets(model):
+            if other == target:
+                continue
+            source = _dof(model, other)
+            sources = {
+                "torque": view.qfrc_actuator[:, source],
+                "position": _position(view, other),
+                "velocity": view.qvel[:, source],
+            }
+            found += [
+                self.candidate(
+                    view, target, [force], keyed("coefficient"), options={"other": other, "by": by}
+                )
+                for by, force in sources.items()
+                if np.ptp(force) > 0
+            ]
+        return found
 
 
 # ---------------------------------------------------------------------------------------------
@@ -348,6 +467,56 @@ class _Coupling(Hook):
         else:
             source = moment.qvel[:, self._source]
         moment.qfrc[:, self._dof] += self.value("coefficient") * source
+
+
+def _dof(model: mujoco.MjModel, joint: str) -> int:
+    return int(model.jnt_dofadr[index_of(model, "joint", joint)])
+
+
+def _position(view: View, joint: str) -> Floats:
+    return np.asarray(
+        view.qpos[:, int(view.model.jnt_qposadr[index_of(view.model, "joint", joint)])]
+    )
+
+
+def _speed(view: View, joint: str) -> Floats:
+    return np.asarray(view.qvel[:, _dof(view.model, joint)])
+
+
+def _sign(view: View, joint: str) -> Floats:
+    return directions(_speed(view, joint), float(view.velocity_noise[_dof(view.model, joint)]))
+
+
+def _at_dof(view: View, joint: str, force: Floats) -> Column:
+    values = np.zeros((len(force), view.model.nv))
+    values[:, _dof(view.model, joint)] = force
+    return Column("force", values)
+
+
+def _wave(shape: str, value: float) -> Solve:
+    """Amplitude and phase of c0 sin + c1 cos = A sin(. + phase)."""
+
+    def solve(c: Floats) -> dict[str, float]:
+        return {
+            "amplitude": float(np.hypot(c[0], c[1])),
+            shape: float(value),
+            "phase": float(np.arctan2(c[1], c[0])),
+        }
+
+    return solve
+
+
+def _if_positive(values: dict[str, float]) -> Solve:
+    return lambda c: values if c[0] > 0 else None
+
+
+def _stribeck_values(velocity: float) -> Solve:
+    def solve(c: Floats) -> dict[str, float] | None:
+        if c[1] <= 0 or c[0] < 0:
+            return None
+        return {"coulomb": float(c[0]), "static": float(c[0] + c[1]), "velocity": velocity}
+
+    return solve
 
 
 def _add(element: Any, attribute: str, index: int, value: float) -> None:

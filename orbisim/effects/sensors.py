@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import mujoco
 
+import numpy as np
+
 from orbisim.effects.base import Effect, Parameter, index_of, is_scalar_joint, names_of_kind
+from orbisim.effects.screening import Candidate, Column, Floats, View, keyed
 
 
 class MeasurementEffect(Effect):
@@ -52,6 +55,12 @@ class SensorBias(MeasurementEffect):
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("offset", self.unit_of(model, target), -100.0, 100.0, 0.02),)
 
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        if target not in names_of_kind(view.model, "joint"):
+            return []
+        q, _ = _dofs(view, target)
+        return [Candidate(self.name, target, (_signal(view, {q: 1.0}),), keyed("offset"))]
+
 
 class SensorScale(MeasurementEffect):
     """The sensor's scale is wrong: measured = factor * true (positions and velocities).
@@ -73,6 +82,18 @@ class SensorScale(MeasurementEffect):
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("factor", "1", 0.1, 10.0, 1.0),)
 
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        if target not in names_of_kind(view.model, "joint"):
+            return []
+        model, nv = view.model, view.model.nv
+        joint = index_of(model, "joint", target)
+        adr, q = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+        parts: dict[int, Floats | float] = {}
+        for i in range(1 if is_scalar_joint(model, target) else 3):
+            parts |= {q + i: view.qpos[:, adr + i], nv + q + i: view.qvel[:, q + i]}
+        column = _signal(view, parts)
+        return [Candidate(self.name, target, (column,), lambda c: {"factor": 1 + float(c[0])})]
+
 
 class SensorDelay(MeasurementEffect):
     """The sensor is late: measured(t) = true(t - delay)."""
@@ -82,6 +103,13 @@ class SensorDelay(MeasurementEffect):
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("delay", "s", -1.0, 1.0, 0.01),)
+
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        if target not in names_of_kind(view.model, "joint"):
+            return []
+        q, v = _dofs(view, target)
+        column = _signal(view, {q: -view.qvel[:, q], v: -view.qacc[:, q]})
+        return [Candidate(self.name, target, (column,), keyed("delay"))]
 
 
 class ClockSkew(Effect):
@@ -95,3 +123,24 @@ class ClockSkew(Effect):
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("factor", "1", 0.1, 10.0, 1.0),)
+
+    def screen(self, view: View, target: str) -> list[Candidate]:
+        """A fast clock makes every interval look longer than it was."""
+        n = len(view.time) // 2
+        step = (view.time[n:] - view.time[:n])[:, None]
+        rate = np.concatenate([view.qvel[:n], view.qacc[:n]], axis=1)
+        column = Column("state", -step * rate)
+        return [Candidate(self.name, target, (column,), lambda c: {"factor": 1 + float(c[0])})]
+
+
+def _dofs(view: View, joint: str) -> tuple[int, int]:
+    """Columns of a joint's position and velocity in a signal."""
+    q = int(view.model.jnt_dofadr[index_of(view.model, "joint", joint)])
+    return q, view.model.nv + q
+
+
+def _signal(view: View, parts: dict[int, Floats | float]) -> Column:
+    values = np.zeros((len(view.time), 2 * view.model.nv))
+    for index, part in parts.items():
+        values[:, index] = part
+    return Column("signal", values)

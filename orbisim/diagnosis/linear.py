@@ -1,0 +1,180 @@
+"""The deviation from a reference motion as a linear system driven by what the scene lacks.
+
+With the reference xbar_k at the samples, the map F_k of the scene over a sampling interval, its
+derivatives A_k by the state and B_k by a constant generalized force, and the defect
+d_k = xbar_{k+1} - F_k(xbar_k):
+
+    xi_{k+1} = A_k xi_k + B_k f_k + g_k - d_k,     y_k - C xbar_k = C xi_k + s_k + n_k,
+
+where f is the missing generalized force, g and s are other missing terms in the state and in the
+measurement, and n is the measurement noise. All are exact to first order in xi. The derivatives
+are finite differences of the backend's own steps.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import mujoco
+import mujoco.batch
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.diagnosis.samples import Samples
+from orbisim.scene import Scene
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+
+_EPS = 1e-5
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Intervals:
+    """All sampling intervals of all recordings, one after the other.
+
+    Attributes:
+      recording: [N] number of the recording. row: [N] row at which the interval starts.
+      A: [N, 2 nv, 2 nv]. B: [N, 2 nv, nv]. defect: [N, 2 nv].
+      usable: [N] whether both ends are known and nothing became non-finite.
+    """
+
+    recording: Ints
+    row: Ints
+    A: Floats
+    B: Floats
+    defect: Floats
+    usable: npt.NDArray[np.bool_]
+
+
+class IntervalMap:
+    """The scene's map over sampling intervals, for many intervals at once.
+
+    Args:
+      scene: the scene. samples: the recordings.
+      rows: for each recording the rows at which intervals start.
+    """
+
+    def __init__(self, scene: Scene, samples: Sequence[Samples], rows: Sequence[Ints]) -> None:
+        self.model = scene.model
+        self.recording = np.concatenate([np.full(len(r), i) for i, r in enumerate(rows)])
+        self.row = np.concatenate([np.asarray(r) for r in rows]).astype(np.int64)
+        pick = [(samples[i], np.asarray(r)) for i, r in enumerate(rows)]
+        self.qpos = np.concatenate([s.qpos[r] for s, r in pick])
+        self.qvel = np.concatenate([s.qvel[r] for s, r in pick])
+        self.after_qpos = np.concatenate([s.qpos[r + 1] for s, r in pick])
+        self.after_qvel = np.concatenate([s.qvel[r + 1] for s, r in pick])
+        self.ctrl = np.concatenate([s.ctrl[r] for s, r in pick])
+        self.act = np.concatenate([s.act[r] for s, r in pick])
+        self.history = np.concatenate([s.history[r] for s, r in pick])
+        self.force = np.concatenate([s.force[r] for s, r in pick])
+        self.start = np.concatenate([s.time[r] for s, r in pick])
+        duration = np.concatenate([s.time[r + 1] - s.time[r] for s, r in pick])
+        self.duration = duration
+        step = float(self.model.opt.timestep)
+        self.substeps = np.maximum(1, np.ceil(duration / step - 1e-6)).astype(int)
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    def advance(
+        self,
+        qpos: Floats | None = None,
+        qvel: Floats | None = None,
+        force: Floats | None = None,
+        scene: Scene | None = None,
+        stretch: float = 1.0,
+    ) -> tuple[Floats, Floats]:
+        """States at the ends of the intervals, from other starts, forces or another scene.
+
+        Args:
+          qpos, qvel: starts; the reference if None. force: added generalized force.
+          scene: another scene of the same layout. stretch: factor on the durations.
+        """
+        from orbisim.effects.carry import hooks_of
+        from orbisim_mujoco.stepping import step_batch
+
+        model = self.model if scene is None else scene.model
+        qpos = self.qpos if qpos is None else qpos
+        qvel = self.qvel if qvel is None else qvel
+        applied = self.force if force is None else self.force + force
+        out_q, out_v = np.empty_like(self.qpos), np.empty_like(self.qvel)
+        hooks = hooks_of(model)
+        for count in np.unique(self.substeps):
+            index = np.flatnonzero(self.substeps == count)
+            batch = mujoco.batch.Batch(model, len(index), 0)
+            batch.expand("opt.timestep")[:] = (stretch * self.duration[index] / count).reshape(
+                batch.expand("opt.timestep").shape
+            )
+            for name, values in (
+                ("time", self.start),
+                ("qpos", qpos),
+                ("qvel", qvel),
+                ("act", self.act),
+                ("history", self.history),
+                ("qfrc_applied", applied),
+                ("ctrl", self.ctrl),
+            ):
+                batch.bind(name)[:] = values[index]
+            batch.bind("qacc_warmstart")[:] = 0.0
+            step_batch(model, batch, hooks, self.ctrl[index], int(count))
+            out_q[index], out_v[index] = batch.bind("qpos"), batch.bind("qvel")
+        return out_q, out_v
+
+    def tangent(self, from_q: Floats, from_v: Floats, to_q: Floats, to_v: Floats) -> Floats:
+        """Tangent vectors [N, 2 nv] from one set of states to another."""
+        nv = self.model.nv
+        result = np.empty((len(from_q), 2 * nv))
+        if self.model.nq == nv:
+            result[:, :nv] = to_q - from_q
+        else:
+            row = np.zeros(nv)
+            for k in range(len(from_q)):
+                mujoco.mj_differentiatePos(self.model, row, 1.0, from_q[k], to_q[k])
+                result[k, :nv] = row
+        result[:, nv:] = to_v - from_v
+        return result
+
+    def moved(self, direction: int, size: float) -> Floats:
+        """The reference positions moved along one tangent direction."""
+        if self.model.nq == self.model.nv:
+            qpos = self.qpos.copy()
+            qpos[:, direction] += size
+            return qpos
+        step = np.zeros(self.model.nv)
+        step[direction] = size
+        qpos = self.qpos.copy()
+        for k in range(len(qpos)):
+            mujoco.mj_integratePos(self.model, qpos[k], step, 1.0)
+        return qpos
+
+
+def linearize(flow: IntervalMap) -> Intervals:
+    """Derivatives and defects of every interval, by forward differences."""
+    nv, count = flow.model.nv, len(flow)
+    base_q, base_v = flow.advance()
+    a = np.empty((count, 2 * nv, 2 * nv))
+    b = np.empty((count, 2 * nv, nv))
+    for j in range(nv):
+        q, v = flow.advance(qpos=flow.moved(j, _EPS))
+        a[:, :, j] = flow.tangent(base_q, base_v, q, v) / _EPS
+        qvel = flow.qvel.copy()
+        qvel[:, j] += _EPS
+        q, v = flow.advance(qvel=qvel)
+        a[:, :, nv + j] = flow.tangent(base_q, base_v, q, v) / _EPS
+    push = _force_scale(flow)
+    for j in range(nv):
+        force = np.zeros((count, nv))
+        force[:, j] = push[j]
+        q, v = flow.advance(force=force)
+        b[:, :, j] = flow.tangent(base_q, base_v, q, v) / push[j]
+    defect = flow.tangent(base_q, base_v, flow.after_qpos, flow.after_qvel)
+    usable = np.isfinite(defect).all(axis=1) & np.isfinite(a).all(axis=(1, 2))
+    return Intervals(flow.recording, flow.row, a, b, defect, np.asarray(usable))
+
+
+def _force_scale(flow: IntervalMap) -> Floats:
+    """Forces that change velocities by about `_EPS` over an interval."""
+    inertia = np.maximum(np.asarray(flow.model.dof_M0), 1e-9)
+    return _EPS * inertia / float(np.median(flow.duration))

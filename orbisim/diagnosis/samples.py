@@ -1,0 +1,164 @@
+"""Recordings prepared for diagnosis: a reference motion close to the measured one, and what the
+measurements say relative to it.
+
+The state of the real system is x = xbar + xi, where xbar is the smoothed measurement. Everything
+that follows is linear in the small deviation xi, so that the quality of the smoothing matters only
+to second order.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.errors import RecordingError
+from orbisim.recording import Bound, Recording, estimate_motion, noise_std
+from orbisim.recording.initial import activations, histories, starts
+from orbisim.recording.joints import joints
+from orbisim.scene import Scene
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+Ints = npt.NDArray[np.int64]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Samples:
+    """One recording, row by row.
+
+    Attributes:
+      bound: the recording in the scene's order.
+      time: [T], s.
+      qpos: [T, nq], qvel: [T, nv], qacc: [T, nv]: the reference motion.
+      ctrl: [T, nu]. act: [T, na]. history: [T, nhistory]. force: [T, nv] recorded joint forces that
+        drive the scene, zero elsewhere.
+      dq: [T, nv] measured minus reference position in the tangent space, NaN where not measured.
+      dv: [T, nv] measured minus reference velocity, NaN where not measured.
+      q_noise, v_noise: [nv] standard deviations of the measurements; NaN where there are none.
+      usable: [T] whether the reference is known.
+      jumps: [T - 1, nv] whether the velocity jumped (an impact) between two samples.
+    """
+
+    bound: Bound
+    time: Floats
+    qpos: Floats
+    qvel: Floats
+    qacc: Floats
+    ctrl: Floats
+    act: Floats
+    history: Floats
+    force: Floats
+    dq: Floats
+    dv: Floats
+    q_noise: Floats
+    v_noise: Floats
+    usable: Bools
+    jumps: Bools
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def source(self) -> str:
+        """Name of the recording."""
+        return self.bound.recording.source
+
+
+def prepare(recording: Recording, scene: Scene) -> Samples:
+    """Smooths a recording and relates it to a scene.
+
+    Raises:
+      RecordingError: it does not fit the scene, or the state is nowhere known.
+    """
+    bound = recording.bind(scene)
+    motion = estimate_motion(bound)
+    first = starts(bound, "smoothed")
+    qpos = np.where(np.isfinite(motion.qpos), motion.qpos, first.qpos)
+    qvel, qacc = first.qvel, np.nan_to_num(motion.qacc)
+    usable = np.isfinite(qpos).all(axis=1) & np.isfinite(qvel).all(axis=1)
+    if usable.sum() < 3:
+        raise RecordingError(
+            recording.source,
+            "the state is known at fewer than three samples",
+            remedy="record all joint positions over a stretch of time",
+        )
+    reference = dataclasses.replace(first, qpos=qpos, qvel=qvel)
+    rows = np.flatnonzero(usable)
+    act = np.zeros((len(bound.time), scene.model.na))
+    history = np.zeros((len(bound.time), scene.model.nhistory))
+    if act.shape[1]:
+        act[rows] = activations(bound, reference, rows)
+    if history.shape[1]:
+        history[rows] = histories(bound, rows)
+    dq, dv = _deviations(bound, qpos, qvel)
+    return Samples(
+        bound=bound,
+        time=bound.time,
+        qpos=qpos,
+        qvel=qvel,
+        qacc=qacc,
+        ctrl=bound.ctrl,
+        act=act,
+        history=history,
+        force=np.where(bound.applied, np.nan_to_num(bound.torque), 0.0),
+        dq=dq,
+        dv=dv,
+        q_noise=_floor(motion.noise_std, dq),
+        v_noise=_velocity_noise(bound),
+        usable=np.asarray(usable),
+        jumps=motion.jumps,
+    )
+
+
+def prepare_all(recordings: Sequence[Recording], scene: Scene) -> list[Samples]:
+    """Prepares several recordings; noise levels are pooled over them."""
+    prepared = [prepare(recording, scene) for recording in recordings]
+    q_noise = _pooled([one.q_noise for one in prepared])
+    v_noise = _pooled([one.v_noise for one in prepared])
+    return [dataclasses.replace(one, q_noise=q_noise, v_noise=v_noise) for one in prepared]
+
+
+def _pooled(levels: list[Floats]) -> Floats:
+    stacked = np.stack(levels)
+    known = np.isfinite(stacked)
+    total = np.where(known, stacked, 0.0) ** 2
+    count = known.sum(axis=0)
+    return np.where(count > 0, np.sqrt(total.sum(axis=0) / np.maximum(count, 1)), np.nan)
+
+
+def _deviations(bound: Bound, qpos: Floats, qvel: Floats) -> tuple[Floats, Floats]:
+    model = bound.model
+    dq = np.full((len(qpos), model.nv), np.nan)
+    known = np.isfinite(qpos).all(axis=1) & np.isfinite(bound.qpos).all(axis=1)
+    row = np.zeros(model.nv)
+    for t in np.flatnonzero(known):
+        mujoco.mj_differentiatePos(model, row, 1.0, qpos[t], bound.qpos[t])
+        dq[t] = row
+    for joint in joints(model):
+        partly = np.isfinite(bound.qpos[:, joint.q]).all(axis=1) & ~known
+        if joint.scalar:
+            dq[partly, joint.v] = (bound.qpos - qpos)[partly, joint.q]
+        if joint.id not in bound.measured:
+            dq[:, joint.v] = np.nan
+        if joint.id in bound.unseen_turns and joint.angular is not None:
+            dq[:, joint.angular] = np.nan
+    return dq, bound.qvel - qvel
+
+
+def _floor(noise: Floats, dq: Floats) -> Floats:
+    """Noise levels, not below what floating point and smoothing leave."""
+    measured = np.isfinite(dq).any(axis=0)
+    return np.where(measured, np.maximum(np.nan_to_num(noise), 1e-9), np.nan)
+
+
+def _velocity_noise(bound: Bound) -> Floats:
+    found = np.full(bound.model.nv, np.nan)
+    for column in range(bound.model.nv):
+        values = bound.qvel[:, column]
+        if np.isfinite(values).sum() >= 8:
+            found[column] = max(float(noise_std(bound.time, values)), 1e-9)
+    return found
