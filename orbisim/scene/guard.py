@@ -4,25 +4,47 @@ MuJoCo's compiler and OpenUSD's parsers are C++ code that a hostile or broken fi
 stall or make allocate without bound. `guarded` runs a function in a forked child with a bound on
 time and memory and reports what became of it; only when the child came through does the caller
 do the same work in its own process.
+
+The child writes lines of JSON to a pipe: `{"opened": bytes}` for each file that a reader has
+checked and goes on to parse (see `allow_for`), which moves the bounds, and one last line that
+says how it ended.
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import faulthandler
 import json
 import os
 import select
 import signal
 import sys
+import threading
 import time
+import warnings
 from collections.abc import Callable
+from typing import Any
 
+from orbisim import errors
 from orbisim.errors import OrbiSimError, SceneError
 
 _MEGABYTE = 2**20
 _ADDRESS_SPACE = 16 * 2**30
-_WATCH = 0.02
+_WATCH = 0.01
+_PATIENCE = 0.5
+_MOST_TEXT = 1000
+_MOST_INPUT = 2 * 2**30
 _IF_TRUSTED = "if the file is trusted, pass trusted=True (command line: --trusted)"
+
+FAILED = "the reader failed on it"
+"""Starts the problem where a reader raised something other than a `SceneError`."""
+
+COMPILING = threading.Lock()
+"""Held by a thread while it is inside MuJoCo's compiler, or forks."""
+
+_report_to: int | None = None
+"""In a guarded child: the pipe to the parent."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,19 +57,30 @@ class Limits:
         space is bounded far above it: MuJoCo reserves more than it touches.)
     """
 
-    seconds: float = 3.0
-    memory: int = 1536 * _MEGABYTE
+    seconds: float = 4.0
+    memory: int = 1024 * _MEGABYTE
 
     def for_input_of(self, nbytes: int) -> Limits:
         """Bounds that grow with the size of the input: 1 s and 32 MB for each megabyte."""
-        megabytes = nbytes / _MEGABYTE
+        megabytes = min(nbytes, _MOST_INPUT) / _MEGABYTE
         return Limits(self.seconds + megabytes, self.memory + int(32 * megabytes) * _MEGABYTE)
+
+
+def allow_for(nbytes: int) -> None:
+    """Readers call this for each file that they are about to parse and whose header is sound.
+
+    Within `guarded`, the bounds grow with it; elsewhere nothing happens.
+    """
+    if _report_to is not None:
+        _send(_report_to, {"opened": nbytes})
 
 
 def guarded(work: Callable[[], object], source: str, limits: Limits) -> None:
     """Runs `work()` in a forked child and raises what went wrong there.
 
-    Does nothing where the platform has no `fork`.
+    Does nothing where the platform has no `fork`. An error that is about the program rather than
+    the file (a missing dependency, a wrong option) is left to the caller, who will meet it when
+    doing the work again.
 
     Raises:
       SceneError: `work` raised, crashed, ran out of time or out of memory in the child.
@@ -55,53 +88,94 @@ def guarded(work: Callable[[], object], source: str, limits: Limits) -> None:
     if not hasattr(os, "fork"):
         return
     read_end, write_end = os.pipe()
-    sys.stdout.flush()
-    sys.stderr.flush()
-    pid = os.fork()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(AttributeError, OSError, ValueError):  # none, closed or broken
+            stream.flush()
+    try:
+        pid = _fork()
+    except OSError as error:
+        os.close(read_end)
+        os.close(write_end)
+        problem = f"no process can be started to try it in: {error.strerror}"
+        raise SceneError(source, problem, remedy=_IF_TRUSTED) from None
     if pid == 0:  # pragma: no cover (measured in the parent only)
         os.close(read_end)
         _child(work, write_end, limits)
-    os.close(write_end)
+    report = None
+    watch = _Watch(pid, limits)
     try:
-        report, excess = _read_report(read_end, pid, limits)
+        os.close(write_end)
+        report = watch.report(read_end)
+    except BaseException:
+        watch.excess = "interrupted"
+        raise
     finally:
         os.close(read_end)
-        status = _reap(pid)
-    if excess:
-        raise SceneError(source, excess, remedy=_IF_TRUSTED)
-    if os.WIFSIGNALED(status):
+        status = _reap(pid, patience=0.0 if watch.excess else _PATIENCE)
+    if watch.excess:
+        raise SceneError(source, watch.excess, remedy=_IF_TRUSTED)
+    if report is None and os.WIFSIGNALED(status):
         name = signal.Signals(os.WTERMSIG(status)).name
         raise SceneError(source, f"the parser crashed on it ({name})", remedy="repair the file")
     if report is None:
         raise SceneError(source, "the parser gave up on it without a message")
-    if report:
-        raise SceneError(
-            source, str(report["problem"]), element=report["element"], remedy=report["remedy"]
-        )
+    if report.get("problem"):
+        raise _rebuilt(report, source)
+
+
+def _fork() -> int:
+    """Forks while no other thread compiles: its locks would stay locked in the child."""
+    with COMPILING, warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # Python's, about such locks
+        return os.fork()
+
+
+# ---- in the child ------------------------------------------------------------------------------
 
 
 def _child(work: Callable[[], object], write_end: int, limits: Limits) -> None:
     """Runs in the child; never returns."""
-    report: dict[str, str | None] = {}
+    global _report_to
+    report: dict[str, Any] = {}
     try:
+        _report_to = write_end
         _limit_memory(limits.memory)
-        signal.alarm(int(limits.seconds) + 2)  # should the parent be gone
-        devnull = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(devnull, 1)
-        os.dup2(devnull, 2)
+        _die_alone(limits)
+        devnull = os.open(os.devnull, os.O_RDWR)
+        for stream in (0, 1, 2):
+            os.dup2(devnull, stream)
         work()
     except SceneError as error:
-        report = {"problem": error.problem, "element": error.element, "remedy": error.remedy}
+        report = {
+            "kind": type(error).__name__,
+            "source": _short(error.source),
+            "problem": _short(error.problem) or "refused",
+            "element": _short(error.element),
+            "remedy": _short(error.remedy),
+        }
     except MemoryError:
-        report = {"problem": _too_large(limits), "element": None, "remedy": _IF_TRUSTED}
-    except OrbiSimError as error:
-        report = {"problem": str(error), "element": None, "remedy": None}
+        report = {"problem": _too_large(limits), "remedy": _IF_TRUSTED}
+    except OrbiSimError:
+        report = {}  # about the program, not the file
     except BaseException as error:
-        report = {"problem": f"{type(error).__name__}: {error}", "element": None, "remedy": None}
+        report = {"problem": _short(f"{FAILED} ({type(error).__name__}: {error})")}
     try:
-        os.write(write_end, json.dumps(report).encode()[:60000])
+        _send(write_end, {"done": report})
     finally:
         os._exit(0)
+
+
+def _die_alone(limits: Limits) -> None:
+    """Ends the child should the parent be gone; no handler of the parent's gets in the way."""
+    faulthandler.disable()  # a crash is reported by the parent, in one line
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGALRM})
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.alarm(int(limits.for_input_of(_MOST_INPUT).seconds) + 2)
+    with contextlib.suppress(Exception):  # Linux: at once
+        import ctypes
+
+        set_parent_death_signal = 1
+        ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGKILL)
 
 
 def _limit_memory(nbytes: int) -> None:
@@ -114,6 +188,72 @@ def _limit_memory(nbytes: int) -> None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     except (ImportError, OSError, ValueError):
         pass  # not Linux: the bound on time still holds
+
+
+def _send(fd: int, message: dict[str, Any]) -> None:
+    data = json.dumps(message).encode() + b"\n"
+    while data:
+        data = data[os.write(fd, data) :]
+
+
+def _short(text: str | None) -> str | None:
+    return text if text is None or len(text) <= _MOST_TEXT else text[:_MOST_TEXT] + " ..."
+
+
+# ---- in the parent -----------------------------------------------------------------------------
+
+
+class _Watch:
+    """Waits for a child's last line, and for it to break a bound."""
+
+    def __init__(self, pid: int, limits: Limits) -> None:
+        self._pid, self._base, self._limits = pid, limits, limits
+        self._start = time.monotonic()
+        self._held = _resident(os.getpid())
+        self._opened = 0
+        self.excess: str | None = None
+
+    def report(self, fd: int) -> dict[str, Any] | None:
+        """How the child says it ended; None if it said nothing.
+
+        Ends at the child's last line, or with the child: the end of the pipe may be held open by
+        a process that another thread forked meanwhile.
+        """
+        poll = select.poll()
+        poll.register(fd, select.POLLIN)
+        received = b""
+        while self.excess is None:
+            if not poll.poll(_WATCH * 1000):
+                if _ended(self._pid) and not poll.poll(0):
+                    return None
+                self._check()
+                continue
+            chunk = os.read(fd, 65536)
+            if not chunk:
+                return None
+            *lines, received = (received + chunk).split(b"\n")
+            for line in lines:
+                message = _decoded(line)
+                if "done" in message:
+                    return dict(message["done"])
+                self._opened += int(message.get("opened", 0))
+                self._limits = self._base.for_input_of(self._opened)
+            self._check()
+        return None
+
+    def _check(self) -> None:
+        if time.monotonic() - self._start > self._limits.seconds:
+            self.excess = f"reading it took more than {self._limits.seconds:.3g} s"
+        elif _resident(self._pid) > self._held + self._limits.memory:
+            self.excess = _too_large(self._limits)
+
+
+def _decoded(line: bytes) -> dict[str, Any]:
+    try:
+        message = json.loads(line)
+    except ValueError:
+        return {}
+    return message if isinstance(message, dict) else {}
 
 
 def _resident(pid: int, field: int = 1) -> int:
@@ -129,40 +269,36 @@ def _too_large(limits: Limits) -> str:
     return f"reading it needs more than {limits.memory // _MEGABYTE} MB of memory"
 
 
-def _read_report(
-    fd: int, pid: int, limits: Limits
-) -> tuple[dict[str, str | None] | None, str | None]:
-    """The child's report, and which bound it broke, if any."""
-    deadline = time.monotonic() + limits.seconds
-    ceiling = _resident(os.getpid()) + limits.memory
-    chunks: list[bytes] = []
-    while True:
-        left = deadline - time.monotonic()
-        if left <= 0:
-            return None, f"reading it took more than {limits.seconds:.3g} s"
-        if _resident(pid) > ceiling:
-            return None, _too_large(limits)
-        ready, _, _ = select.select([fd], [], [], min(left, _WATCH))
-        if not ready:
-            continue
-        chunk = os.read(fd, 65536)
-        if not chunk:
-            break
-        chunks.append(chunk)
+def _ended(pid: int) -> bool:
+    """Whether a child is over, without taking its status."""
     try:
-        return json.loads(b"".join(chunks)), None
-    except ValueError:
-        return None, None
+        return os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+    except ChildProcessError:
+        return True
 
 
-def _reap(pid: int) -> int:
-    done, status = os.waitpid(pid, os.WNOHANG)
-    if not done:
-        for _ in range(20):  # the report is in: the child is on its way out
-            time.sleep(0.002)
+def _reap(pid: int, patience: float) -> int:
+    """Takes the status of a child; ends it if it has not ended by itself in `patience` seconds."""
+    deadline = time.monotonic() + patience
+    try:
+        while time.monotonic() < deadline:
             done, status = os.waitpid(pid, os.WNOHANG)
             if done:
                 return status
+            time.sleep(0.001)
         os.kill(pid, signal.SIGKILL)
-        _, status = os.waitpid(pid, 0)
-    return status
+        return os.waitpid(pid, 0)[1]
+    except (ChildProcessError, ProcessLookupError):  # somebody else took it
+        return 0
+
+
+def _rebuilt(report: dict[str, Any], source: str) -> SceneError:
+    kind = getattr(errors, str(report.get("kind")), SceneError)
+    if not (isinstance(kind, type) and issubclass(kind, SceneError)):
+        kind = SceneError
+    return kind(
+        report.get("source") or source,
+        str(report["problem"]),
+        element=report.get("element"),
+        remedy=report.get("remedy"),
+    )

@@ -111,7 +111,7 @@ def _reader(path: Path, suffix: str) -> Reader:
         from orbisim.scene.usd import read_usd
 
         return read_usd
-    tag = _root_tag(path.read_bytes()[:65536].decode(errors="replace"))
+    tag = _root_tag(_head(path))
     if tag == "robot":
         if suffix != ".urdf":
             raise SceneError(str(path), "holds URDF (<robot>)", remedy="rename it to end in .urdf")
@@ -125,6 +125,14 @@ def _reader(path: Path, suffix: str) -> Reader:
             remedy="rename it to end in .xml if it is MJCF",
         )
     return _read_mjcf
+
+
+def _head(path: Path) -> str:
+    """The first characters of a file."""
+    with path.open("rb") as file:
+        data = file.read(65536)
+    marked = data[:2] in (b"\xff\xfe", b"\xfe\xff")
+    return data.decode("utf-16" if marked else "utf-8", errors="replace")
 
 
 def _read_mjcf(path: str, **options: Any) -> ReadResult:

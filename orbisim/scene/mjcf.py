@@ -9,6 +9,9 @@ from pathlib import Path
 import mujoco
 
 from orbisim.errors import SceneError
+from orbisim.scene.confine import confinement
+from orbisim.scene.files import embed
+from orbisim.scene.mjcf_files import check_meshes, documents
 from orbisim.scene.reading import ReadResult
 
 _ENTITY = re.compile(rb"<!ENTITY", re.IGNORECASE)
@@ -21,18 +24,31 @@ def read_mjcf(path: str) -> ReadResult:
     Raises:
       SceneError: the file is missing, is not MJCF, or MuJoCo refuses it.
     """
-    refuse_entities(Path(path).read_bytes(), path)
+    found = documents(Path(path))
+    for document in found:
+        data = document.read_bytes()
+        refuse_entities(data, str(document))
+        refuse_other_encodings(data, str(document))
+    folders = list(dict.fromkeys(document.parent for document in found))
     try:
-        return ReadResult(mujoco.MjSpec.from_file(path))
+        spec = mujoco.MjSpec.from_file(path)
     except (ValueError, mujoco.FatalError) as error:
         raise as_scene_error(error, path) from None
+    notes = check_meshes(spec, folders, path)
+    if confinement() is not None:  # the files are there only while the scene is read
+        embed(spec, folders, path)
+    return ReadResult(spec, warnings=notes)
 
 
 def read_mjcf_string(
     xml: str, assets: Mapping[str, bytes] | None = None, source: str = "XML string"
 ) -> ReadResult:
     """Reads MJCF from a string, with the files it refers to given as `assets`."""
-    refuse_entities(xml.encode(), source)
+    try:
+        refuse_entities(xml.encode(), source)
+    except UnicodeEncodeError as error:
+        problem = f"character {error.start} is half of a surrogate pair, not text"
+        raise SceneError(source, problem, remedy="decode the document properly") from None
     assets = dict(assets or {})
     included = {name: data for name, data in assets.items() if name.lower().endswith(".xml")}
     try:
@@ -50,6 +66,22 @@ def refuse_entities(xml: bytes, source: str) -> None:
             "the document declares entities (<!ENTITY ...>), which are not expanded",
             remedy="write their content out and remove the declarations",
         )
+
+
+def refuse_other_encodings(xml: bytes, source: str) -> None:
+    """Raises `SceneError` if names or values are not UTF-8; comments may be anything."""
+    try:
+        xml.decode()
+    except UnicodeDecodeError:
+        try:
+            _COMMENT.sub(lambda found: b"\n" * found[0].count(b"\n"), xml).decode()
+        except UnicodeDecodeError as error:
+            line = error.object.count(b"\n", 0, error.start) + 1
+            raise SceneError(
+                source,
+                f"line {line}: byte 0x{error.object[error.start]:02x} is not UTF-8 text",
+                remedy="save it as UTF-8",
+            ) from None
 
 
 _ELEMENT_LINE = re.compile(

@@ -121,7 +121,11 @@ def test_what_is_described() -> None:
     ball = next(j for j in descriptor.joints if j.name == "ball")
     assert ball.damping == (0.1, 0.02, 0.0)
     position, by_tendon, passive = descriptor.actuators
-    assert (position.transmission, position.target, position.ctrlrange) == ("joint", "elbow", (-1, 1))
+    assert (position.transmission, position.target, position.ctrlrange) == (
+        "joint",
+        "elbow",
+        (-1, 1),
+    )
     assert (by_tendon.transmission, by_tendon.target, by_tendon.gear[0]) == ("tendon", "t", 2.0)
     assert passive.controls == 0
     assert descriptor.world.density == 1.2
