@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from orbisim.errors import OrbiSimError as OrbiSimError
     from orbisim.physics import Physics as Physics
     from orbisim.physics import hybrid as hybrid
+    from orbisim.recording import Recording as Recording
     from orbisim.registry import available_backends as available_backends
     from orbisim.registry import available_renderers as available_renderers
     from orbisim.registry import make_backend as make_backend
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from orbisim.registry import register_backend as register_backend
     from orbisim.registry import register_renderer as register_renderer
     from orbisim.renderer import Renderer as Renderer
+    from orbisim.replay import Replay as Replay
+    from orbisim.replay import replay as replay
     from orbisim.scene import Scene as Scene
     from orbisim.scene import SceneDescriptor as SceneDescriptor
     from orbisim.scene import load_scene as load_scene
@@ -41,7 +44,9 @@ _HOMES = {
     "Capability": "orbisim.backend",
     "OrbiSimError": "orbisim.errors",
     "Physics": "orbisim.physics",
+    "Recording": "orbisim.recording",
     "Renderer": "orbisim.renderer",
+    "Replay": "orbisim.replay",
     "State": "orbisim.state",
     "Trajectory": "orbisim.trajectory",
     "available_backends": "orbisim.registry",
@@ -51,13 +56,14 @@ _HOMES = {
     "make_renderer": "orbisim.registry",
     "register_backend": "orbisim.registry",
     "register_renderer": "orbisim.registry",
+    "replay": "orbisim.replay",
     "Scene": "orbisim.scene",
     "SceneDescriptor": "orbisim.scene",
     "load_scene": "orbisim.scene",
 }
 """Public names and the modules that define them."""
 
-_MODULES = ("suite", "testing")
+_MODULES = ("recording", "suite", "testing")
 
 __all__ = [*_HOMES, *_MODULES]
 

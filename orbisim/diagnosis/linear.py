@@ -21,8 +21,11 @@ import mujoco.batch
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.diagnosis.hidden import Layout, carried_along
 from orbisim.diagnosis.samples import Samples
+from orbisim.effects.carry import hooks_of
 from orbisim.scene import Scene
+from orbisim_mujoco.stepping import step_batch
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -49,15 +52,25 @@ class Intervals:
 
 
 class IntervalMap:
-    """The scene's map over sampling intervals, for many intervals at once.
+    """A scene's map over sampling intervals, for many intervals at once.
 
     Args:
-      scene: the scene. samples: the recordings.
+      declared: the scene whose coordinates the samples have.
+      samples: the recordings.
       rows: for each recording the rows at which intervals start.
+      variant: the scene that is simulated (the declared one with effects added); the declared one
+        if None.
     """
 
-    def __init__(self, scene: Scene, samples: Sequence[Samples], rows: Sequence[Ints]) -> None:
-        self.model = scene.model
+    def __init__(
+        self,
+        declared: Scene,
+        samples: Sequence[Samples],
+        rows: Sequence[Ints],
+        variant: Scene | None = None,
+    ) -> None:
+        self.model = declared.model
+        self.variant = declared if variant is None else variant
         self.recording = np.concatenate([np.full(len(r), i) for i, r in enumerate(rows)])
         self.row = np.concatenate([np.asarray(r) for r in rows]).astype(np.int64)
         pick = [(samples[i], np.asarray(r)) for i, r in enumerate(rows)]
@@ -66,14 +79,14 @@ class IntervalMap:
         self.after_qpos = np.concatenate([s.qpos[r + 1] for s, r in pick])
         self.after_qvel = np.concatenate([s.qvel[r + 1] for s, r in pick])
         self.ctrl = np.concatenate([s.ctrl[r] for s, r in pick])
-        self.act = np.concatenate([s.act[r] for s, r in pick])
-        self.history = np.concatenate([s.history[r] for s, r in pick])
         self.force = np.concatenate([s.force[r] for s, r in pick])
         self.start = np.concatenate([s.time[r] for s, r in pick])
-        duration = np.concatenate([s.time[r + 1] - s.time[r] for s, r in pick])
-        self.duration = duration
+        self.duration = np.concatenate([s.time[r + 1] - s.time[r] for s, r in pick])
+        hidden = [carried_along(s, declared.model, self.variant.model) for s in samples]
+        self.act = np.concatenate([hidden[i][0][r] for i, r in enumerate(rows)])
+        self.history = np.concatenate([hidden[i][1][r] for i, r in enumerate(rows)])
         step = float(self.model.opt.timestep)
-        self.substeps = np.maximum(1, np.ceil(duration / step - 1e-6)).astype(int)
+        self.substeps = np.maximum(1, np.ceil(self.duration / step - 1e-6)).astype(int)
 
     def __len__(self) -> int:
         return len(self.row)
@@ -84,18 +97,15 @@ class IntervalMap:
         qvel: Floats | None = None,
         force: Floats | None = None,
         scene: Scene | None = None,
-        stretch: float = 1.0,
     ) -> tuple[Floats, Floats]:
         """States at the ends of the intervals, from other starts, forces or another scene.
 
         Args:
           qpos, qvel: starts; the reference if None. force: added generalized force.
-          scene: another scene of the same layout. stretch: factor on the durations.
+          scene: another scene of the variant's layout.
         """
-        from orbisim.effects.carry import hooks_of
-        from orbisim_mujoco.stepping import step_batch
-
-        model = self.model if scene is None else scene.model
+        model = self.variant.model if scene is None else scene.model
+        place = Layout(self.model, model)
         qpos = self.qpos if qpos is None else qpos
         qvel = self.qvel if qvel is None else qvel
         applied = self.force if force is None else self.force + force
@@ -104,22 +114,18 @@ class IntervalMap:
         for count in np.unique(self.substeps):
             index = np.flatnonzero(self.substeps == count)
             batch = mujoco.batch.Batch(model, len(index), 0)
-            batch.expand("opt.timestep")[:] = (stretch * self.duration[index] / count).reshape(
-                batch.expand("opt.timestep").shape
-            )
-            for name, values in (
-                ("time", self.start),
-                ("qpos", qpos),
-                ("qvel", qvel),
-                ("act", self.act),
-                ("history", self.history),
-                ("qfrc_applied", applied),
-                ("ctrl", self.ctrl),
-            ):
-                batch.bind(name)[:] = values[index]
-            batch.bind("qacc_warmstart")[:] = 0.0
+            timestep = batch.expand("opt.timestep")
+            timestep[:] = (self.duration[index] / count).reshape(timestep.shape)
+            batch.bind("time")[:] = self.start[index]
+            batch.bind("qpos")[:] = model.qpos0
+            batch.bind("qpos")[:, place.q] = qpos[index]
+            batch.bind("qvel")[:, place.v] = qvel[index]
+            batch.bind("qfrc_applied")[:, place.v] = applied[index]
+            batch.bind("act")[:] = self.act[index]
+            batch.bind("history")[:] = self.history[index]
             step_batch(model, batch, hooks, self.ctrl[index], int(count))
-            out_q[index], out_v[index] = batch.bind("qpos"), batch.bind("qvel")
+            out_q[index] = batch.bind("qpos")[:, place.q]
+            out_v[index] = batch.bind("qvel")[:, place.v]
         return out_q, out_v
 
     def tangent(self, from_q: Floats, from_v: Floats, to_q: Floats, to_v: Floats) -> Floats:

@@ -14,31 +14,16 @@ import mujoco.batch
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.diagnosis.hidden import Layout, carried_along
 from orbisim.diagnosis.linear import Intervals
 from orbisim.diagnosis.regress import Windows
 from orbisim.diagnosis.samples import Samples
 from orbisim.effects.carry import hooks_of
-from orbisim.recording.held import Held
-from orbisim.recording.joints import joints
 from orbisim.scene import Scene
 from orbisim_mujoco.stepping import step_batch
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
-
-
-class Layout:
-    """Where the declared scene's coordinates stand in a variant that may have more of them."""
-
-    def __init__(self, declared: mujoco.MjModel, variant: mujoco.MjModel) -> None:
-        self.same = declared.nq == variant.nq and declared.nv == variant.nv
-        own = {j.label: j for j in joints(variant)}
-        q, v = np.zeros(declared.nq, int), np.zeros(declared.nv, int)
-        for joint in joints(declared):
-            there = own[joint.label]
-            q[joint.q] = np.arange(there.q.start, there.q.stop)
-            v[joint.v] = np.arange(there.v.start, there.v.stop)
-        self.q, self.v = q, v
 
 
 class Shooter:
@@ -71,7 +56,6 @@ class Shooter:
         self.qvel = np.array([s.qvel[r : r + k + 1] for s, r in rows])
         self.ctrl = np.array([s.ctrl[r : r + k] for s, r in rows])
         self.force = np.array([s.force[r : r + k] for s, r in rows])
-        self.act = np.array([s.act[r] for s, r in rows])
         deviation = np.array(
             [np.concatenate([s.dq[r : r + k + 1], s.dv[r : r + k + 1]], axis=1) for s, r in rows]
         )
@@ -108,9 +92,9 @@ class Shooter:
         batch.bind("qvel")[:] = 0.0
         batch.bind("qvel")[:, place.v] = qvel
         batch.bind("time")[:] = self.time[:, 0]
-        batch.bind("act")[:] = self._activations(model)
-        if model.nhistory:
-            batch.bind("history")[:] = self._histories(model)
+        if model.na or model.nhistory:
+            act, history = self._hidden(model)
+            batch.bind("act")[:], batch.bind("history")[:] = act, history
         timestep = batch.expand("opt.timestep")
         hooks = hooks_of(model)
         out = np.empty((len(self), self.windows.length + 1, 2 * self.nv))
@@ -153,54 +137,17 @@ class Shooter:
                 mujoco.mj_differentiatePos(self.declared.model, dq[w], 1.0, reference[w], here)
         return np.concatenate([dq, qvel - self.qvel[:, k]], axis=1)
 
-    def _activations(self, model: mujoco.MjModel) -> Floats:
-        """Declared activations as carried along; those that the variant adds, filtered."""
-        act = np.zeros((len(self), model.na))
-        declared = self.declared.model
-        for a in range(model.nactuator):
-            adr = int(model.actuator_actadr[a])
-            if adr < 0:
-                continue
-            before = int(declared.actuator_actadr[a]) if a < declared.nactuator else -1
-            if before >= 0:
-                act[:, adr] = self.act[:, before]
-            else:
-                control, tau = int(model.actuator_ctrladr[a]), float(model.actuator_dynprm[a, 0])
-                act[:, adr] = [
-                    _filtered(self.samples[i], int(r), control, tau)
-                    for i, r in zip(self.windows.recording, self.row, strict=True)
-                ]
-        return act
-
-    def _histories(self, model: mujoco.MjModel) -> Floats:
-        """Delay buffers filled with the controls of the time before."""
-        data = mujoco.MjData(model)
-        found = np.zeros((len(self), model.nhistory))
-        held = [Held(s.time, s.ctrl) for s in self.samples]
-        step = float(np.median(np.diff(self.time, axis=1))) / int(self.substeps)
-        for w, i in enumerate(self.windows.recording):
-            for a in np.flatnonzero(model.actuator_historyadr >= 0):
-                n = int(model.actuator_history[a, 0])
-                times = self.time[w, 0] - step * np.arange(n, 0, -1)
-                column = int(model.actuator_ctrladr[a])
-                values = held[i].at(times + 1e-6 * step)[:, column]
-                mujoco.mj_initCtrlHistory(model, data, int(a), times, values)
-            found[w] = data.history
-        return found
+    def _hidden(self, model: mujoco.MjModel) -> tuple[Floats, Floats]:
+        """Activations and delay buffers at the windows' starts."""
+        every = [carried_along(s, self.declared.model, model) for s in self.samples]
+        at = list(zip(self.windows.recording, self.row, strict=True))
+        return (
+            np.array([every[i][0][r] for i, r in at]),
+            np.array([every[i][1][r] for i, r in at]),
+        )
 
 
 _LOST = 1e6
-
-
-def _filtered(one: Samples, row: int, control: int, tau: float) -> float:
-    """The control after a first-order filter, at a row."""
-    first = max(0, row - 400)
-    value = float(one.ctrl[first, control])
-    for k in range(first, row):
-        decay = np.exp(-(one.time[k + 1] - one.time[k]) / tau)
-        value = one.ctrl[k, control] + (value - one.ctrl[k, control]) * decay
-    return float(value)
-
 
 # ---------------------------------------------------------------------------------------------
 # Gauss-Newton

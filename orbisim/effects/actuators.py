@@ -161,6 +161,9 @@ class ActuatorDelay(ActuatorEffect):
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("delay", "s", 0.0, 2.0, 0.02),)
 
+    def resolution(self, model: mujoco.MjModel, name: str) -> float:
+        return float(model.opt.timestep)
+
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         actuator = spec_element(spec, "actuator", instance.target)
         delay = instance.values["delay"]

@@ -157,6 +157,10 @@ class Effect(abc.ABC):
         """Parameter values from which a search by simulation may start."""
         return [{p.name: p.scale for p in self.parameters(model, target)}]
 
+    def resolution(self, model: mujoco.MjModel, name: str) -> float:
+        """Step below which a parameter has no effect (delays act in timesteps); 0 for none."""
+        return 0.0
+
     def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
         """Names of the parameters that a fit changes; the others follow from them."""
         return tuple(p.name for p in self.parameters(model, target))

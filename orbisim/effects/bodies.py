@@ -51,13 +51,17 @@ class Payload(BodyEffect):
         add_point_mass(spec, body, instance.values["mass"], position)
 
     def screen(self, view: View, target: str) -> list[Candidate]:
-        """1 kg at the frame's origin, and the first moments about it (linear in mass times place)."""
-        columns = (_inertia(view, target, np.zeros(3)), *_first_moments(view, target))
+        """1 kg at the frame's origin, and its first and second moments about it."""
+        columns = (
+            _inertia(view, target, np.zeros(3)),
+            *_first_moments(view, target),
+            *_second_moments(view, target),
+        )
 
         def solve(c: Floats) -> dict[str, float] | None:
             if c[0] <= 0:
                 return None
-            place = np.clip(c[1:] / c[0], -2.0, 2.0)
+            place = np.clip(c[1:4] / c[0], -2.0, 2.0)
             return {"mass": float(c[0]), **dict(zip(("com_x", "com_y", "com_z"), map(float, place), strict=True))}
 
         return [Candidate(self.name, target, columns, solve)]
@@ -356,6 +360,23 @@ def _first_moments(view: View, body: str) -> tuple[Column, ...]:
         Column("force", 0.5 * (motion.point_inertia(axis) - motion.point_inertia(-axis)))
         for axis in np.eye(3)
     )
+
+
+def _second_moments(view: View, body: str) -> tuple[Column, ...]:
+    """The part of a point mass's inertia that is quadratic in its place."""
+    motion = view.body_motion(index_of(view.model, "body", body))
+    origin = motion.point_inertia(np.zeros(3))
+
+    def even(place: Floats) -> Floats:
+        both = motion.point_inertia(place) + motion.point_inertia(-place)
+        return np.asarray(0.5 * both - origin)
+
+    squares = [even(axis) for axis in np.eye(3)]
+    found = [Column("force", square) for square in squares]
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        mixed = even(np.eye(3)[i] + np.eye(3)[j]) - squares[i] - squares[j]
+        found.append(Column("force", mixed))
+    return tuple(found)
 
 
 def _waves(view: View, frequency: float, unit: Floats) -> tuple[Column, Column]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
 import numpy as np
-from scipy import optimize
 
 from orbisim.effects.base import Effect, EffectInstance, Parameter, index_of, spec_element
 from orbisim.errors import InputError
@@ -34,6 +34,11 @@ class _Coefficient(ContactEffect):
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("coefficient", self.unit, 0.0, 100.0, self.scale),)
+
+    def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
+        declared = float(model.geom_friction[index_of(model, "geom", target), self.index])
+        levels = {self.scale * f for f in (0.2, 0.6, 1.5, 4.0)} | {0.7 * declared, 1.4 * declared}
+        return [{"coefficient": level} for level in sorted(levels)]
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         geom = spec_element(spec, "geom", instance.target)
@@ -82,6 +87,10 @@ class AnisotropicFriction(ContactEffect):
             Parameter("coefficient", "1", 1e-5, 100.0, 0.5),
         )
 
+    def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
+        declared = float(model.geom_friction[index_of(model, "geom", target), 0])
+        return [{"ratio": ratio, "coefficient": declared} for ratio in (0.3, 0.6, 1.6, 3.0)]
+
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         model = spec.copy().compile()
@@ -107,6 +116,13 @@ class Restitution(ContactEffect):
             Parameter("coefficient", "1", 0.0, 1.2, 0.5),
             Parameter("stiffness", "1/s^2", 10.0, 1e9, 1e5),
         )
+
+    def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
+        stiffness = min(1e5, 0.1 / float(model.opt.timestep) ** 2)
+        return [{"coefficient": e, "stiffness": stiffness} for e in (0.1, 0.3, 0.5, 0.7, 0.9)]
+
+    def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
+        return ("coefficient",)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         geom = spec_element(spec, "geom", instance.target)
@@ -136,6 +152,8 @@ def restitution_of(ratio: float) -> float:
 
 def damping_ratio_for(coefficient: float) -> float:
     """The damping ratio that gives a coefficient of restitution (below 0: more than 1)."""
+    from scipy import optimize
+
     low, high = -0.1, 50.0
     if coefficient >= restitution_of(low):
         return low
@@ -156,6 +174,13 @@ class ContactCompliance(ContactEffect):
             Parameter("damping_ratio", "1", 0.0, 100.0, 1.0),
         )
 
+    def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
+        return [
+            {"stiffness": stiffness, "damping_ratio": ratio}
+            for stiffness in (300.0, 1e3, 4e3)
+            for ratio in (0.3, 1.0)
+        ]
+
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         geom = spec_element(spec, "geom", instance.target)
         stiffness = instance.values["stiffness"]
@@ -172,6 +197,11 @@ class Adhesion(ContactEffect):
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("force", "N", 0.0, 1e6, 1.0),)
+
+    def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
+        body = int(model.geom_bodyid[index_of(model, "geom", target)])
+        weight = float(model.body_subtreemass[body]) * float(np.linalg.norm(model.opt.gravity))
+        return [{"force": f * max(weight, 0.1)} for f in (0.1, 0.4, 1.5)]
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         spec_element(spec, "geom", instance.target).adhesion = instance.values["force"]

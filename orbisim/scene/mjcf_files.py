@@ -16,7 +16,6 @@ from orbisim.errors import SceneError
 from orbisim.scene import xmlsafe
 from orbisim.scene.confine import confinement, resolve_inside
 from orbisim.scene.files import file_references, locate
-from orbisim.scene.meshes import check_mesh_file
 from orbisim.scene.meshformats import obj_has_several_objects
 from orbisim.scene.xmlsafe import Node
 
@@ -56,6 +55,8 @@ def check_meshes(spec: mujoco.MjSpec, folders: Sequence[Path], source: str) -> t
     Raises:
       SceneError: a mesh file is broken or hostile.
     """
+    from orbisim.scene.meshes import check_mesh_file  # trimesh takes most of a second
+
     checked: set[Path] = set()
     notes: list[str] = []
     for reference in file_references(spec):
