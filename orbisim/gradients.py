@@ -76,7 +76,9 @@ class _Step(torch.autograd.Function):  # type: ignore[misc, name-defined]
     """One step of a backend that knows no gradients, with its linearization."""
 
     @staticmethod
-    def forward(ctx: Any, carrier: dict[str, Any], qpos: Any, qvel: Any, act: Any, control: Any) -> Any:
+    def forward(
+        ctx: Any, carrier: dict[str, Any], qpos: Any, qvel: Any, act: Any, control: Any
+    ) -> Any:
         backend: Backend = carrier["backend"]
         host = carrier["state"].replace(qpos=qpos, qvel=qvel, act=act).numpy()
         host_control = control.detach().cpu().numpy()

@@ -67,7 +67,9 @@ def layout(model: mujoco.MjModel) -> Layout:
     scalar = np.isin(kinds, (int(hinge), int(slide)))
     units: dict[str, str] = {}
     if scalar.any() or (kinds == ball).any():
-        unit = _joint_unit(bool((kinds == slide).any()), bool(np.isin(kinds, (int(hinge), int(ball))).any()))
+        unit = _joint_unit(
+            bool((kinds == slide).any()), bool(np.isin(kinds, (int(hinge), int(ball))).any())
+        )
         units["joint_position"] = unit
         units["joint_velocity"] = " or ".join(f"{part}/s" for part in unit.split(" or "))
     if (kinds == free).any():

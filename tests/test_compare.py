@@ -84,7 +84,9 @@ def test_names_in_the_report_are_escaped(tmp_path: Path) -> None:
     result = compare(load_scene(MIXED), count=1, horizon=0.05, b="mujoco")
     import dataclasses
 
-    page = dataclasses.replace(result, source="<script>alert(1)</script>").report(tmp_path, video=False)
+    page = dataclasses.replace(result, source="<script>alert(1)</script>").report(
+        tmp_path, video=False
+    )
     assert "<script>" not in page.read_text()
 
 
@@ -95,7 +97,9 @@ def test_divergence_is_counted() -> None:
         def step(self, state, control=None, nstep=1):  # type: ignore[no-untyped-def]
             from orbisim.errors import DivergedError
 
-            lost = np.flatnonzero((state.time > 0.05) & (np.arange(state.nworld) == state.nworld - 1))
+            lost = np.flatnonzero(
+                (state.time > 0.05) & (np.arange(state.nworld) == state.nworld - 1)
+            )
             if lost.size and state.nworld == 3:
                 raise DivergedError("gone", lost)
             return super().step(state, None, nstep)
@@ -155,7 +159,9 @@ def test_rotation_angle_is_a_metric(p: list[float], q: list[float], r: list[floa
 def test_rotation_angle_of_known_rotations() -> None:
     for angle in (1e-9, 0.3, 3.0):
         turned = np.array([np.cos(angle / 2), 0, np.sin(angle / 2), 0])
-        assert metrics.rotation_angle(np.array([1.0, 0, 0, 0]), turned) == pytest.approx(angle, rel=1e-6)
+        assert metrics.rotation_angle(np.array([1.0, 0, 0, 0]), turned) == pytest.approx(
+            angle, rel=1e-6
+        )
 
 
 def test_energy_of_a_pendulum() -> None:

@@ -65,7 +65,9 @@ def test_gradient_of_a_rollout(source):
     for _ in range(3):
         dv = rng.normal(size=state.qvel.shape)
         slope = (value(dv=eps * dv) - value(dv=-eps * dv)) / (2 * eps)
-        assert float((qvel.grad * torch.as_tensor(dv)).sum()) == pytest.approx(slope, rel=1e-4, abs=1e-6)
+        assert float((qvel.grad * torch.as_tensor(dv)).sum()) == pytest.approx(
+            slope, rel=1e-4, abs=1e-6
+        )
         if model.nu:
             du = torch.as_tensor(rng.normal(size=controls.shape))
             slope = (value(du=eps * du) - value(du=-eps * du)) / (2 * eps)

@@ -44,7 +44,9 @@ def paired(ours: Callable[[], float], theirs: Callable[[], float]) -> tuple[floa
     return statistics.median(a for a, _ in pairs), statistics.median(b for _, b in pairs), ratio
 
 
-def row(what: str, values: tuple[float, float, float], unit: str, goal: str, ok: bool) -> dict[str, Any]:
+def row(
+    what: str, values: tuple[float, float, float], unit: str, goal: str, ok: bool
+) -> dict[str, Any]:
     """One line of the table."""
     ours, theirs, ratio = values
     return {
@@ -175,7 +177,9 @@ def help_text() -> list[dict[str, Any]]:
     program = str(Path(sys.executable).with_name("orbisim"))
     values = paired(lambda: run(program, "--help"), lambda: run(sys.executable, "-c", "pass"))
     return [
-        row("`orbisim --help`, against an empty Python", values, "s", "under 0.5 s", values[0] < 0.5)
+        row(
+            "`orbisim --help`, against an empty Python", values, "s", "under 0.5 s", values[0] < 0.5
+        )
     ]
 
 

@@ -47,9 +47,7 @@ def mjcf_files() -> list[tuple[str, Path]]:
         "dm_control, composed": composed(),
         **{name: unpacked(name) for name in WHEELS},
     }
-    return [
-        (name, path) for name, root in roots.items() for path in sorted(root.rglob("*.xml"))
-    ]
+    return [(name, path) for name, root in roots.items() for path in sorted(root.rglob("*.xml"))]
 
 
 def composed() -> Path:

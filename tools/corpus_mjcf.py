@@ -1,6 +1,6 @@
 """Loads every MJCF scene of the corpora and compares 1,000 steps with plain MuJoCo, bit for bit.
 
-    python tools/corpus_mjcf.py --out out/corpus_mjcf
+python tools/corpus_mjcf.py --out out/corpus_mjcf
 """
 
 from __future__ import annotations
@@ -42,7 +42,14 @@ def results() -> Iterator[dict[str, Any]]:
     """One row for each file."""
     for corpus, path in mjcf_files():
         row: dict[str, Any] = {"corpus": corpus, "file": path.name, "mujoco": False}
-        row |= {"loaded": False, "equal": False, "identical": False, "editable": False, "tensors": False, "note": ""}
+        row |= {
+            "loaded": False,
+            "equal": False,
+            "identical": False,
+            "editable": False,
+            "tensors": False,
+            "note": "",
+        }
         try:
             plain = mujoco.MjModel.from_xml_path(str(path))
             row["mujoco"] = True
@@ -92,7 +99,10 @@ def markdown(rows: list[dict[str, Any]]) -> str:
     for corpus in dict.fromkeys(row["corpus"] for row in rows):
         mine = [row for row in rows if row["corpus"] == corpus]
         good = [row for row in mine if row["mujoco"]]
-        counts = [sum(row[key] for row in good) for key in ("loaded", "identical", "editable", "equal", "tensors")]
+        counts = [
+            sum(row[key] for row in good)
+            for key in ("loaded", "identical", "editable", "equal", "tensors")
+        ]
         lines.append(f"| {corpus} | {len(mine)} | {len(good)} | {' | '.join(map(str, counts))} |")
     return "\n".join(lines) + "\n"
 

@@ -126,7 +126,10 @@ def one_task(domain: str, task: str) -> dict[str, Any]:
 def mujoco_table(rows: list[dict[str, Any]]) -> str:
     """Summary in Markdown."""
     equal = sum(row["equal_steps"] == STEPS for row in rows)
-    lines = [f"{equal} of {len(rows)} tasks: {STEPS} random steps equal dm_control's bit for bit.", ""]
+    lines = [
+        f"{equal} of {len(rows)} tasks: {STEPS} random steps equal dm_control's bit for bit.",
+        "",
+    ]
     lines += [
         f"- {row['task']}: {row['equal_steps']} equal steps {row['note']}"
         for row in rows

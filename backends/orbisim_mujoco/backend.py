@@ -114,7 +114,11 @@ class MujocoBackend(Backend):
         """Applies a sequence of controls open-loop, all worlds in parallel threads."""
         if self._hooks:  # they act between timesteps
             return super().rollout(
-                state, controls, nstep=nstep, sensors=sensors, raise_on_divergence=raise_on_divergence
+                state,
+                controls,
+                nstep=nstep,
+                sensors=sensors,
+                raise_on_divergence=raise_on_divergence,
             )
         controls = self.check_controls(state, controls)
         batch = self._write(state)

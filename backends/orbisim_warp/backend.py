@@ -51,9 +51,7 @@ _TOO_SMALL = int(
     | mjw.OverflowType.CCD
     | mjw.OverflowType.NVMAX
 )  # larger buffers help; reaching the solver's iteration limit is no error, as in C MuJoCo
-_BROKEN = int(
-    mjw.OverflowType.HFIELD | mjw.OverflowType.CONTACT_MATCH | mjw.OverflowType.TACTILE
-)
+_BROKEN = int(mjw.OverflowType.HFIELD | mjw.OverflowType.CONTACT_MATCH | mjw.OverflowType.TACTILE)
 _ATTEMPTS = 6
 
 

@@ -20,12 +20,12 @@ import mujoco
 import mujoco.batch
 import numpy as np
 import numpy.typing as npt
+from orbisim_mujoco.stepping import step_batch
 
 from orbisim.diagnosis.hidden import Layout, carried_along
 from orbisim.diagnosis.samples import Samples
 from orbisim.effects.carry import hooks_of
 from orbisim.scene import Scene
-from orbisim_mujoco.stepping import step_batch
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

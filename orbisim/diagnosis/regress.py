@@ -207,9 +207,7 @@ def _chunk(
     design *= seen[..., None]
     target *= seen
     flat = design.reshape(w, -1, n2 + c)
-    return [
-        _project(flat[i], target[i].ravel(), n2, int(seen[i].sum())) for i in range(w)
-    ]
+    return [_project(flat[i], target[i].ravel(), n2, int(seen[i].sum())) for i in range(w)]
 
 
 def _project(design: Floats, target: Floats, free: int, count: int) -> Normal:
@@ -221,9 +219,7 @@ def _project(design: Floats, target: Floats, free: int, count: int) -> Normal:
     rest = design[:, free:]
     rest = rest - basis @ (basis.T @ rest)
     target = target - basis @ (basis.T @ target)
-    return Normal(
-        rest.T @ rest, rest.T @ target, float(target @ target), count - int(good.sum())
-    )
+    return Normal(rest.T @ rest, rest.T @ target, float(target @ target), count - int(good.sum()))
 
 
 def total(normals: Sequence[Normal]) -> Normal:

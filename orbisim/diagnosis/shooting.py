@@ -13,6 +13,7 @@ import mujoco
 import mujoco.batch
 import numpy as np
 import numpy.typing as npt
+from orbisim_mujoco.stepping import step_batch
 
 from orbisim.diagnosis.hidden import Layout, carried_along
 from orbisim.diagnosis.linear import Intervals
@@ -20,7 +21,6 @@ from orbisim.diagnosis.regress import Windows
 from orbisim.diagnosis.samples import Samples
 from orbisim.effects.carry import hooks_of
 from orbisim.scene import Scene
-from orbisim_mujoco.stepping import step_batch
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

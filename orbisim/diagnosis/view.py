@@ -91,7 +91,9 @@ class MotionView:
         gain = np.full(len(self.time), float(prm[0]))
         if model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_AFFINE:
             moment = self._moment[:, actuator]
-            gain = gain + prm[1] * self._length(actuator) + prm[2] * (moment * self.qvel).sum(axis=1)
+            gain = (
+                gain + prm[1] * self._length(actuator) + prm[2] * (moment * self.qvel).sum(axis=1)
+            )
         return gain
 
     def _length(self, actuator: int) -> Floats:

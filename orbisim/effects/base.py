@@ -133,9 +133,7 @@ class Effect(abc.ABC):
 
     def targets(self, model: mujoco.MjModel) -> tuple[str, ...]:
         """Names of everything in the model that can have this effect."""
-        return tuple(
-            name for name in names_of_kind(model, self.kind) if self.possible(model, name)
-        )
+        return tuple(name for name in names_of_kind(model, self.kind) if self.possible(model, name))
 
     def possible(self, model: mujoco.MjModel, target: str) -> bool:
         """Whether this target can have the effect."""
@@ -164,6 +162,10 @@ class Effect(abc.ABC):
     def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
         """Names of the parameters that a fit changes; the others follow from them."""
         return tuple(p.name for p in self.parameters(model, target))
+
+    def encode(self, model: mujoco.MjModel, target: str, values: Values) -> Values:
+        """The free parameters' values from all parameters'."""
+        return {name: values[name] for name in self.free_parameters(model, target)}
 
     def complete(self, model: mujoco.MjModel, target: str, values: Values) -> Values:
         """All parameters from the free ones."""

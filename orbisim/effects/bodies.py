@@ -62,7 +62,10 @@ class Payload(BodyEffect):
             if c[0] <= 0:
                 return None
             place = np.clip(c[1:4] / c[0], -2.0, 2.0)
-            return {"mass": float(c[0]), **dict(zip(("com_x", "com_y", "com_z"), map(float, place), strict=True))}
+            return {
+                "mass": float(c[0]),
+                **dict(zip(("com_x", "com_y", "com_z"), map(float, place), strict=True)),
+            }
 
         return [Candidate(self.name, target, columns, solve)]
 
@@ -299,10 +302,15 @@ class GravityTilt(Effect):
     def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
         return ("tilt_1", "tilt_2")
 
+    def encode(self, model: mujoco.MjModel, target: str, values: Values) -> Values:
+        """Tangents of the tilt along two horizontal directions."""
+        gravity = np.asarray(model.opt.gravity)
+        tilted = np.array([values[axis] for axis in _AXES])
+        down = gravity / np.linalg.norm(gravity)
+        parts = _across(gravity) @ tilted / (tilted @ down)
+        return {"tilt_1": float(parts[0]), "tilt_2": float(parts[1])}
+
     def complete(self, model: mujoco.MjModel, target: str, values: Values) -> Values:
-        """From the tangents of the tilt along two horizontal directions."""
-        if "angle" in values:
-            return values
         gravity = np.asarray(model.opt.gravity)
         size = float(np.linalg.norm(gravity))
         across = _across(gravity)
@@ -462,9 +470,7 @@ class _Periodic(Hook):
 # Inertia in a document
 
 
-def inertial_of(
-    spec: mujoco.MjSpec, name: str
-) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+def inertial_of(spec: mujoco.MjSpec, name: str) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
     """Mass, centre of mass, principal axes and moments of a body as the compiler has them."""
     model = spec.copy().compile()
     body = index_of(model, "body", name)

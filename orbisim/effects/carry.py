@@ -69,9 +69,7 @@ def carried_effects(model: mujoco.MjModel, source: str = "scene") -> tuple[Effec
         for instance in instances:
             find(instance.effect).check(model, instance)
     except (ValueError, OrbiSimError) as error:
-        raise SceneError(
-            source, str(error), element=f"<custom><text name='{TEXT_NAME}'>"
-        ) from None
+        raise SceneError(source, str(error), element=f"<custom><text name='{TEXT_NAME}'>") from None
     return instances
 
 

@@ -79,7 +79,12 @@ class ViscousDamping(JointEffect):
         return (Parameter("coefficient", unit, -_LARGE, _LARGE, 0.1),)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
-        _add(spec_element(spec, "joint", instance.target), "damping", 0, instance.values["coefficient"])
+        _add(
+            spec_element(spec, "joint", instance.target),
+            "damping",
+            0,
+            instance.values["coefficient"],
+        )
 
     def screen(self, view: View, target: str) -> list[Candidate]:
         return [self.candidate(view, target, [-_speed(view, target)], keyed("coefficient"))]
@@ -96,7 +101,12 @@ class QuadraticDamping(JointEffect):
         return (Parameter("coefficient", unit, 0.0, _LARGE, 0.05),)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
-        _add(spec_element(spec, "joint", instance.target), "damping", 1, instance.values["coefficient"])
+        _add(
+            spec_element(spec, "joint", instance.target),
+            "damping",
+            1,
+            instance.values["coefficient"],
+        )
 
     def screen(self, view: View, target: str) -> list[Candidate]:
         v = _speed(view, target)
@@ -359,7 +369,11 @@ class LoadDependentFriction(JointEffect):
         loads = {"actuator": view.qfrc_actuator[:, dof], "external": view.qfrc_bias[:, dof]}
         return [
             self.candidate(
-                view, target, [-sign * np.abs(load)], positive("coefficient"), options={"load": name}
+                view,
+                target,
+                [-sign * np.abs(load)],
+                positive("coefficient"),
+                options={"load": name},
             )
             for name, load in loads.items()
             if np.abs(load).max() > 0

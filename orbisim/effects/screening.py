@@ -137,7 +137,9 @@ class BodyMotion:
 
     def force(self, vector: Floats) -> Floats:
         """Generalized force [M, nv] of a force [M, 3] or [3] at the centre of mass."""
-        return np.asarray(np.einsum("mij,mi->mj", self.jac_com, np.broadcast_to(vector, self.com.shape)))
+        return np.asarray(
+            np.einsum("mij,mi->mj", self.jac_com, np.broadcast_to(vector, self.com.shape))
+        )
 
     def point_inertia(self, position: Floats) -> Floats:
         """Generalized force [M, nv] of the inertia and weight of 1 kg at a point of the body."""

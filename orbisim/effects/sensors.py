@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import mujoco
-
 import numpy as np
 
 from orbisim.effects.base import Effect, Parameter, index_of, is_scalar_joint, names_of_kind

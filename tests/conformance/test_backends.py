@@ -18,4 +18,3 @@ class TestWarp(BackendConformance):
     backend = "warp"
     tolerance = 2e-5  # float32
     law_tolerance = 5e-3
-

@@ -62,8 +62,6 @@ def generalized_force(scene: Scene, time: float = 0.0, backend: str = "mujoco") 
     return full @ after.memory["qacc"][0] + data.qfrc_bias
 
 
-
-
 def velocities(model: mujoco.MjModel, body: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Angular and linear velocity of the centre of mass in the world, and its Jacobian."""
     data = mujoco.MjData(model)
@@ -299,7 +297,9 @@ def test_sliding_friction() -> None:
 
 def test_anisotropic_friction() -> None:
     values = {"ratio": 4.0, "coefficient": 0.1}
-    changed = add_effects(load_scene(SLOPE), [EffectInstance("anisotropic_friction", "box", values)])
+    changed = add_effects(
+        load_scene(SLOPE), [EffectInstance("anisotropic_friction", "box", values)]
+    )
     np.testing.assert_allclose(changed.model.pair_friction[0, :2], [0.1, 0.4])
 
 
@@ -311,7 +311,9 @@ def test_adhesion() -> None:
         held = EffectInstance("adhesion", "box", {"force": force})
         engine = make_backend("mujoco", add_effects(load_scene(SLOPE), [slides, held]))
         start = engine.step(engine.reset(), None, 300)
-        accelerations.append(float(engine.step(start, None, 500).qvel[0, 0] - start.qvel[0, 0]) / 0.5)
+        accelerations.append(
+            float(engine.step(start, None, 500).qvel[0, 0] - start.qvel[0, 0]) / 0.5
+        )
     assert accelerations[0] == pytest.approx(3 - 0.2 * 9, abs=0.01)
     assert 0.2 * 2 < accelerations[0] - accelerations[1] < 0.2 * 4 + 0.01
 
@@ -355,7 +357,10 @@ def test_physics_applies_carried_effects(scene: Scene) -> None:
         ('[{"effect": "no_such", "target": "fore", "parameters": {}}]', "unknown effect"),
         ('[{"effect": "linear_drag", "target": "leg", "parameters": {"coefficient": 1}}]', "'leg'"),
         ('[{"effect": "linear_drag", "target": "fore", "parameters": {}}]', "lacks coefficient"),
-        ('[{"effect": "linear_drag", "target": "fore", "parameters": {"coefficient": -1}}]', "within"),
+        (
+            '[{"effect": "linear_drag", "target": "fore", "parameters": {"coefficient": -1}}]',
+            "within",
+        ),
     ],
 )
 def test_unreadable_effects_are_refused(data: str, message: str) -> None:

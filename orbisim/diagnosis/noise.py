@@ -1,0 +1,104 @@
+"""Measurement noise, told apart from the motion by the model.
+
+A sampled signal with fast content looks noisy to any differentiator. Along the linear system of
+`orbisim.diagnosis.linear` the motion is predictable but for the missing force; with a missing force
+of arbitrary slow course in every joint, what is left over is the noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.diagnosis.linear import Intervals
+from orbisim.diagnosis.regress import Windows
+from orbisim.diagnosis.samples import Samples
+
+Floats = npt.NDArray[np.float64]
+
+_KNOT = 4
+_ROUNDS = 6
+_MAX_WINDOWS = 60
+
+
+def estimate_noise(
+    samples: Sequence[Samples], intervals: Intervals, windows: Windows
+) -> tuple[Floats, Floats]:
+    """Standard deviations of measured positions and velocities, each [nv]; NaN where not measured.
+
+    Within each window, the start and a piecewise linear force (a knot every few samples) in
+    every degree of freedom are fitted; the noise of each signal is what remains, degrees of freedom
+    counted. Signals are weighted by their noise, which takes a few rounds.
+    """
+    nv = intervals.B.shape[2]
+    guess = np.concatenate([samples[0].q_noise, samples[0].v_noise])
+    measured = np.flatnonzero(np.isfinite(guess))
+    if not len(windows) or not len(measured):
+        return guess[:nv], guess[nv:]
+    some = windows.some(_spread(len(windows)))
+    design, target, seen = _flexible(samples, intervals, some, measured)
+    sigma = np.maximum(guess[measured], 1e-12)
+    for _ in range(_ROUNDS):
+        sigma = _round(design, target, seen, sigma)
+    found = np.full(2 * nv, np.nan)
+    found[measured] = sigma
+    return found[:nv], found[nv:]
+
+
+def _spread(count: int) -> npt.NDArray[np.bool_]:
+    keep = np.zeros(count, bool)
+    keep[np.unique(np.linspace(0, count - 1, min(count, _MAX_WINDOWS)).round().astype(int))] = True
+    return keep
+
+
+def _flexible(
+    samples: Sequence[Samples],
+    intervals: Intervals,
+    windows: Windows,
+    measured: npt.NDArray[np.int64],
+) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
+    """Responses [W, K + 1, ny, P] to start and force knots, deviations and which are there."""
+    n2, nv, k = intervals.A.shape[1], intervals.B.shape[2], windows.length
+    knots = max(2, k // _KNOT + 1)
+    places = np.linspace(0, k - 1, knots)
+    hats = np.clip(1 - np.abs(np.arange(k)[:, None] - places) / (places[1] - places[0]), 0, None)
+    width = n2 + nv * knots
+    x = np.zeros((len(windows), n2, width + 1))
+    x[:, :, :n2] = np.eye(n2)
+    design = np.zeros((len(windows), k + 1, len(measured), width))
+    target = np.zeros((len(windows), k + 1, len(measured)))
+    both = [np.concatenate([s.dq, s.dv], axis=1) for s in samples]
+    for step in range(k + 1):
+        at = windows.first + min(step, k - 1)
+        rows = [
+            both[i][r + (step == k)][measured]
+            for i, r in zip(intervals.recording[at], intervals.row[at], strict=True)
+        ]
+        design[:, step] = x[:, measured, :-1]
+        target[:, step] = np.array(rows) - x[:, measured, -1]
+        if step < k:
+            x = np.einsum("wij,wjc->wic", intervals.A[at], x)
+            push = np.einsum("wij,h->wijh", intervals.B[at], hats[step])
+            x[:, :, n2:-1] += push.reshape(len(at), n2, -1)
+            x[:, :, -1] -= intervals.defect[at]
+    return design, target, np.isfinite(target)
+
+
+def _round(design: Floats, target: Floats, seen: npt.NDArray[np.bool_], sigma: Floats) -> Floats:
+    """Noise of each signal from the residuals of one weighted fit."""
+    squares, freedom = np.zeros(len(sigma)), np.zeros(len(sigma))
+    for w in range(len(design)):
+        weight = seen[w] / sigma
+        matrix = (design[w] * weight[..., None]).reshape(-1, design.shape[3])
+        values = (np.where(seen[w], target[w], 0.0) * weight).ravel()
+        scale = np.linalg.norm(matrix, axis=0)
+        matrix = matrix / np.where(scale > 0, scale, 1.0)
+        u, s, _ = np.linalg.svd(matrix, full_matrices=False)
+        u = u[:, s > 1e-8 * s[0]]
+        left = (values - u @ (u.T @ values)).reshape(seen[w].shape)
+        leverage = (u**2).sum(axis=1).reshape(seen[w].shape)
+        squares += (left**2).sum(axis=0)
+        freedom += (seen[w] * (1 - leverage)).sum(axis=0)
+    return np.maximum(sigma * np.sqrt(squares / np.maximum(freedom, 1.0)), 1e-12)

@@ -1,0 +1,27 @@
+"""Recordings: reading, checking, smoothing, and putting them into a scene's order."""
+
+from orbisim.recording.binding import Bound, bind
+from orbisim.recording.capture import capture
+from orbisim.recording.motion import (
+    Motion,
+    SmoothedRotation,
+    estimate_motion,
+    smooth_rotation,
+)
+from orbisim.recording.noise import noise_std
+from orbisim.recording.recording import Recording
+from orbisim.recording.smoothing import Smoothed, smooth
+
+__all__ = [
+    "Bound",
+    "Motion",
+    "Recording",
+    "Smoothed",
+    "SmoothedRotation",
+    "bind",
+    "capture",
+    "estimate_motion",
+    "noise_std",
+    "smooth",
+    "smooth_rotation",
+]

@@ -1,0 +1,234 @@
+"""A recording in a scene's order: what of the state, the controls and the sensors is known when."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.errors import RecordingError
+from orbisim.recording import inference, inverse
+from orbisim.recording.actuators import Actuator, actuators
+from orbisim.recording.assembly import Assembly
+from orbisim.recording.held import filled
+from orbisim.recording.joints import Joint, body_label, joints
+
+if TYPE_CHECKING:
+    from orbisim.recording.recording import Recording
+    from orbisim.scene import Scene
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Bound:
+    """A recording that fits a scene.
+
+    Attributes:
+      recording, scene: what was bound.
+      time: [T], s.
+      qpos: [T, nq], qvel: [T, nv]; NaN where missing. Quaternions have unit norm and no sign flips.
+      ctrl: [T, nu] without NaN: a missing sample holds the one before it.
+      torque: [T, nv] recorded generalized forces, NaN where there are none.
+      applied: [nv] whether the recorded force drives the joint.
+      switched_off: numbers of actuators that the recorded forces stand for.
+      xpos, xquat: recorded poses [T, 3], [T, 4] by body number.
+      sensordata: [T, nsensordata], NaN where not recorded.
+      measured: numbers of the joints whose positions were measured (not inferred from others).
+      unseen_turns: numbers of free joints whose orientation is not recorded and does not matter.
+      notes: what was ignored, assumed or looks wrong.
+    """
+
+    recording: Recording
+    scene: Scene
+    time: Floats
+    qpos: Floats
+    qvel: Floats
+    ctrl: Floats
+    torque: Floats
+    applied: Bools
+    switched_off: tuple[int, ...]
+    xpos: Mapping[int, Floats]
+    xquat: Mapping[int, Floats]
+    sensordata: Floats
+    measured: frozenset[int]
+    unseen_turns: frozenset[int]
+    notes: tuple[str, ...]
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The scene's model; read-only."""
+        return self.scene.model
+
+
+def bind(recording: Recording, scene: Scene) -> Bound:
+    """Puts a recording into a scene's order.
+
+    A joint that is not recorded is inferred from the pose of its body (free joints), from a joint
+    equality, or from body poses by inverse kinematics if these have one solution.
+
+    Raises:
+      RecordingError: a name is not in the scene, a shape or unit does not fit, a quaternion is not
+        of unit norm, or a joint is neither recorded nor can be inferred.
+    """
+    from orbisim.recording.checks import suspicions
+
+    if len(recording) < 2:
+        raise RecordingError(
+            recording.source, "has one sample", remedy="a simulation needs at least two"
+        )
+    binder = _Binder(recording, scene)
+    bound = binder.bind()
+    return dataclasses.replace(bound, notes=(*bound.notes, *suspicions(bound)))
+
+
+class _Binder(Assembly):
+    """Fills the arrays of a `Bound` one kind of signal after the other."""
+
+    def __init__(self, recording: Recording, scene: Scene) -> None:
+        super().__init__(recording, scene)
+        self.joints, self.actuators = joints(self.model), actuators(self.model)
+
+    def bind(self) -> Bound:
+        model = self.model
+        self.check_names()
+        qpos = self.fill("qpos", model.nq, {j.name: j.q for j in self.joints})
+        qvel = self.fill("qvel", model.nv, {j.name: j.v for j in self.joints})
+        ctrl = self.fill("ctrl", model.nu, {a.name: a.ctrl for a in self.actuators})
+        torque = self.fill("torque", model.nv, {j.name: j.v for j in self.joints})
+        xpos, xquat = self.poses("xpos", 3), self.poses("xquat", 4)
+        for joint in self.joints:
+            if joint.quat is not None:
+                qpos[:, joint.quat] = self.unit(qpos[:, joint.quat], f"qpos/{joint.label}")
+        measured, unseen = self.infer(qpos, xpos, xquat)
+        applied, switched_off = self.forces(torque, ctrl)
+        return Bound(
+            recording=self.recording,
+            scene=self.scene,
+            time=self.recording.time,
+            qpos=qpos,
+            qvel=qvel,
+            ctrl=self.hold(ctrl, switched_off),
+            torque=torque,
+            applied=applied,
+            switched_off=switched_off,
+            xpos=xpos,
+            xquat=xquat,
+            sensordata=self.sensors(),
+            measured=measured,
+            unseen_turns=unseen,
+            notes=tuple(dict.fromkeys(self.notes)),
+        )
+
+    # -- what is not recorded ----------------------------------------------------------------------
+
+    def infer(
+        self, qpos: Floats, xpos: inference.Poses, xquat: inference.Poses
+    ) -> tuple[frozenset[int], frozenset[int]]:
+        """Fills the joints that are not recorded; measured joints, and those turning unseen."""
+        known = {j.id for j in self.joints if np.isfinite(qpos[:, j.q]).all(axis=1).any()}
+        unseen = set()
+        for joint in self.joints:
+            if joint.id not in known:
+                note = inference.from_own_pose(self.model, qpos, joint, xpos, xquat)
+                if note is not None:
+                    known.add(joint.id)
+                    self.notes.extend([note] if note else [])
+                    unseen |= {joint.id} if note else set()
+        measured = set(known)
+        self.couple(qpos, known)
+        unknown = [j for j in self.joints if j.id not in known]
+        if unknown:
+            measured |= self.invert(qpos, unknown, xpos, xquat)
+        return frozenset(measured), frozenset(unseen)
+
+    def couple(self, qpos: Floats, known: set[int]) -> None:
+        for target, source in inference.from_couplings(self.model, qpos, known).items():
+            leads = f"follows {self.joints[source].label!r}" if source >= 0 else "is fixed"
+            self.notes.append(f"joint {self.joints[target].label!r} {leads} by a joint equality")
+
+    def invert(
+        self,
+        qpos: Floats,
+        unknown: Sequence[Joint],
+        xpos: inference.Poses,
+        xquat: inference.Poses,
+    ) -> set[int]:
+        found = inverse.solve(self.model, qpos, unknown, xpos, xquat)
+        if found.undetermined or found.ambiguous:
+            self.not_recorded(found)
+        labels = ", ".join(repr(j.label) for j in found.solved)
+        bodies = ", ".join(repr(body_label(self.model, b)) for b in {*xpos, *xquat})
+        self.notes.append(
+            f"joints {labels} from the poses of {bodies} by inverse kinematics, misfit "
+            f"{found.rms:.2g} m"
+        )
+        return {j.id for j in found.solved}
+
+    def not_recorded(self, found: inverse.Solution) -> None:
+        """Raises `RecordingError` naming the joints that cannot be inferred."""
+        missing = found.undetermined or found.ambiguous
+        labels = ", ".join(repr(j.label) for j in missing)
+        why = (
+            "and the recorded body poses fit more than one configuration"
+            if found.ambiguous
+            else "and nothing that is recorded fixes it"
+            if len(missing) == 1
+            else "and nothing that is recorded fixes them"
+        )
+        example = missing[0]
+        remedy = f"record 'qpos/{example.label}'"
+        if example.kind == 0:
+            body = body_label(self.model, example.body)
+            remedy += f", or 'xpos/{body}' and 'xquat/{body}'"
+        plural = "joint" if len(missing) == 1 else "joints"
+        raise RecordingError(
+            self.recording.source,
+            f"{plural} {labels} of scene {self.scene.name!r} not recorded, {why}",
+            remedy=remedy,
+        )
+
+    # -- what drives the scene ---------------------------------------------------------------------
+
+    def forces(self, torque: Floats, ctrl: Floats) -> tuple[Bools, tuple[int, ...]]:
+        """Which recorded forces drive their joints, and the actuators they stand for."""
+        applied = np.zeros(self.model.nv, bool)
+        off: list[int] = []
+        for joint in self.joints:
+            if not np.isfinite(torque[:, joint.v]).any():
+                continue
+            acting = [a for a in self.actuators if a.joint == joint.id and a.driven]
+            if any(np.isfinite(ctrl[:, a.ctrl]).any() for a in acting):
+                continue
+            applied[joint.v] = True
+            off += [a.id for a in acting]
+            if acting:
+                self.notes.append(
+                    f"'torque/{joint.label}' stands for {_listed(acting)}, whose controls are not "
+                    "recorded: switched off"
+                )
+        return applied, tuple(off)
+
+    def hold(self, ctrl: Floats, switched_off: Sequence[int]) -> Floats:
+        """Controls without NaN; those that are not recorded are zero."""
+        seen = np.isfinite(ctrl)
+        absent = [
+            a
+            for a in self.actuators
+            if a.driven and a.id not in switched_off and not seen[:, a.ctrl].any()
+        ]
+        if absent:
+            self.notes.append(f"controls of {_listed(absent)} are not recorded; taken as zero")
+        some = seen.any(axis=0)
+        if (~seen[:, some]).any():
+            self.notes.append("missing controls hold the sample before them")
+        return np.nan_to_num(filled(ctrl))
+
+
+def _listed(some: Sequence[Actuator]) -> str:
+    return ", ".join(repr(actuator.label) for actuator in some)

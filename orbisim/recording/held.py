@@ -1,0 +1,64 @@
+"""Controls that are held between samples, as a simulation with steps of its own sees them."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+SNAP = 1e-6
+"""Part of a step within which a sample counts as falling on the border of the step."""
+
+
+def filled(values: Floats) -> Floats:
+    """Missing samples [T, n] filled with the one before, at the start with the first one.
+
+    A column without samples stays NaN.
+    """
+    seen = np.isfinite(values)
+    if seen.all():
+        return values
+    last = np.maximum.accumulate(np.where(seen, np.arange(len(values))[:, None], -1), axis=0)
+    last = np.where(last < 0, seen.argmax(axis=0), last)
+    return np.asarray(np.take_along_axis(values, last, axis=0))
+
+
+class Held:
+    """A zero-order hold: value k from time k to time k + 1, the last one for ever.
+
+    Args:
+      time: [T], s. values: [T, n], finite.
+    """
+
+    def __init__(self, time: Floats, values: Floats) -> None:
+        self.time, self.values = time, values
+        areas = values[:-1] * np.diff(time)[:, None]
+        self._area = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(areas, axis=0)])
+
+    def at(self, time: Floats) -> Floats:
+        """The values in force at the times [N]: [N, n]; the first one before the first sample."""
+        row = np.searchsorted(self.time, time, side="right") - 1
+        return np.asarray(self.values[np.maximum(row, 0)])
+
+    def means(self, start: float, step: float, first: int, count: int) -> Floats:
+        """Averages [count, n] over the steps `first`, ..., `first + count - 1` from `start` on.
+
+        A step that lies between two samples gets the value itself, bit by bit. In a step that a
+        sample falls into, the average gives the actuator the same impulse as the recorded signal.
+        """
+        borders = np.asarray(start + step * (first + np.arange(count + 1)), np.float64)
+        last = len(self.time) - 1
+        low = np.searchsorted(self.time, borders[:-1] + SNAP * step, side="right") - 1
+        high = np.searchsorted(self.time, borders[1:] - SNAP * step, side="right") - 1
+        low, high = np.clip(low, 0, last), np.clip(high, 0, last)
+        means = self.values[low]
+        mixed = np.flatnonzero(low != high)
+        if mixed.size:
+            area = self._integral(borders[mixed + 1], high[mixed])
+            means[mixed] = (area - self._integral(borders[mixed], low[mixed])) / step
+        return means
+
+    def _integral(self, time: Floats, row: npt.NDArray[np.int64]) -> Floats:
+        since = (time - self.time[row])[:, None]
+        return np.asarray(self._area[row] + self.values[row] * since)

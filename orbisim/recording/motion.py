@@ -1,0 +1,205 @@
+"""The motion behind a recording: smoothed positions, velocities and accelerations."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.recording import quaternions as quat
+from orbisim.recording.joints import Joint, Kind, joints
+from orbisim.recording.noise import noise_std
+from orbisim.recording.smoothing import Smoothed, smooth
+
+if TYPE_CHECKING:
+    from orbisim.recording.binding import Bound
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SmoothedRotation:
+    """A smoothed orientation.
+
+    Attributes:
+      quat: [T, 4] unit quaternions w x y z.
+      angvel, angacc: [T, 3] angular velocity and acceleration in the body's frame, rad/s, rad/s^2.
+      angle_std, angvel_std, angacc_std: [T] standard deviations of each component.
+      noise_std: standard deviation of the measurement noise about each axis, rad.
+      jumps: [T - 1] whether the angular velocity jumped between a sample and the next.
+    """
+
+    quat: Floats
+    angvel: Floats
+    angacc: Floats
+    angle_std: Floats
+    angvel_std: Floats
+    angacc_std: Floats
+    noise_std: float
+    jumps: Bools
+
+
+def rotation_noise(time: Floats, quats: Floats) -> float:
+    """Standard deviation of the noise about each axis, rad, of orientations [T, 4].
+
+    A rotation by a small angle a changes a unit quaternion by a/2 in the three directions that keep
+    its norm; the noise in the fourth is zero.
+    """
+    return float(2.0 * np.sqrt((noise_std(time, quats) ** 2).sum() / 3.0))
+
+
+def smooth_rotation(time: Floats, quats: Floats) -> SmoothedRotation:
+    """Smooths and differentiates orientations [T, 4]; NaN marks a missing sample.
+
+    The components are smoothed as four signals and brought back to the sphere; from their
+    derivatives w = 2 vec(q* q') and w' = 2 vec(q* q''), as q*' q' is a scalar.
+    """
+    quats = quat.continuous(quats)
+    noise = rotation_noise(time, quats)
+    return _rotation(smooth(time, quats, noise_std=noise / 2.0), noise)
+
+
+def _rotation(found: Smoothed, noise: float) -> SmoothedRotation:
+    """The orientation behind four smoothed components."""
+    size = np.linalg.norm(found.value, axis=1, keepdims=True)
+    inverse = quat.conjugate(found.value / size)
+    return SmoothedRotation(
+        quat=np.asarray(found.value / size),
+        angvel=2.0 * quat.multiply(inverse, found.rate / size)[:, 1:],
+        angacc=2.0 * quat.multiply(inverse, found.second / size)[:, 1:],
+        angle_std=_turned(found.value_std),
+        angvel_std=_turned(found.rate_std),
+        angacc_std=_turned(found.second_std),
+        noise_std=noise,
+        jumps=np.asarray(found.jumps.any(axis=1)),
+    )
+
+
+def _turned(component_std: Floats) -> Floats:
+    """Standard deviation about one axis from those of four components of which three vary."""
+    return np.asarray(2.0 * np.sqrt((component_std**2).mean(axis=1)))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Motion:
+    """Smoothed motion in the scene's order; NaN where nothing was estimated.
+
+    Attributes:
+      time: [T], s.
+      qpos: [T, nq]. qvel, qacc: [T, nv]; free joints as in MuJoCo, linear parts in the world frame
+        and angular parts in the body's frame.
+      qpos_std, qvel_std, qacc_std: [T, nv] standard deviations, rotations as angles.
+      noise_std: [nv] standard deviation of the measurement noise of positions.
+      jumps: [T - 1, nv] whether the velocity jumped between a sample and the next.
+    """
+
+    time: Floats
+    qpos: Floats
+    qvel: Floats
+    qacc: Floats
+    qpos_std: Floats
+    qvel_std: Floats
+    qacc_std: Floats
+    noise_std: Floats
+    jumps: Bools
+
+
+def estimate_motion(bound: Bound, only: Collection[int] | None = None) -> Motion:
+    """Estimates the motion from the recorded positions alone.
+
+    Args:
+      bound: the recording in a scene's order.
+      only: numbers of the joints to estimate; all if None.
+    """
+    model, count = bound.model, len(bound.time)
+    nv = model.nv
+    motion = Motion(
+        time=bound.time,
+        qpos=np.full((count, model.nq), np.nan),
+        noise_std=np.full(nv, np.nan),
+        jumps=np.zeros((count - 1, nv), bool),
+        **{
+            name: np.full((count, nv), np.nan)
+            for name in ("qvel", "qacc", "qpos_std", "qvel_std", "qacc_std")
+        },
+    )
+    wanted = [j for j in joints(model) if only is None or j.id in only]
+    plan = _Plan(bound, wanted)
+    if plan.columns:
+        found = smooth(bound.time, bound.qpos[:, plan.columns], noise_std=plan.noise())
+        _fill_straight(motion, plan, found)
+        for joint, place, noise in plan.turning:
+            _fill_turning(motion, joint, _rotation(_part(found, place), noise))
+    for joint in plan.unseen:
+        assert joint.quat is not None
+        motion.qpos[:, joint.quat] = bound.qpos[:, joint.quat]
+        motion.qvel[:, joint.angular] = motion.qacc[:, joint.angular] = 0.0
+    return motion
+
+
+class _Plan:
+    """Which columns of qpos are smoothed: all in one call.
+
+    Attributes:
+      columns: of qpos. straight_v: columns of qvel that belong to the first of them.
+      turning: joints with quaternions, where these stand among them, and their noise, rad.
+      unseen: free joints whose orientation does not matter.
+    """
+
+    def __init__(self, bound: Bound, wanted: list[Joint]) -> None:
+        self.bound = bound
+        self.columns: list[int] = []
+        self.straight_v: list[int] = []
+        for joint in wanted:
+            width = 3 if joint.kind == Kind.FREE else 1 if joint.scalar else 0
+            self.columns += range(joint.q.start, joint.q.start + width)
+            self.straight_v += range(joint.v.start, joint.v.start + width)
+        self.turning: list[tuple[Joint, slice, float]] = []
+        self.unseen = [j for j in wanted if j.id in bound.unseen_turns]
+        for joint in wanted:
+            if joint.quat is not None and joint not in self.unseen:
+                noise = rotation_noise(bound.time, bound.qpos[:, joint.quat])
+                place = slice(len(self.columns), len(self.columns) + 4)
+                self.turning.append((joint, place, noise))
+                self.columns += range(joint.quat.start, joint.quat.stop)
+
+    def noise(self) -> Floats:
+        """[C]: of every column."""
+        straight = self.columns[: len(self.straight_v)]
+        each = noise_std(self.bound.time, self.bound.qpos[:, straight])
+        return np.concatenate([each, *([n / 2.0] * 4 for _, _, n in self.turning)])
+
+
+def _part(found: Smoothed, place: slice) -> Smoothed:
+    """Some channels of a smoothed signal."""
+    values = {field.name: getattr(found, field.name) for field in dataclasses.fields(found)}
+    return Smoothed(**{n: v if n == "time" else v[..., place] for n, v in values.items()})
+
+
+def _fill_straight(motion: Motion, plan: _Plan, found: Smoothed) -> None:
+    """Hinges, slides and the translations of free joints."""
+    v = plan.straight_v
+    q = plan.columns[: len(v)]
+    part = _part(found, slice(0, len(v)))
+    motion.qpos[:, q] = part.value
+    motion.qvel[:, v], motion.qacc[:, v] = part.rate, part.second
+    motion.qpos_std[:, v], motion.qvel_std[:, v] = part.value_std, part.rate_std
+    motion.qacc_std[:, v], motion.noise_std[v] = part.second_std, part.noise_std
+    motion.jumps[:, v] = part.jumps
+
+
+def _fill_turning(motion: Motion, joint: Joint, found: SmoothedRotation) -> None:
+    place = joint.angular
+    assert joint.quat is not None
+    assert place is not None
+    motion.qpos[:, joint.quat] = found.quat
+    motion.qvel[:, place], motion.qacc[:, place] = found.angvel, found.angacc
+    motion.qpos_std[:, place] = found.angle_std[:, None]
+    motion.qvel_std[:, place] = found.angvel_std[:, None]
+    motion.qacc_std[:, place] = found.angacc_std[:, None]
+    motion.noise_std[place] = found.noise_std
+    motion.jumps[:, place] = found.jumps[:, None]

@@ -1,0 +1,223 @@
+"""What of a recording a simulation is compared with, and the simulation's own values for it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Literal
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.metrics import rotation_angle
+from orbisim.mirror import acceleration_sensors
+from orbisim.recording.actuators import actuators
+from orbisim.recording.joints import Joint, Kind, body_label, joints
+from orbisim.recording.motion import rotation_noise
+from orbisim.recording.noise import noise_std
+
+if TYPE_CHECKING:
+    from orbisim.freerun import Run
+    from orbisim.recording.binding import Bound
+
+Floats = npt.NDArray[np.float64]
+Home = Literal["qpos", "qvel", "torque", "sensordata", "xpos", "xquat"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Signal:
+    """A measured signal.
+
+    Attributes:
+      name: as in the recording; free joints as `xpos/<body>`, `xquat/<body>`, and the linear and
+        angular parts of their velocity as `qvel/<joint>[0:3]` and `[3:6]`.
+      unit: of its error.
+      home: the array of `Bound` that holds it. where: its columns, or the body's number.
+      rotation: whether it is a quaternion.
+      position: whether it counts as a joint position.
+    """
+
+    name: str
+    unit: str
+    home: Home
+    where: slice | int
+    rotation: bool = False
+    position: bool = False
+
+    def measured(self, bound: Bound) -> Floats:
+        """[T, n] as recorded."""
+        values = getattr(bound, self.home)
+        return np.asarray(values[self.where] if self.of_body else values[:, self.where])
+
+    @property
+    def of_body(self) -> bool:
+        """Whether it is the pose of a body."""
+        return self.home in ("xpos", "xquat")
+
+    def distance(self, measured: Floats, simulated: Floats) -> Floats:
+        """[N]: the norm of the error, or its angle."""
+        if self.rotation:
+            return rotation_angle(measured, simulated)
+        return np.asarray(np.linalg.norm(simulated - measured, axis=1))
+
+    def noise(self, bound: Bound) -> float:
+        """Standard deviation of the measurement noise (of a vector: about each axis)."""
+        values = self.measured(bound)
+        if self.rotation:
+            return rotation_noise(bound.time, values)
+        each = noise_std(bound.time, values)
+        return float(np.sqrt(np.mean(each**2)))
+
+
+def observed(bound: Bound) -> list[Signal]:
+    """The signals that a simulation of the recording can be compared with."""
+    found = [
+        *(s for joint in joints(bound.model) for s in _of_joint(bound, joint)),
+        *_of_bodies(bound),
+        *_of_forces(bound),
+        *_of_sensors(bound),
+    ]
+    return [signal for signal in found if np.isfinite(signal.measured(bound)).any()]
+
+
+def _of_joint(bound: Bound, joint: Joint) -> Iterator[Signal]:
+    name = joint.label
+    seen, turns = joint.id in bound.measured, joint.id not in bound.unseen_turns
+    if joint.scalar:
+        if seen:
+            yield Signal(f"qpos/{name}", joint.unit, "qpos", joint.q, position=True)
+        yield Signal(f"qvel/{name}", f"{joint.unit}/s", "qvel", joint.v)
+        return
+    if joint.kind == Kind.BALL:
+        if seen:
+            yield Signal(f"qpos/{name}", "rad", "qpos", joint.q, rotation=True, position=True)
+        yield Signal(f"qvel/{name}", "rad/s", "qvel", joint.v)
+        return
+    body, start = body_label(bound.model, joint.body), joint.v.start
+    q = joint.q.start
+    if seen:
+        yield Signal(f"xpos/{body}", "m", "qpos", slice(q, q + 3), position=True)
+    if seen and turns:
+        yield Signal(f"xquat/{body}", "rad", "qpos", slice(q + 3, q + 7), rotation=True)
+    yield Signal(f"qvel/{name}[0:3]", "m/s", "qvel", slice(start, start + 3))
+    yield Signal(f"qvel/{name}[3:6]", "rad/s", "qvel", slice(start + 3, start + 6))
+
+
+def _of_bodies(bound: Bound) -> Iterator[Signal]:
+    free = {j.body for j in joints(bound.model) if j.kind == Kind.FREE}
+    for body in bound.xpos:
+        if body not in free:
+            yield Signal(f"xpos/{body_label(bound.model, body)}", "m", "xpos", body)
+    for body in bound.xquat:
+        if body not in free:
+            name = f"xquat/{body_label(bound.model, body)}"
+            yield Signal(name, "rad", "xquat", body, rotation=True)
+
+
+def _of_forces(bound: Bound) -> Iterator[Signal]:
+    """Recorded joint forces that do not drive the simulation."""
+    for joint in joints(bound.model):
+        if joint.scalar and not bound.applied[joint.v].any():
+            yield Signal(f"torque/{joint.label}", joint.force_unit, "torque", joint.v)
+
+
+_SENSOR_UNITS = {
+    "ACCELEROMETER": "m/s^2", "GYRO": "rad/s", "VELOCIMETER": "m/s", "FORCE": "N",
+    "TORQUE": "N*m", "TOUCH": "N", "FRAMEPOS": "m", "FRAMELINVEL": "m/s", "FRAMEANGVEL": "rad/s",
+    "SUBTREECOM": "m", "RANGEFINDER": "m", "ACTUATORFRC": "N or N*m",
+}  # fmt: skip
+
+
+def _of_sensors(bound: Bound) -> Iterator[Signal]:
+    model = bound.model
+    for index in range(model.nsensor):
+        start = int(model.sensor_adr[index])
+        place = slice(start, start + int(model.sensor_dim[index]))
+        kind = mujoco.mjtSensor(model.sensor_type[index])
+        rotation = int(model.sensor_dim[index]) == 4 and kind.name.endswith("QUAT")
+        unit = "rad" if rotation else _sensor_unit(model, index, kind)
+        name = model.sensor(index).name or f"#{index}"
+        yield Signal(f"sensor/{name}", unit, "sensordata", place, rotation=rotation)
+
+
+def _sensor_unit(model: mujoco.MjModel, index: int, kind: mujoco.mjtSensor) -> str:
+    short = kind.name.removeprefix("mjSENS_")
+    if short in ("JOINTPOS", "JOINTVEL", "JOINTACTFRC"):
+        joint = joints(model)[int(model.sensor_objid[index])]
+        base = joint.force_unit if short == "JOINTACTFRC" else joint.unit
+        return f"{base}/s" if short == "JOINTVEL" else base
+    return _SENSOR_UNITS.get(short, "SI")
+
+
+def predict(bound: Bound, signals: Sequence[Signal], run: Run) -> list[Floats]:
+    """The simulation's values [N, n] of the signals; NaN where they cannot be known."""
+    derived = _Derived(bound, run)
+    return [
+        np.asarray(getattr(run, signal.home)[:, signal.where])
+        if signal.home in ("qpos", "qvel")
+        else derived.values(signal)
+        for signal in signals
+    ]
+
+
+class _Derived:
+    """Poses, actuator forces and sensors along a run, by MuJoCo's formulas."""
+
+    def __init__(self, bound: Bound, run: Run) -> None:
+        self.bound, self.run, self.model = bound, run, bound.model
+        self._fields: dict[str, Floats] = {}
+
+    def values(self, signal: Signal) -> Floats:
+        if signal.home == "sensordata":
+            return np.asarray(self.sensors()[:, signal.where])
+        if signal.home == "torque":
+            return np.asarray(self.forces()[:, signal.where])
+        return np.asarray(self.along(signal.home)[:, signal.where])
+
+    def along(self, field: str) -> Floats:
+        """A field of MjData at every sample; NaN after a divergence."""
+        if field not in self._fields:
+            self._fields[field] = self._computed(field)
+        return self._fields[field]
+
+    def _computed(self, field: str) -> Floats:
+        model, run = self.model, self.run
+        data = mujoco.MjData(model)
+        found = np.full((len(run.time), *getattr(data, field).shape), np.nan)
+        ctrl = self.bound.ctrl[run.rows.start : run.rows.stop]
+        for row in np.flatnonzero(np.isfinite(run.qpos).all(axis=1)):
+            data.qpos[:], data.qvel[:], data.act[:] = run.qpos[row], run.qvel[row], run.act[row]
+            data.ctrl[:] = ctrl[row]
+            if field in ("xpos", "xquat"):
+                mujoco.mj_kinematics(model, data)
+            else:
+                mujoco.mj_step1(model, data)
+                mujoco.mj_fwdActuation(model, data)
+            found[row] = getattr(data, field)
+        return found
+
+    def forces(self) -> Floats:
+        """Forces of the actuators on the joints; NaN where one of them acts with a delay."""
+        found = self.along("qfrc_actuator").copy()
+        for actuator in actuators(self.model):
+            if actuator.joint >= 0 and self.model.actuator_historyadr[actuator.id] >= 0:
+                found[:, joints(self.model)[actuator.joint].v] = np.nan
+        return found
+
+    def sensors(self) -> Floats:
+        """As the backend reports them; else by MuJoCo up to the velocity stage, NaN beyond."""
+        if self.run.sensordata is not None and np.isfinite(self.run.sensordata).any():
+            return self._delayed(self.run.sensordata, self.run.time - self.run.time[0])
+        found = self.along("sensordata").copy()
+        found[:, acceleration_sensors(self.model)] = np.nan
+        return self._delayed(found, np.zeros(len(found)))
+
+    def _delayed(self, found: Floats, since: Floats) -> Floats:
+        """NaN while a delayed sensor still shows what was before the window."""
+        model, found = self.model, found.copy()
+        for sensor in np.flatnonzero(model.sensor_historyadr >= 0):
+            start, width = int(model.sensor_adr[sensor]), int(model.sensor_dim[sensor])
+            early = since < float(model.sensor_delay[sensor]) + float(model.opt.timestep)
+            found[early, start : start + width] = np.nan
+        return found

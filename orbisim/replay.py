@@ -1,0 +1,182 @@
+"""`orbisim.replay`: free-running simulation against recordings.
+
+Every recording is cut into windows; each window starts from the recorded state and runs free under
+the recorded controls to its end. The error of a signal is taken over all samples of all windows.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import types
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbisim.backend import Backend
+from orbisim.errors import InputError, RecordingError
+from orbisim.freerun import WORLDS, Prepared, free_run
+from orbisim.recording import Recording
+from orbisim.recording.binding import Bound
+from orbisim.recording.initial import Velocities, starts
+from orbisim.recording.windows import cut
+from orbisim.registry import make_backend
+from orbisim.scene import Scene, load_scene
+from orbisim.scores import SignalError, Window, score
+
+SCHEMA = "orbisim.replay/1"
+
+__all__ = ["Replay", "SignalError", "Window", "prepare", "replay"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Replay:
+    """Result of `replay`.
+
+    Attributes:
+      scene, backend: as the user named them.
+      window_s: duration of a window, s; 0 for whole recordings.
+      recordings: the recordings, as the user named them.
+      windows: the windows, in the order of the recordings.
+      signals: errors by signal.
+      rms: root mean squared norm of the error over joint positions (SI).
+      notes: what was ignored, assumed or looks wrong.
+    """
+
+    scene: str
+    backend: str
+    window_s: float
+    recordings: tuple[str, ...]
+    windows: tuple[Window, ...]
+    signals: Mapping[str, SignalError]
+    rms: float
+    notes: tuple[str, ...]
+
+    @property
+    def diverged(self) -> int:
+        """Number of windows in which the simulation became non-finite."""
+        return sum(window.diverged for window in self.windows)
+
+    def to_json(self) -> dict[str, Any]:
+        """The result as contracts.md, section 2, has it; infinite and unknown numbers are None."""
+        return {
+            "schema": SCHEMA,
+            "scene": self.scene,
+            "backend": self.backend,
+            "window_s": self.window_s,
+            "windows": len(self.windows),
+            "signals": {
+                name: {
+                    key: value if isinstance(value, str) else _finite(value)
+                    for key, value in dataclasses.asdict(error).items()
+                }
+                for name, error in self.signals.items()
+            },
+            "overall": {"rms": _finite(self.rms)},
+        }
+
+
+def replay(
+    scene: str | Path | Scene,
+    recordings: Recording | str | Path | Sequence[Recording | str | Path],
+    *,
+    backend: str | Backend = "mujoco",
+    window: float = 0.5,
+    device: str | None = None,
+    velocities: Velocities = "recorded",
+) -> Replay:
+    """Simulates windows of recordings from their recorded states and compares.
+
+    Args:
+      scene: a path or task name, or a scene.
+      recordings: one or several, or paths of their files.
+      backend: name or object.
+      window: duration of a window, s; 0 runs each recording from its first sample to its end.
+      device: where a backend given by name computes.
+      velocities: whether windows start with the `recorded` velocities, where there are any, or with
+        `smoothed` ones, differentiated from the positions.
+
+    Raises:
+      RecordingError: a recording cannot be read, does not fit the scene, or its state is nowhere
+        known.
+      SceneError: the scene cannot be read, or the backend cannot simulate it.
+    """
+    if velocities not in ("recorded", "smoothed"):
+        raise InputError(f"velocities are 'recorded' or 'smoothed'; got {velocities!r}")
+    loaded = scene if isinstance(scene, Scene) else load_scene(scene)
+    named = loaded.source if isinstance(scene, Scene) else str(scene)
+    prepared = [prepare(one.bind(loaded), window, velocities) for one in _load_all(recordings)]
+    engine = _backend(backend, loaded, sum(len(one.windows) for one in prepared), device)
+    runs = free_run(engine, loaded, prepared)
+    scores = score(prepared, runs)
+    return Replay(
+        scene=named,
+        backend=backend if isinstance(backend, str) else engine.name,
+        window_s=float(window),
+        recordings=tuple(one.bound.recording.source for one in prepared),
+        windows=scores.windows,
+        signals=scores.signals,
+        rms=scores.rms,
+        notes=_notes(prepared, scores.windows),
+    )
+
+
+def prepare(bound: Bound, window: float, velocities: Velocities = "recorded") -> Prepared:
+    """A recording with its initial states and windows.
+
+    Raises:
+      RecordingError: the state is nowhere known.
+    """
+    states = starts(bound, velocities)
+    windows = cut(bound.time, window, states.usable)
+    if not windows:
+        raise RecordingError(
+            bound.recording.source,
+            "no window can start: at no sample are all joint positions known",
+            remedy="missing samples are bridged over up to 256 sampling intervals",
+        )
+    late = len(set(cut(bound.time, window)) - set(windows))
+    notes = [f"{late} windows start later or are left out, as the state is not known before"]
+    return Prepared(bound, states, tuple(windows), tuple(notes if late else ()))
+
+
+def _load_all(recordings: Any) -> list[Recording]:
+    every = [recordings] if isinstance(recordings, (Recording, str, Path)) else list(recordings)
+    if not every:
+        raise InputError("replay needs at least one recording")
+    return [one if isinstance(one, Recording) else Recording.load(one) for one in every]
+
+
+def _backend(backend: str | Backend, scene: Scene, nworld: int, device: str | None) -> Backend:
+    if isinstance(backend, Backend):
+        return backend
+    device = None if backend.partition(":")[0] == "mujoco" else device
+    return make_backend(backend, scene, nworld=min(nworld, WORLDS), device=device)
+
+
+def _notes(prepared: Sequence[Prepared], windows: Sequence[Window]) -> tuple[str, ...]:
+    found = [
+        f"{one.bound.recording.source}: {note}"
+        for one in prepared
+        for note in (*one.bound.notes, *one.states.notes, *one.notes)
+    ]
+    lost = sum(window.diverged for window in windows)
+    if lost:
+        found.append(f"the simulation became non-finite in {lost} of {len(windows)} windows")
+    return tuple(found)
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+class _Callable(types.ModuleType):
+    """`orbisim.replay` is the function, also after this module has been imported."""
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Replay:
+        return replay(*args, **kwargs)
+
+
+sys.modules[__name__].__class__ = _Callable

@@ -1,0 +1,32 @@
+"""MuJoCo's compiler, for what the reader has to know before the scene is whole."""
+
+from __future__ import annotations
+
+import warnings
+
+import mujoco
+
+from orbisim.scene.guard import COMPILING
+from orbisim.scene.mjcf import as_scene_error
+
+
+def compiled(spec: mujoco.MjSpec, source: str) -> mujoco.MjModel:
+    """The compiled model; the spec can be changed further.
+
+    Raises:
+      SceneError: MuJoCo cannot compile it.
+    """
+    with COMPILING, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # `Scene` collects them when the scene is whole
+        previous = mujoco.get_mju_user_warning()
+        mujoco.set_mju_user_warning(_ignore)
+        try:
+            return spec.copy().compile()
+        except (ValueError, mujoco.FatalError) as error:
+            raise as_scene_error(error, source) from None
+        finally:
+            mujoco.set_mju_user_warning(previous)
+
+
+def _ignore(message: object) -> None:
+    """Takes a warning and says nothing."""
