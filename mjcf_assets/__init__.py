@@ -1,0 +1,1 @@
+"""Scenes, one in each folder, with the sources of their figures."""

@@ -170,7 +170,7 @@ def compare(
     )
     error = _errors(setup.scene, ra.trajectory, rb.trajectory, every)
     rounded = _rounding(setup, controls, step, every) if rounding else None
-    times = (np.arange(controls.shape[1]) + 1)[every] * step
+    times: Floats = np.arange(1.0, controls.shape[1] + 1)[every] * step
     return Comparison(setup.scene, source, ra, rb, times, error, rounded, seed)
 
 

@@ -72,7 +72,7 @@ def _linearized_step(backend: Backend, state: State, control: Any) -> State:
     return after.replace(qpos=qpos, qvel=qvel, act=act)
 
 
-class _Step(torch.autograd.Function):  # type: ignore[misc, name-defined]
+class _Step(torch.autograd.Function):
     """One step of a backend that knows no gradients, with its linearization."""
 
     @staticmethod

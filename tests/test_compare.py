@@ -25,10 +25,14 @@ MIXED = """
   <option timestep="0.01"/>
   <worldbody>
     <body name="box" pos="0 0 1"><freejoint/><geom type="box" size="0.1 0.1 0.1" mass="1"/></body>
-    <body name="arm" pos="2 0 1"><joint name="hinge" axis="0 1 0" range="-0.02 0.02" limited="true"/><joint name="slide" type="slide"/>
+    <body name="arm" pos="2 0 1"><joint name="hinge" axis="0 1 0" range="-0.02 0.02"
+        limited="true"/>
+      <joint name="slide" type="slide"/>
       <geom size="0.1"/></body>
   </worldbody>
-  <actuator><motor joint="hinge" ctrlrange="-2 4" ctrllimited="true"/><motor joint="slide"/></actuator>
+  <actuator>
+    <motor joint="hinge" ctrlrange="-2 4" ctrllimited="true"/><motor joint="slide"/>
+  </actuator>
 </mujoco>
 """
 

@@ -17,7 +17,8 @@ BALL = """
   <worldbody>
     <body><joint name="ball" type="ball" damping="0.1"/>
       <geom type="capsule" fromto="0 0 0 0.1 0 -0.4" size="0.03" mass="1"/>
-      <body pos="0.1 0 -0.4"><joint axis="0 1 0"/><geom type="box" size="0.1 0.05 0.02" mass="0.3"/></body>
+      <body pos="0.1 0 -0.4"><joint axis="0 1 0"/>
+        <geom type="box" size="0.1 0.05 0.02" mass="0.3"/></body>
     </body>
     <body pos="1 0 1"><freejoint/><geom type="box" size="0.1 0.2 0.3" mass="2"/></body>
   </worldbody>

@@ -137,7 +137,8 @@ OWN = """
 <mujoco>
   <worldbody>
     <body name="cart"><joint name="slide" type="slide" axis="1 0 0"/><geom size="0.1"/>
-      <body name="pole" pos="0 0 0.5"><joint name="hinge" pos="0 0 -0.5" axis="0 1 0"/><geom size="0.05"/></body>
+      <body name="pole" pos="0 0 0.5"><joint name="hinge" pos="0 0 -0.5" axis="0 1 0"/>
+        <geom size="0.05"/></body>
     </body>
   </worldbody>
   <actuator><motor joint="slide"/></actuator>

@@ -1,4 +1,4 @@
-"""Fetches the packages whose scenes the corpus tools run over. Nothing is copied into the project."""
+"""Fetches the packages whose scenes the corpus tools run over; copies nothing into the project."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def mjcf_files() -> list[tuple[str, Path]]:
 
 
 def composed() -> Path:
-    """The scenes that dm_control composes in Python (manipulation, locomotion), written to files."""
+    """The scenes that dm_control composes in Python (manipulation, locomotion), as files."""
     folder = CACHE / "composed"
     if not folder.exists():
         from dm_control import manipulation, mjcf

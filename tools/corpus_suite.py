@@ -2,9 +2,9 @@
 
     python tools/corpus_suite.py --out out/corpus_suite [--backend mujoco] [--backend warp]
 
-With `mujoco`: observations and rewards against dm_control's own over 1,000 random steps. With `warp`:
-which tasks run, and the largest difference of generalized positions from C MuJoCo over the
-first 100 timesteps from the same state under the same controls.
+With `mujoco`: observations and rewards against dm_control's own over 1,000 random steps. With
+`warp`: which tasks run, and the largest difference of generalized positions from C MuJoCo over
+the first 100 timesteps from the same state under the same controls.
 """
 
 from __future__ import annotations

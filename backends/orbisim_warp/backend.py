@@ -314,7 +314,8 @@ class WarpBackend(Backend):
             if overflow & _BROKEN:
                 raise CapacityError(
                     f"backend 'warp': scene {self.scene.name!r} overflows "
-                    f"{mjw.OverflowType(overflow & _BROKEN)!r}, which cannot be enlarged; use 'mujoco'"
+                    f"{mjw.OverflowType(overflow & _BROKEN)!r}, which cannot be enlarged; "
+                    "use 'mujoco'"
                 )
             if not overflow & _TOO_SMALL:
                 return

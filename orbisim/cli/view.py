@@ -102,7 +102,7 @@ def command(
             else:
                 click.echo(str(path))
         elif shown is not None:
-            served = {"port": port, "open_browser": browser, "duration": duration}
+            served: dict[str, Any] = {"port": port, "open_browser": browser, "duration": duration}
             view_trajectory(setup.scene, shown, on_ready=ready, **served, **saved)
         else:
             view_live(

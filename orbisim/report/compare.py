@@ -107,8 +107,9 @@ def _summary(comparison: Comparison) -> str:
 
 def _speed_note(comparison: Comparison) -> str:
     return (
-        "Wall-clock time of this run on this machine, all episodes as one batch; kernel compilation "
-        "and loading are left out. A GPU backend needs thousands of worlds to show its strength."
+        "Wall-clock time of this run on this machine, all episodes as one batch; kernel "
+        "compilation and loading are left out. A GPU backend needs thousands of worlds to show "
+        "its strength."
     )
 
 

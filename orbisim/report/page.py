@@ -10,6 +10,8 @@ from markupsafe import Markup
 
 from orbisim import __version__
 
+_NONE = "\N{EN DASH}"
+
 
 def render_page(template: str, **context: Any) -> str:
     """Fills a template of this package; strings are escaped unless they are `Markup`."""
@@ -29,14 +31,14 @@ def render_page(template: str, **context: Any) -> str:
 def number(value: float | None, digits: int = 3) -> str:
     """A number as a person writes it; a dash for none."""
     if value is None or value != value:
-        return "–"
+        return _NONE
     return f"{value:.{digits}g}"
 
 
 def si(value: float | None, unit: str = "") -> str:
     """A number with an SI prefix: `si(0.0021, 'm')` is `2.1 mm`."""
     if value is None or value != value:
-        return "–"
+        return _NONE
     if value == 0:
         return f"0 {unit}".rstrip()
     for scale, prefix in ((1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n")):

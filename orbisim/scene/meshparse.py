@@ -199,7 +199,7 @@ def _has_image(scene: trimesh.Scene) -> bool:
     return False
 
 
-class _Neighbours(Resolver):  # type: ignore[misc]
+class _Neighbours(Resolver):
     """Gives a parser the material libraries beside a mesh file, and nothing else.
 
     Images are not loaded; `asked_for_images` says whether there are any.

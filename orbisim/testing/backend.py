@@ -389,7 +389,7 @@ class BackendConformance:
         before = _angular_momentum(engine.model, state.numpy().qpos[0], qvel[0])
         now = _angular_momentum(engine.model, after.qpos[0], after.qvel[0])
         # the integrator conserves it to first order in the timestep
-        np.testing.assert_allclose(now, before, atol=0.02 * np.linalg.norm(before))
+        np.testing.assert_allclose(now, before, atol=0.02 * float(np.linalg.norm(before)))
 
     def test_a_box_rests_on_the_floor(self) -> None:
         engine = self.classical(scenes.RESTING_BOX)

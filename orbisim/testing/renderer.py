@@ -151,7 +151,7 @@ class RendererConformance:
         self.needs_faithful()
         for wrong in ({"camera": "no such camera"}, {"camera": 99}, {"world": 7}):
             with pytest.raises(InputError):
-                painter.render(self.state(loaded), **wrong)  # type: ignore[arg-type]
+                painter.render(self.state(loaded), **wrong)
 
 
 def _colour(pixel: npt.NDArray[np.uint8]) -> str:

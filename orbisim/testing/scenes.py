@@ -28,7 +28,9 @@ CARTPOLE = """
       </body>
     </body>
   </worldbody>
-  <actuator><motor name="push" joint="slide" gear="5" ctrllimited="true" ctrlrange="-1 1"/></actuator>
+  <actuator>
+    <motor name="push" joint="slide" gear="5" ctrllimited="true" ctrlrange="-1 1"/>
+  </actuator>
   <sensor><jointpos name="x" joint="slide"/><jointvel name="w" joint="hinge"/></sensor>
 </mujoco>
 """

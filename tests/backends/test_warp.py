@@ -36,7 +36,8 @@ def test_buffers_grow_and_the_result_is_the_same() -> None:
 
 def test_what_is_not_supported_is_said() -> None:
     scene = load_scene("""
-        <mujoco><option integrator="RK4"/><worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody>
+        <mujoco><option integrator="RK4"/>
+        <worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody>
         <actuator><pid joint="j" kp="1" ki="1"/></actuator></mujoco>""")
     with pytest.raises(UnsupportedSceneError, match="MuJoCo-Warp cannot simulate it"):
         make_backend("warp", scene)

@@ -21,7 +21,8 @@ EVERYTHING = """
   <option timestep="0.003" density="1.2" wind="1 0 0"/>
   <asset>
     <mesh name="tetra" vertex="0 0 0 0.1 0 0 0 0.1 0 0 0 0.1"/>
-    <hfield name="hills" nrow="4" ncol="5" size="1 2 0.3 0.1" elevation="0 1 2 3 4 5 4 3 2 1 0 1 2 3 4 5 4 3 2 1"/>
+    <hfield name="hills" nrow="4" ncol="5" size="1 2 0.3 0.1"
+            elevation="0 1 2 3 4 5 4 3 2 1 0 1 2 3 4 5 4 3 2 1"/>
     <material name="m" rgba="1 0 0 1"/>
   </asset>
   <default><geom solref="0.01 1"/></default>
@@ -34,15 +35,18 @@ EVERYTHING = """
       <joint name="ball" type="ball" range="0 1" damping="0.1 0.02"/>
       <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/>
       <site name="tip" pos="0.3 0 0"/>
-      <body pos="0.3 0 0"><joint name="elbow" axis="0 1 0" range="-1 1" frictionloss="0.1" springref="0.2" stiffness="1 0 0.5"/>
+      <body pos="0.3 0 0"><joint name="elbow" axis="0 1 0" range="-1 1" frictionloss="0.1"
+             springref="0.2" stiffness="1 0 0.5"/>
         <geom type="ellipsoid" size="0.05 0.06 0.07"/></body>
     </body>
   </worldbody>
   <tendon><fixed name="t"><joint joint="elbow" coef="0.5"/></fixed></tendon>
   <actuator>
-    <position name="p" joint="elbow" kp="10" ctrlrange="-1 1" forcerange="-5 5" delay="0.006" nsample="3"/>
+    <position name="p" joint="elbow" kp="10" ctrlrange="-1 1" forcerange="-5 5" delay="0.006"
+              nsample="3"/>
     <motor name="by_tendon" tendon="t" gear="2"/>
-    <dcmotor name="dc" joint="elbow" input="none" motorconst="1e-9" resistance="1" cogging="0.1 4 0.2"/>
+    <dcmotor name="dc" joint="elbow" input="none" motorconst="1e-9" resistance="1"
+             cogging="0.1 4 0.2"/>
   </actuator>
   <equality><joint joint1="elbow" polycoef="0 1 0 0 0" active="false"/></equality>
   <sensor><framepos objtype="site" objname="tip"/><touch site="tip"/></sensor>

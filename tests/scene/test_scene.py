@@ -49,8 +49,8 @@ def test_a_saved_scene_is_the_same_scene(tmp_path: Path, name: str) -> None:
 
 
 def test_saving_keeps_seventeen_digits(tmp_path: Path) -> None:
-    xml = "<mujoco><worldbody><body pos='0.12345678901234567 0 0'><geom size='1'/></body></worldbody></mujoco>"
-    scene = load_scene(xml)
+    body = "<body pos='0.12345678901234567 0 0'><geom size='1'/></body>"
+    scene = load_scene(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
     again = load_scene(scene.save(tmp_path))
     assert again.model.body_pos[1, 0] == 0.12345678901234567
     assert "0.1234567890123456" in scene.to_xml()
@@ -66,7 +66,8 @@ def test_two_files_of_one_name_are_both_kept(tmp_path: Path) -> None:
     for folder, size in (("a", 1.0), ("b", 2.0)):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "m.obj").write_text(
-            f"v 0 0 0\nv {size} 0 0\nv 0 {size} 0\nv 0 0 {size}\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+            f"v 0 0 0\nv {size} 0 0\nv 0 {size} 0\nv 0 0 {size}\n"
+            "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
         )
     (tmp_path / "s.xml").write_text(
         "<mujoco><asset><mesh name='a' file='a/m.obj'/><mesh name='b' file='b/m.obj'/></asset>"

@@ -88,4 +88,4 @@ def _from_json(item: Any) -> Value:
         return np.array(values, np.dtype(dtype))
     if isinstance(item, list):
         return tuple(item)
-    return item  # type: ignore[no-any-return]
+    return item
