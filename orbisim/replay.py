@@ -7,6 +7,7 @@ the recorded controls to its end. The error of a signal is taken over all sample
 from __future__ import annotations
 
 import dataclasses
+import json
 import sys
 import types
 from collections.abc import Mapping, Sequence
@@ -40,7 +41,7 @@ class Replay:
       window_s: duration of a window, s; 0 for whole recordings.
       recordings: the recordings, as the user named them.
       windows: the windows, in the order of the recordings.
-      signals: errors by signal.
+      signals: errors by signal. positions: those of them that are joint positions.
       rms: root mean squared norm of the error over joint positions (SI).
       notes: what was ignored, assumed or looks wrong.
     """
@@ -51,6 +52,7 @@ class Replay:
     recordings: tuple[str, ...]
     windows: tuple[Window, ...]
     signals: Mapping[str, SignalError]
+    positions: tuple[str, ...]
     rms: float
     notes: tuple[str, ...]
 
@@ -58,6 +60,18 @@ class Replay:
     def diverged(self) -> int:
         """Number of windows in which the simulation became non-finite."""
         return sum(window.diverged for window in self.windows)
+
+    @property
+    def unit(self) -> str:
+        """Unit of `rms`; joints that slide and joints that turn give "rad or m"."""
+        units = {self.signals[name].unit for name in self.positions}
+        return " or ".join(unit for unit in ("rad", "m") if unit in units)
+
+    def noise_floor(self, name: str) -> float:
+        """The rms that the noise of the measurement alone would give a signal; NaN if unknown."""
+        width = next((w.measured[name].shape[1] for w in self.windows if name in w.measured), 1)
+        axes = 3 if width == 4 and self.signals[name].unit == "rad" else width  # quaternions
+        return float(self.signals[name].noise * np.sqrt(axes))
 
     def to_json(self) -> dict[str, Any]:
         """The result as contracts.md, section 2, has it; infinite and unknown numbers are None."""
@@ -76,6 +90,15 @@ class Replay:
             },
             "overall": {"rms": _finite(self.rms)},
         }
+
+    def report(self, folder: str | Path) -> Path:
+        """Writes `report.html` and `report.json` into a folder; returns the path of the page."""
+        from orbisim.report.replay import write_report
+
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "report.json").write_text(json.dumps(self.to_json(), indent=1, allow_nan=False))
+        return write_report(self, folder / "report.html")
 
 
 def replay(
@@ -118,6 +141,7 @@ def replay(
         recordings=tuple(one.bound.recording.source for one in prepared),
         windows=scores.windows,
         signals=scores.signals,
+        positions=scores.positions,
         rms=scores.rms,
         notes=_notes(prepared, scores.windows),
     )

@@ -41,6 +41,7 @@ class Window:
     Attributes:
       recording: number of the recording. start, stop: its rows start, ..., stop - 1.
       time: [N], s. qpos: [N, nq], qvel: [N, nv] simulated at the recorded times.
+      measured, simulated: samples of each signal [N, n]; NaN where they are not known.
       error: size of the error of each signal [N], NaN where a sample is missing.
       rms: root mean squared norm of the error over joint positions.
       diverged: whether the simulation became non-finite; its errors are infinite from there on.
@@ -52,6 +53,8 @@ class Window:
     time: Floats
     qpos: Floats
     qvel: Floats
+    measured: Mapping[str, Floats]
+    simulated: Mapping[str, Floats]
     error: Mapping[str, Floats]
     rms: float
     diverged: bool
@@ -63,11 +66,13 @@ class Scores:
 
     Attributes:
       windows: each with its own errors. signals: errors by signal.
+      positions: names of the signals that are joint positions.
       rms: root mean squared norm of the error over joint positions.
     """
 
     windows: tuple[Window, ...]
     signals: Mapping[str, SignalError]
+    positions: tuple[str, ...]
     rms: float
 
 
@@ -83,17 +88,19 @@ def score(prepared: Sequence[Prepared], runs: Sequence[Run]) -> Scores:
         name: _signal_error(unit, [w.error[name] for w in windows if name in w.error], noise[name])
         for name, unit in units.items()
     }
-    positions = dict.fromkeys(s.name for some in signals for s in some if s.position)
-    return Scores(windows, errors, _overall(list(positions), windows))
+    positions = tuple(dict.fromkeys(s.name for some in signals for s in some if s.position))
+    return Scores(windows, errors, positions, _overall(positions, windows))
 
 
 def _window(bound: Bound, signals: Sequence[Signal], run: Run) -> Window:
     rows = slice(run.rows.start, run.rows.stop)
+    lost = run.diverged & np.isnan(run.qpos).any(axis=1)
+    measured = {signal.name: signal.measured(bound)[rows] for signal in signals}
+    simulated = dict(zip(measured, predict(bound, signals, run), strict=True))
     error = {}
-    for signal, simulated in zip(signals, predict(bound, signals, run), strict=True):
-        size = signal.distance(signal.measured(bound)[rows], simulated)
-        lost = run.diverged & np.isnan(run.qpos).any(axis=1)
-        missing = np.isnan(signal.measured(bound)[rows]).any(axis=1)
+    for signal in signals:
+        size = signal.distance(measured[signal.name], simulated[signal.name])
+        missing = np.isnan(measured[signal.name]).any(axis=1)
         error[signal.name] = np.where(lost & ~missing, np.inf, size)
     return Window(
         recording=run.recording,
@@ -102,6 +109,8 @@ def _window(bound: Bound, signals: Sequence[Signal], run: Run) -> Window:
         time=run.time,
         qpos=run.qpos,
         qvel=run.qvel,
+        measured=measured,
+        simulated=simulated,
         error=error,
         rms=_norm_rms([error[s.name] for s in signals if s.position]),
         diverged=run.diverged,

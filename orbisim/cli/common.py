@@ -82,7 +82,7 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+    return value == "-" or (isinstance(value, (int, float)) and not isinstance(value, bool))
 
 
 def _cell(value: object) -> str:

@@ -1,0 +1,138 @@
+"""`orbisim replay`."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from orbisim.cli.common import (
+    device_option,
+    emit_json,
+    engine_command,
+    json_option,
+    note,
+    print_table,
+)
+
+if TYPE_CHECKING:
+    from orbisim.replay import Replay
+
+
+@click.command(
+    "replay", epilog="Example: orbisim replay arm.xml monday.npz tuesday.csv --window 0.5 --out out"
+)
+@click.argument("scene")
+@click.argument("recordings", metavar="RECORDING...", nargs=-1, required=True)
+@click.option("--backend", default="mujoco", show_default=True, help="Name of the backend.")
+@click.option(
+    "--window",
+    default=0.5,
+    show_default=True,
+    help="Duration of a free run, s; 0: from the first sample to the end.",
+)
+@click.option(
+    "--velocities",
+    type=click.Choice(["recorded", "smoothed"]),
+    default="recorded",
+    show_default=True,
+    help="What windows start with: recorded velocities where there are any, or estimated ones.",
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=None, help="Folder for report.html and .json."
+)
+@device_option
+@json_option
+@engine_command
+def command(
+    scene: str,
+    recordings: tuple[str, ...],
+    backend: str,
+    window: float,
+    velocities: Any,
+    out: Path | None,
+    device: str | None,
+    as_json: bool,
+) -> None:
+    """Simulate windows of each RECORDING from its recorded states and compare.
+
+    A recording is an .npz, .csv or .parquet file with time and named signals in SI units. Each
+    window starts from the recorded state and runs free under the recorded controls to its end.
+    Prints the error of each signal; with --out, writes a report with plots.
+    """
+    from orbisim.replay import replay
+
+    with _held_back():
+        result = replay(
+            scene, recordings, backend=backend, window=window, device=device, velocities=velocities
+        )
+    for text in result.notes:
+        note(f"note: {text}")
+    if out is not None:
+        note(f"report: {result.report(out)}")
+    if as_json:
+        emit_json(result.to_json())
+    else:
+        _print(result)
+
+
+@contextlib.contextmanager
+def _held_back() -> Iterator[None]:
+    """Keeps notes about files, which the result has too; prints them if there is no result."""
+    log, handler = logging.getLogger("orbisim.recording"), _Kept()
+    propagate, log.propagate = log.propagate, False
+    log.addHandler(handler)
+    try:
+        yield
+    except Exception:
+        for text in handler.texts:
+            note(f"note: {text}")
+        raise
+    finally:
+        log.removeHandler(handler)
+        log.propagate = propagate
+
+
+class _Kept(logging.Handler):
+    """Keeps messages."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.texts: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keeps one."""
+        self.texts.append(record.getMessage())
+
+
+def _print(result: Replay) -> None:
+    print_table(
+        _title(result),
+        ("signal", "unit", "rms", "median", "95 %", "noise", "rms/noise"),
+        [
+            (
+                name,
+                error.unit,
+                *(_value(x) for x in (error.rms, error.median, error.p95, error.noise)),
+                _value(error.rms / result.noise_floor(name) if error.noise > 0 else float("nan")),
+            )
+            for name, error in result.signals.items()
+        ],
+    )
+    overall = "unknown" if result.rms != result.rms else f"{result.rms:.4g} {result.unit}"
+    click.echo(f"\noverall rms of joint positions: {overall}")
+
+
+def _title(result: Replay) -> str:
+    count = len(result.windows)
+    span = f"{result.window_s:g} s" if result.window_s else "the whole recording"
+    return f"{result.scene} on {result.backend}: {count} window{'s' * (count != 1)} of {span}"
+
+
+def _value(value: float) -> float | str:
+    """A number, or a dash if it is not known."""
+    return "-" if value != value else value
