@@ -55,8 +55,6 @@ def check_meshes(spec: mujoco.MjSpec, folders: Sequence[Path], source: str) -> t
     Raises:
       SceneError: a mesh file is broken or hostile.
     """
-    from orbisim.scene.meshes import check_mesh_file  # trimesh takes most of a second
-
     checked: set[Path] = set()
     notes: list[str] = []
     for reference in file_references(spec):
@@ -65,6 +63,8 @@ def check_meshes(spec: mujoco.MjSpec, folders: Sequence[Path], source: str) -> t
         path = locate(reference, folders, source)
         if path is None or path in checked or path.suffix.lower() not in _NATIVE:
             continue  # what is missing or of another format, MuJoCo knows best
+        from orbisim.scene.meshes import check_mesh_file  # trimesh takes most of a second
+
         check_mesh_file(path, source=source, element=reference.label)
         checked.add(path)
         if path.suffix.lower() == ".obj" and obj_has_several_objects(path.read_bytes()):
