@@ -48,6 +48,8 @@ def episodes(name: str, count: int, seed: int, **options: Any) -> Episodes:
     """
     if name.startswith("suite:"):
         return _suite_episodes(name.removeprefix("suite:"), count, seed)
+    if name.startswith("task:"):
+        return _task_episodes(name.removeprefix("task:"), count, seed)
     scene = load_scene(name, **options)
     return Episodes(scene, random_initial_states(scene.model, count, seed))
 
@@ -67,6 +69,15 @@ def _suite_episodes(task: str, count: int, seed: int) -> Episodes:
         states.append(state.replace(time=np.zeros(1)))
     assert scene is not None
     return Episodes(dataclasses.replace(scene, name=task), State.stack(states))
+
+
+def _task_episodes(name: str, count: int, seed: int) -> Episodes:
+    """A scene drawn from the task's distribution, with the controls of its policy."""
+    from orbisim import tasks
+    from orbisim.tasks.registry import split
+
+    task, subtask = split(name)
+    return tasks.make(f"task:{task}").trials(count, seed, subtask)
 
 
 def random_initial_states(

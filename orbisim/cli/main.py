@@ -14,6 +14,7 @@ COMMANDS = {
     "sim": "simulate a scene; write the trajectory and a video",
     "compare": "run the same episodes through two backends and report the differences",
     "replay": "free-running simulation against a recording",
+    "collect": "collect episodes of a task for training",
     "view": "interactive viewer in the browser",
 }
 """Commands in the order of the help text, each a module of this package."""

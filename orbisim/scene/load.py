@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from orbisim.errors import InputError, SceneError, UnknownNameError
+from orbisim.errors import InputError, SceneError
 from orbisim.scene.guard import Limits, guarded
 from orbisim.scene.reading import Reader, ReadResult
 from orbisim.scene.scene import Scene
@@ -69,7 +69,11 @@ def _from_task(prefix: str, task: str) -> Scene:
         from orbisim import suite
 
         return suite.load_scene(task)
-    raise UnknownNameError("task", f"{prefix}:{task}", ())
+    from orbisim import tasks
+    from orbisim.tasks.registry import split
+
+    name, subtask = split(task)
+    return tasks.make(f"{prefix}:{name}").scene(subtask)
 
 
 def _from_path(text: str, trusted: bool, options: dict[str, Any]) -> Scene:

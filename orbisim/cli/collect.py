@@ -1,0 +1,98 @@
+"""`orbisim collect`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from orbisim.cli.common import (
+    emit_json,
+    engine_command,
+    json_option,
+    note,
+    print_table,
+    seed_option,
+)
+
+
+@click.command(
+    "collect",
+    epilog="Example: orbisim collect push --episodes 200 --workers 8 --out push.h5",
+)
+@click.argument("task")
+@click.option("--episodes", type=int, default=None, help="How many. Default: as in the paper.")
+@click.option("--subtask", default=None, help="Only this one. Default: all, as in the paper.")
+@click.option("--workers", type=int, default=None, help="Processes. Default: all cores.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), required=True, help="The file; it must not exist."
+)
+@click.option("--frames", "camera", default=None, help="Also images from this camera.")
+@click.option("--size", default=128, show_default=True, help="Height and width of the images.")
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="A setting of the task: a number, or a range LOW,HIGH. May be repeated.",
+)
+@click.option("--ray", is_flag=True, help="Spread over a Ray cluster (RAY_ADDRESS, or local).")
+@seed_option
+@json_option
+@engine_command
+def command(
+    task: str,
+    episodes: int | None,
+    subtask: str | None,
+    workers: int | None,
+    out: Path,
+    camera: str | None,
+    size: int,
+    settings: tuple[str, ...],
+    ray: bool,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Collect episodes of TASK (push, ball, suite:cheetah-run ...) into an HDF5 file.
+
+    The same seed gives the same bytes, whatever the number of workers. If the work is interrupted,
+    the same command goes on where it stopped. docs/episodes.md has the format.
+    """
+    from orbisim.tasks.collect import collect
+    from orbisim.tasks.frames import Camera
+
+    result = collect(
+        task,
+        out,
+        episodes=episodes,
+        seed=seed,
+        workers=workers,
+        subtask=subtask,
+        camera=Camera(camera, size) if camera else None,
+        changes=dict(_setting(text) for text in settings),
+        ray=ray,
+    )
+    summary = {"schema": "orbisim.collect/1", "task": task, "seed": seed, **result.to_json()}
+    if as_json:
+        emit_json(summary)
+        return
+    print_table(
+        f"{result.episodes} episodes, {result.steps} control steps",
+        ("subtask", "episodes", "success"),
+        [(name, count, result.success.get(name, "-")) for name, count in result.subtasks.items()],
+    )
+    note(f"{result.path}: written in {result.seconds:.1f} s")
+
+
+def _setting(text: str) -> tuple[str, Any]:
+    from orbisim.errors import InputError
+
+    name, equals, value = text.partition("=")
+    try:
+        numbers = tuple(float(part) for part in value.split(","))
+    except ValueError:
+        numbers = ()
+    if not (equals and numbers):
+        raise InputError(f"--set is NAME=NUMBER or NAME=LOW,HIGH; got {text!r}")
+    return name.strip(), numbers[0] if len(numbers) == 1 else numbers

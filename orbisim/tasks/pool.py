@@ -1,0 +1,35 @@
+"""Work spread over processes of this machine."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import multiprocessing
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from orbisim.errors import OrbiSimError
+
+
+def run(work: Callable[..., None], jobs: Sequence[tuple[Any, ...]], workers: int) -> Iterator[None]:
+    """Runs `work(*job)` for every job; yields once for each that is done, in any order.
+
+    Raises:
+      OrbiSimError: a process was killed (for memory, say); whatever a job raises.
+    """
+    # a fork of a process with torch in it may hang in torch's threads
+    context = multiprocessing.get_context("spawn" if "torch" in sys.modules else "fork")
+    with concurrent.futures.ProcessPoolExecutor(workers, context) as pool:
+        futures = [pool.submit(work, *job) for job in jobs]
+        try:
+            for future in concurrent.futures.as_completed(futures):
+                future.result()
+                yield None
+        except concurrent.futures.process.BrokenProcessPool as error:
+            raise OrbiSimError(
+                "a worker process was killed (out of memory?); what is done is kept, run the same "
+                "command again, with fewer workers"
+            ) from error
+        finally:
+            for future in futures:
+                future.cancel()

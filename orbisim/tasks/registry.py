@@ -1,0 +1,67 @@
+"""Tasks by name."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from orbisim.errors import InputError, UnknownNameError
+from orbisim.tasks.base import Task
+
+_TASKS: dict[str, str | type[Task]] = {
+    "push": "orbisim.tasks.push:Push",
+    "push_cubes": "orbisim.tasks.push_cubes:PushCubes",
+    "pick_and_place": "orbisim.tasks.pick_and_place:PickAndPlace",
+    "ball": "orbisim.tasks.ball:Ball",
+    "toss": "orbisim.tasks.toss:Toss",
+}
+
+
+def available() -> tuple[str, ...]:
+    """Names of the tasks (of the suite's, see `orbisim.suite.ALL_TASKS`)."""
+    return tuple(sorted(_TASKS))
+
+
+def register(name: str, task: type[Task]) -> None:
+    """Adds a task for this process.
+
+    Raises:
+      InputError: the name has a colon or a hyphen, or the class is not a task.
+    """
+    if not name or ":" in name or "-" in name:
+        raise InputError(f"a task's name is not empty and has no colon or hyphen; got {name!r}")
+    if not (isinstance(task, type) and issubclass(task, Task)):
+        raise InputError(f"{name!r} must be a subclass of Task; got {task!r}")
+    _TASKS[name] = task
+
+
+def make(name: str, **changes: Any) -> Task:
+    """A task by name: `push`, `task:push`, or `suite:cheetah-run`.
+
+    Args:
+      name: its name.
+      **changes: fields of its configuration to replace (`table_friction=0.1`).
+
+    Raises:
+      UnknownNameError: there is no such task, or no such field.
+    """
+    prefix, _, rest = name.partition(":")
+    if prefix == "suite" and rest:
+        from orbisim.tasks.suite import SuiteTask
+
+        return SuiteTask(rest, **changes)
+    short = rest if prefix == "task" and rest else name
+    if short not in _TASKS:
+        raise UnknownNameError("task", name, [*(f"task:{n}" for n in _TASKS), "suite:cheetah-run"])
+    found = _TASKS[short]
+    if isinstance(found, str):
+        module, _, attribute = found.partition(":")
+        found = getattr(importlib.import_module(module), attribute)
+    assert not isinstance(found, str)
+    return found(**changes)
+
+
+def split(name: str) -> tuple[str, str | None]:
+    """`push-to_hit` as (`push`, `to_hit`), `push` as (`push`, None)."""
+    task, _, subtask = name.partition("-")
+    return task, subtask or None
