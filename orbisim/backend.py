@@ -331,10 +331,12 @@ class Backend(abc.ABC):
 
 def check_finite(name: str, values: Array) -> None:
     """Raises `InputError` naming the first entry that is NaN or infinite."""
-    host = values.detach().cpu().numpy() if hasattr(values, "detach") else values
-    if not np.isfinite(host).all():
-        index = tuple(int(i) for i in np.argwhere(~np.isfinite(host))[0])
-        raise InputError(f"{name}{list(index)} is {host[index]}; controls must be finite")
+    on_device = hasattr(values, "detach")
+    if bool((values.isfinite() if on_device else np.isfinite(values)).all()):
+        return
+    host = values.detach().cpu().numpy() if on_device else values
+    index = tuple(int(i) for i in np.argwhere(~np.isfinite(host))[0])
+    raise InputError(f"{name}{list(index)} is {host[index]}; controls must be finite")
 
 
 def perturbed(model: mujoco.MjModel, state: State, dx: npt.NDArray[np.float64]) -> State:

@@ -59,7 +59,8 @@ class WarpBackend(Backend):
     """MuJoCo-Warp in float32.
 
     Buffers for contacts and constraints start at MuJoCo-Warp's own estimate and are enlarged (and
-    the step repeated) when they overflow. On a GPU, steps run as CUDA graphs.
+    the step repeated) when they overflow. On a GPU, steps run as CUDA graphs; what a rollout is
+    recorded into is kept for the next one of the same length.
 
     Args:
       nworld: number of worlds to prepare for.
@@ -105,6 +106,7 @@ class WarpBackend(Backend):
         self._model: Any = None
         self._data: Any = None
         self._graphs: dict[Any, Any] = {}
+        self._kept: tuple[Any, dict[str, wp.array]] | None = None
         capabilities = {Capability.CLASSICAL, Capability.CONTACT_FORCES}
         if self._wp_device.is_cuda:
             capabilities.add(Capability.DEVICE_BATCH)
@@ -131,6 +133,7 @@ class WarpBackend(Backend):
             self._model.opt.deterministic = int(mjw.DeterminismType.ALL)
         self._scene = scene
         self._forget()
+        self._kept = None
         self._use_report()
         defaults = mujoco.MjData(scene.model)
         self._defaults = {name: np.array(getattr(defaults, name)) for name in _MEMORY}
@@ -227,7 +230,7 @@ class WarpBackend(Backend):
         self.check_state(state)
         steps = int(controls.shape[1])
         with self._scope():
-            buffers = self._rollout_buffers(controls, state.nworld, steps, sensors)
+            buffers = self._buffers_for(controls, state.nworld, steps, sensors)
 
         def run() -> None:
             self._write(state, controls[:, 0] if steps else None)
@@ -237,12 +240,12 @@ class WarpBackend(Backend):
                 self._launch(key, lambda: self._one_recorded_step(buffers, nstep))
 
         self._until_it_fits(run, state.nworld)
-        self._graphs = {k: g for k, g in self._graphs.items() if not isinstance(k, tuple)}
         return self._finish_rollout(state, controls, buffers, nstep, raise_on_divergence)
 
     def close(self) -> None:
         """Frees the device memory."""
         self._forget()
+        self._kept = None
         self._model = None
 
     # -- running -------------------------------------------------------------------------------
@@ -449,9 +452,21 @@ class WarpBackend(Backend):
             **records,
         )
 
-    def _rollout_buffers(
+    def _buffers_for(
         self, controls: Any, nworld: int, steps: int, sensors: bool
     ) -> dict[str, wp.array]:
+        """Buffers with the controls; those of the last rollout, and its graph, if they fit."""
+        key = (nworld, steps, sensors)
+        if self._kept is None or self._kept[0] != key:
+            self._graphs = {k: g for k, g in self._graphs.items() if not isinstance(k, tuple)}
+            self._kept = None  # frees them before others are allocated
+            self._kept = (key, self._rollout_buffers(nworld, steps, sensors))
+        buffers = self._kept[1]
+        if "controls" in buffers:
+            _assign(buffers["controls"], controls)
+        return buffers
+
+    def _rollout_buffers(self, nworld: int, steps: int, sensors: bool) -> dict[str, wp.array]:
         model = self.model
         sizes = {"qpos": model.nq, "qvel": model.nv, "act": model.na}
         if sensors:
@@ -464,7 +479,6 @@ class WarpBackend(Backend):
         buffers["cursor"] = wp.zeros(1, dtype=int)
         if model.nu:
             buffers["controls"] = wp.empty((nworld, steps, model.nu), dtype=float)
-            _assign(buffers["controls"], controls)
         return buffers
 
     def _reported(self) -> dict[str, Any]:
