@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from orbisim.tasks.arm import UR5E
 from orbisim.tasks.armtask import ArmTask
-from orbisim.tasks.motion import Hold, Move, Plan, nearest_turn, wander
+from orbisim.tasks.motion import Hold, Move, nearest_turn, wander
 from orbisim.tasks.sampling import Range
 from orbisim.tasks.staging import Script
 from orbisim.tasks.tabletop import Pose, Setting, TabletopConfig, on_table, scatter
@@ -89,7 +89,7 @@ class Push(ArmTask):
 
     def script(self, subtask: str, setting: Setting, rng: np.random.Generator) -> Script:
         """Where everything stands and what the arm does."""
-        tool = _tool(rng)
+        tool = start_of_tool(rng)
         if subtask == "random":
             return Script(
                 scatter(setting, self.config, rng), tool, lambda stage: wander(rng, *WORKSPACE)
@@ -109,7 +109,8 @@ def hit(cubes: Floats) -> bool:
     return bool(moved and on_table(cubes[-1, :2]).all())
 
 
-def _tool(rng: np.random.Generator) -> tuple[float, float, float]:
+def start_of_tool(rng: np.random.Generator) -> tuple[float, float, float]:
+    """Where the end effector is at the start, m."""
     x, y, z = rng.uniform([0.35, -0.2, 0.12], [0.6, 0.2, 0.26])
     return float(x), float(y), float(z)
 
@@ -183,6 +184,3 @@ def within(spot: tuple[float, float]) -> bool:
 def inside(spot: Floats) -> bool:
     """Whether a cube may end there."""
     return bool((spot > LOW).all() and (spot < HIGH).all())
-
-
-__all__ = ["Plan", "Push", "PushConfig", "Stroke", "behind", "draw_hit", "draw_push", "hit"]

@@ -131,6 +131,20 @@ def scatter(
     return poses
 
 
+def tower(
+    setting: Setting, config: TabletopConfig, rng: np.random.Generator, height: int
+) -> list[Pose]:
+    """The first `height` cubes on top of one another, not quite straight; the others beside."""
+    poses = scatter(setting, config, rng, gap=0.06)
+    x, y, top = poses[0].pos[0], poses[0].pos[1], 0.0
+    for i, cube in enumerate(setting.cubes[:height]):
+        dx, dy = rng.uniform(-0.15, 0.15, 2) * cube.half if i else (0.0, 0.0)
+        yaw = poses[0].yaw + rng.uniform(-0.3, 0.3)
+        poses[i] = Pose((float(x + dx), float(y + dy), top + cube.half), yaw)
+        top += 2 * cube.half
+    return poses
+
+
 def _apart(spot: Floats, half: float, other: Pose, other_half: float, gap: float) -> bool:
     reach = np.sqrt(2) * (half + other_half)
     return bool(np.linalg.norm(spot - np.array(other.pos[:2])) > reach + gap)

@@ -1,0 +1,120 @@
+"""Collects every data set that the learned models are trained and measured on.
+
+    python tools/collect_all.py --out DIR [--workers 16] [--scale 1.0] [--only NAME ...]
+
+Counts are the paper's where it has them. Held-out sets have other seeds than the training sets.
+Files that exist are kept; an interrupted run goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+from orbisim.cli.common import quiet_engine
+from orbisim.tasks.collect import collect
+
+SUITE = (
+    "pendulum-swingup",
+    "cartpole-swingup",
+    "acrobot-swingup",
+    "point_mass-easy",
+    "reacher-easy",
+    "finger-spin",
+    "cheetah-run",
+    "hopper-hop",
+    "walker-walk",
+)
+TRAIN, TEST = 0, 1
+"""Seeds."""
+
+
+@dataclasses.dataclass(frozen=True)
+class DataSet:
+    """One file: its name, the task, and what `collect` is told."""
+
+    name: str
+    task: str
+    episodes: int | None = None
+    seed: int = TRAIN
+    subtask: str | None = None
+    changes: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+
+def data_sets() -> list[DataSet]:
+    """All of them."""
+    hit = {"task": "push", "seed": TEST, "subtask": "to_hit"}
+    sets = [
+        DataSet("push_train", "push"),
+        DataSet("push_test", "push", 260, TEST),
+        DataSet("push_low_friction", episodes=100, changes={"table_friction": 0.2}, **hit),
+        DataSet("push_high_friction", episodes=100, changes={"table_friction": 0.6}, **hit),
+        DataSet("push_ood_slippery", episodes=100, changes={"table_friction": 0.05}, **hit),
+        DataSet("push_ood_rough", episodes=100, changes={"table_friction": 1.0}, **hit),
+        DataSet("push_ood_three", "push", 100, TEST, "three"),
+        DataSet("push_cubes_train", "push_cubes"),
+        DataSet("push_cubes_test", "push_cubes", 168, TEST),
+        DataSet("pick_and_place_train", "pick_and_place"),
+        DataSet("pick_and_place_test", "pick_and_place", 126, TEST),
+        DataSet("ball_train", "ball"),
+        DataSet("ball_test", "ball", 100, TEST),
+        DataSet("toss_train", "toss", 4000),
+        DataSet("toss_test", "toss", 200, TEST),
+    ]
+    for name in SUITE:
+        short, task = name.partition("-")[0], f"suite:{name}"
+        sets.append(DataSet(f"suite_{short}_train", task, 1000))
+        sets.append(DataSet(f"suite_{short}_test", task, 40, TEST, changes={"steps": 1000}))
+    return sets
+
+
+def main() -> None:
+    """Collects them one after another; prints a line of JSON for each."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--out", type=Path, required=True, help="folder for the files")
+    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--scale", type=float, default=1.0, help="of the numbers of episodes")
+    parser.add_argument("--only", nargs="+", default=[], help="names, or beginnings of names")
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    started = time.monotonic()
+    with quiet_engine():
+        for item in data_sets():
+            wanted = not arguments.only or item.name.startswith(tuple(arguments.only))
+            path = arguments.out / f"{item.name}.h5"
+            if wanted and not path.exists():
+                print(json.dumps(one(item, path, arguments.scale, arguments.workers)), flush=True)
+    print(json.dumps({"name": "all", "seconds": round(time.monotonic() - started, 1)}))
+
+
+def one(item: DataSet, path: Path, scale: float, workers: int) -> dict[str, Any]:
+    """Collects one data set; returns what is worth printing."""
+    from orbisim.tasks import make
+
+    total = item.episodes or len(make(item.task).allotment(None, item.subtask))
+    result = collect(
+        item.task,
+        path,
+        episodes=max(1, round(total * scale)),
+        seed=item.seed,
+        workers=workers,
+        subtask=item.subtask,
+        changes=item.changes,
+    )
+    return {
+        "name": item.name,
+        "episodes": result.episodes,
+        "steps": result.steps,
+        "seconds": result.seconds,
+        "megabytes": round(path.stat().st_size / 1e6, 1),
+        "success": result.success,
+    }
+
+
+if __name__ == "__main__":
+    main()
