@@ -15,6 +15,8 @@ COMMANDS = {
     "compare": "run the same episodes through two backends and report the differences",
     "replay": "free-running simulation against a recording",
     "collect": "collect episodes of a task for training",
+    "train": "train a learned model",
+    "eval": "measure a learned model",
     "view": "interactive viewer in the browser",
 }
 """Commands in the order of the help text, each a module of this package."""

@@ -1,0 +1,78 @@
+"""The model card: what a checkpoint is, for people."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from orbisim_world_model.checkpoint import MANIFEST
+
+
+def write_card(folder: Path, manifest: dict[str, Any]) -> None:
+    """Writes `card.md` from a checkpoint's manifest."""
+    (folder / "card.md").write_text(card(manifest))
+
+
+def card(manifest: dict[str, Any]) -> str:
+    """The card as Markdown."""
+    layout, training, data = manifest["layout"], manifest["training"], manifest["data"]
+    tasks = sorted({str(source.get("task")) for source in data.get("sources", [])})
+    lines = [
+        f"# Learned dynamics of {', '.join(tasks)}",
+        "",
+        f"Configuration `{manifest['config']['name']}`, {manifest['parameters']:,} parameters, "
+        f"one step is {manifest['control_timestep']:g} s. All numbers are in {MANIFEST}.",
+        "",
+        "## What it knows",
+        "",
+        f"- {len(layout['joints'])} joints, {len(layout['objects'])} objects, "
+        f"{layout['nu']} controls.",
+        f"- {data['episodes']} episodes, {data['control_steps']:,} control steps "
+        f"({', '.join(data.get('groups', []))}).",
+        *_range_lines(manifest["ranges"]),
+        "",
+        "## How it was trained",
+        "",
+        f"{training['steps']:,} steps in {training['seconds']:g} s on {training['device']}, "
+        f"{training['processes']} process(es), seed {training['seed']}.",
+        "",
+        "## How good it is",
+        "",
+        *metric_lines(manifest["metrics"]),
+        "",
+        "## What it is not for",
+        "",
+        "Scenes with other entities, another control step, or descriptors and states outside the "
+        "ranges above. It conserves neither energy nor momentum exactly.",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _range_lines(found: dict[str, Any]) -> list[str]:
+    lines = []
+    for group, title in (("attributes", "Objects"), ("settings", "World"), ("joints", "Joints")):
+        varying = {n: r for n, r in found[group].items() if r[1] - r[0] > 1e-9}
+        if varying:
+            text = ", ".join(f"{n} {r[0]:.3g} to {r[1]:.3g}" for n, r in varying.items())
+            lines.append(f"- {title}: {text}.")
+    return lines
+
+
+def metric_lines(metrics: dict[str, Any]) -> list[str]:
+    """Tables of held-out errors by horizon, the model beside constant velocity."""
+    if not metrics:
+        return ["Not evaluated yet."]
+    lines = [
+        f"Median over {metrics['held_out_episodes']} held-out episodes, open loop.",
+        "",
+        "| control steps | quantity | model | constant velocity |",
+        "| --- | --- | --- | --- |",
+    ]
+    for horizon, values in metrics["model"].items():
+        other = metrics["constant_velocity"].get(horizon, {})
+        for name, value in values.items():
+            if isinstance(value, dict):
+                against = other.get(name, {}).get("median", float("nan"))
+                lines.append(f"| {horizon} | {name} | {value['median']:.4g} | {against:.4g} |")
+    return lines

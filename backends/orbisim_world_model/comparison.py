@@ -1,0 +1,86 @@
+"""Several checkpoints on the same held-out episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from orbisim.errors import InputError
+from orbisim_world_model.checkpoint import Checkpoint, load_checkpoint
+from orbisim_world_model.evaluate import BURN, HORIZONS, constant_velocity, evaluate
+from orbisim_world_model.pack import Pack
+from orbisim_world_model.packing import read_data
+
+
+def compare_checkpoints(
+    folders: Sequence[Path],
+    data: Sequence[Path],
+    *,
+    horizons: Sequence[int] | None = None,
+    burn: int = BURN,
+    limit: int = 512,
+    device: str = "cpu",
+    by_group: bool = False,
+) -> dict[str, Any]:
+    """Errors of checkpoints and of constant velocity, by group of episodes.
+
+    Args:
+      folders: checkpoints; the first one's kind of state is constant velocity's too.
+      data: episode files or packs.
+      horizons, burn, limit: see `evaluate`.
+      device: where to compute.
+      by_group: each subtask by itself beside all together.
+
+    Raises:
+      InputError: the episodes are of another scene than a checkpoint.
+    """
+    checkpoints = [load_checkpoint(folder) for folder in folders]
+    pack = read_data(data, checkpoints[0].model.config.baseline).to(device)
+    for checkpoint in checkpoints:
+        _check(checkpoint, pack)
+    parts = {"all": pack}
+    if by_group:
+        for number, name in enumerate(pack.notes["groups"]):
+            chosen = torch.nonzero(pack.group == number)[:, 0]
+            if len(chosen):
+                parts[name] = pack.subset(chosen)
+    steps = horizons or HORIZONS
+    groups: dict[str, Any] = {}
+    for name, part in parts.items():
+        found = {
+            _name(c, checkpoints): evaluate(
+                c.model.to(part.device), part, steps, burn=burn, limit=limit
+            )
+            for c in checkpoints
+        }
+        still = constant_velocity(part, checkpoints[0].model.config)
+        found["constant_velocity"] = evaluate(still, part, steps, burn=burn, limit=limit)
+        groups[name] = found
+    return {
+        "schema": "orbisim.eval/1",
+        "burn": burn,
+        "control_timestep": pack.layout.timestep,
+        "parameters": {_name(c, checkpoints): c.manifest["parameters"] for c in checkpoints},
+        "groups": groups,
+    }
+
+
+def _name(checkpoint: Checkpoint, among: Sequence[Checkpoint]) -> str:
+    """The configuration's name; with the folder's where two have the same."""
+    own = str(checkpoint.manifest["config"]["name"])
+    alike = sum(str(c.manifest["config"]["name"]) == own for c in among)
+    return own if alike == 1 else f"{own} ({checkpoint.path.name})"
+
+
+def _check(checkpoint: Checkpoint, pack: Pack) -> None:
+    ours, theirs = checkpoint.layout, pack.layout
+    same = ours.joints == theirs.joints and len(ours.objects) == len(theirs.objects)
+    if not same or ours.nu != theirs.nu or abs(ours.timestep - theirs.timestep) > 1e-9:
+        raise InputError(
+            f"{checkpoint.path}: trained on {len(ours.joints)} joints, {len(ours.objects)} objects "
+            f"and steps of {ours.timestep:g} s; the episodes have {len(theirs.joints)}, "
+            f"{len(theirs.objects)} and {theirs.timestep:g} s"
+        )

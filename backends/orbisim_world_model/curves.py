@@ -1,0 +1,24 @@
+"""Curves of a training as an image."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+
+def draw_curves(metrics: Path, image: Path) -> None:
+    """Draws the losses of a metrics file over the training steps."""
+    from matplotlib.figure import Figure
+
+    rows = [json.loads(line) for line in metrics.read_text().splitlines()]
+    figure = Figure(figsize=(7, 4), layout="constrained")
+    axes = figure.add_subplot()
+    steps = [row["step"] for row in rows]
+    axes.plot(steps, [row["loss"] for row in rows], label="all losses", lw=1)
+    axes.plot(steps, [row["state_loss"] for row in rows], label="L_state", lw=1)
+    axes.set(xlabel="training step", ylabel="loss", yscale="log")
+    other = axes.twinx()
+    other.plot(steps, [row["ratio"] for row in rows], color="0.6", lw=1, label="AR ratio")
+    other.set(ylabel="autoregressive ratio", ylim=(0, 1.05))
+    axes.legend(loc="lower left", frameon=False)
+    figure.savefig(image, dpi=120)

@@ -1,0 +1,43 @@
+"""Runs a function of fixed tensors as one CUDA graph, or as it is where there is no GPU."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+
+
+class Graphed:
+    """A function without arguments that reads and writes tensors that stay in place.
+
+    Args:
+      function: what to run; must not depend on the host.
+      restore: undoes what the warm-up before the capture changed.
+      enabled: whether to capture a graph (needs a GPU).
+    """
+
+    def __init__(
+        self, function: Callable[[], Any], restore: Callable[[], None], enabled: bool
+    ) -> None:
+        self._function, self._graph = function, None
+        if not enabled:
+            return
+        stream = torch.cuda.Stream()
+        stream.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(stream):
+            for _ in range(3):
+                function()
+        torch.cuda.current_stream().wait_stream(stream)
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
+            self._result = function()
+        self._graph = graph
+        restore()
+
+    def __call__(self) -> Any:
+        """Runs it once; with a graph, the result's tensors are the same each time."""
+        if self._graph is None:
+            return self._function()
+        self._graph.replay()
+        return self._result

@@ -1,0 +1,48 @@
+"""Forward kinematics of the hand in torch: from joint coordinates to its pose and velocity."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from orbisim_world_model.layout import Layout
+
+
+class Kinematics(nn.Module):
+    """Pose and velocity of the hand, as a product of the transforms of the joints before it.
+
+    Each joint has a frame at its anchor whose z axis is the joint's axis.
+
+    Args:
+      layout: of a scene with a hand (`layout.chain` is not empty).
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        super().__init__()
+        constants = {
+            "basis": torch.tensor(layout.chain, dtype=torch.float32).reshape(-1, 4, 4, 4),
+            "tip": torch.tensor(layout.tip, dtype=torch.float32).reshape(4, 4),
+            "turns": torch.tensor([float(layout.hinge[j]) for j in layout.chain_joints]),
+            "joints": torch.tensor(layout.chain_joints, dtype=torch.long),
+        }
+        for name, value in constants.items():
+            self.register_buffer(name, value, persistent=False)
+
+    def forward(self, q: Tensor, v: Tensor) -> Tensor:
+        """The hand [B, 18] of joint positions and velocities [B, J] (see `Entities.hand`)."""
+        q, v = q[:, self.joints], v[:, self.joints]  # [B, C]
+        terms = torch.stack([torch.ones_like(q), q.sin(), q.cos(), q], dim=-1)  # [B, C, 4]
+        local = torch.einsum("bck,ckmn->bcmn", terms, self.basis.to(q.dtype))  # [B, C, 4, 4]
+        frames = [local[:, 0]]
+        for joint in range(1, local.shape[1]):
+            frames.append(frames[-1] @ local[:, joint])
+        hand = frames[-1] @ self.tip.to(q.dtype)
+        stacked = torch.stack(frames, dim=1)  # [B, C, 4, 4]
+        axis, anchor = stacked[..., :3, 2], stacked[..., :3, 3]  # [B, C, 3]
+        turning = axis * (v * self.turns)[..., None]
+        sliding = axis * (v * (1.0 - self.turns))[..., None]
+        arm = hand[:, None, :3, 3] - anchor
+        linear = (torch.linalg.cross(turning, arm) + sliding).sum(1)
+        return torch.cat(
+            [hand[:, :3, 3], hand[:, :3, :3].flatten(1), linear, turning.sum(1)], dim=1
+        )

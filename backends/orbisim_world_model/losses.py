@@ -1,0 +1,146 @@
+"""The losses: equations 3_losses and the state loss of appendix B.1."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn.functional import smooth_l1_loss
+
+from orbisim_world_model.entities import Entities
+from orbisim_world_model.layout import Layout
+from orbisim_world_model.rotation import (
+    conjugate,
+    geodesic_distance,
+    logarithm,
+    multiply,
+    quaternion_distance,
+)
+
+
+def transition_loss(predicted: Tensor, latent: Tensor) -> Tensor:
+    """Equation 3_losses, L_tra = ||zhat_t - sg(z_t)||^2, mean over entries."""
+    return (predicted.float() - latent.float().detach()).square().mean()
+
+
+def encoding_loss(predicted: Tensor, latent: Tensor) -> Tensor:
+    """Equation 3_losses, L_enc = ||z_t - sg(zhat_t)||^2, mean over entries."""
+    return (latent.float() - predicted.float().detach()).square().mean()
+
+
+def state_loss(predicted: Entities, x: Entities, mask: Tensor, layout: Layout) -> Tensor:
+    """Equation 3_losses, L_dec = L_state = L_robot + L_object, in SI units; [B].
+
+    The trajectory error (TrajErr) of an evaluation is the same number.
+    """
+    return robot_loss(predicted, x, layout) + object_loss(predicted, x, mask)
+
+
+def robot_loss(predicted: Entities, x: Entities, layout: Layout) -> Tensor:
+    """L_robot [B]: Smooth-L1 on the hand's position and velocity, geodesic distance on SO(3).
+
+    A robot without a hand is measured by its joint coordinates, with Smooth-L1.
+    """
+    if layout.hand:
+        return (
+            smooth(predicted.hand_pos, x.hand_pos)
+            + smooth(predicted.hand_vel, x.hand_vel)
+            + geodesic_distance(predicted.hand_rot, x.hand_rot)
+        )
+    if layout.has_robot:
+        return smooth(predicted.q, x.q) + smooth(predicted.v, x.v)
+    return x.q.new_zeros(len(x.q))
+
+
+def object_loss(predicted: Entities, x: Entities, mask: Tensor) -> Tensor:
+    """L_object [B]: Smooth-L1 on position and velocity, normalised quaternion distance.
+
+    Averaged over the objects that there are.
+    """
+    if not mask.shape[1]:
+        return x.pos.new_zeros(len(x.pos))
+    each = smooth(predicted.pos, x.pos) + smooth(predicted.vel, x.vel)
+    each = each + quaternion_distance(predicted.quat, x.quat)  # [B, N]
+    return (each * mask).sum(1) / mask.sum(1).clamp_min(1.0)
+
+
+def smooth(a: Tensor, b: Tensor) -> Tensor:
+    """Smooth-L1 distance, mean over the last axis."""
+    return smooth_l1_loss(a, b, reduction="none").mean(-1)
+
+
+class Scales(NamedTuple):
+    """The typical change over one step, by which errors are divided.
+
+    Attributes:
+      q, v, act: [J], [J], [A]. hand: [4] of position, rotation, velocity, angular velocity.
+      objects: [4] of position, rotation, velocity, angular velocity.
+    """
+
+    q: Tensor
+    v: Tensor
+    act: Tensor
+    hand: Tensor
+    objects: Tensor
+
+
+def scaled_state_loss(
+    predicted: Entities,
+    x: Entities,
+    mask: Tensor,
+    layout: Layout,
+    scales: Scales,
+    beta: float = 1.0,
+) -> Tensor:
+    """L_state [B] of the extended state, each error in units of its change over one step.
+
+    Smooth-L1 throughout; rotations by the rotation vector between them; angular velocities, joint
+    coordinates and activations beside what the paper has. Errors below `beta` count quadratically.
+    """
+
+    def near(a: Tensor, b: Tensor) -> Tensor:
+        return smooth_l1_loss(a, b, reduction="none", beta=beta).mean(-1)
+
+    total = x.pos.new_zeros(len(x.pos))
+    if layout.has_robot:
+        total = total + near(predicted.q / scales.q, x.q / scales.q)
+        total = total + near(predicted.v / scales.v, x.v / scales.v)
+        if layout.na:
+            total = total + near(predicted.act / scales.act, x.act / scales.act)
+    if layout.hand:
+        pos, rot, _, _ = scales.hand
+        total = total + near(predicted.hand_pos / pos, x.hand_pos / pos)
+        total = total + geodesic_distance(predicted.hand_rot, x.hand_rot).div(rot).clamp(max=10.0)
+    if mask.shape[1]:
+        pos, rot, vel, ang = scales.objects
+        turn = logarithm(multiply(predicted.quat, conjugate(x.quat)))
+        each = near(predicted.pos / pos, x.pos / pos) + near(predicted.vel / vel, x.vel / vel)
+        each = each + near(turn / rot, torch.zeros_like(turn))
+        each = each + near(predicted.ang / ang, x.ang / ang)
+        total = total + (each * mask).sum(1) / mask.sum(1).clamp_min(1.0)
+    return total
+
+
+def measure_scales(x: Entities, after: Entities, mask: Tensor, layout: Layout) -> Scales:
+    """Root mean square change over one step, from transitions of the training data."""
+
+    def rms(change: Tensor, keep: Tensor | None = None) -> Tensor:
+        rows = change if keep is None else change[keep > 0]
+        return rows.square().mean().sqrt().clamp_min(1e-6)
+
+    def each(change: Tensor) -> Tensor:
+        return change.square().mean(0).sqrt().clamp_min(1e-6)
+
+    hand = torch.ones(4, device=x.pos.device)
+    if layout.hand:
+        hand[0] = rms(after.hand_pos - x.hand_pos)
+        hand[1] = rms(geodesic_distance(after.hand_rot, x.hand_rot))
+        hand[2] = rms(after.hand_vel - x.hand_vel)
+        hand[3] = rms(after.hand_ang - x.hand_ang)
+    objects = torch.ones(4, device=x.pos.device)
+    if mask.shape[1]:
+        turn = logarithm(multiply(after.quat, conjugate(x.quat)))
+        changes = (after.pos - x.pos, turn, after.vel - x.vel, after.ang - x.ang)
+        objects = torch.stack([rms(change, mask) for change in changes])
+    return Scales(each(after.q - x.q), each(after.v - x.v), each(after.act - x.act), hand, objects)

@@ -1,0 +1,1 @@
+"""The functions of the paper's equation RSSM, one module each."""

@@ -1,0 +1,89 @@
+"""What goes into a network and what comes out, whichever network it is."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+from torch import Tensor
+
+
+class Inputs(NamedTuple):
+    """Normalised numbers of one step.
+
+    Attributes:
+      robot: [B, F]. objects: [B, N, G]. edges: [B, K, K, E] or None.
+      attributes: [B, N, D]. world: [B, W].
+      control: [B, U], with the distances to its targets where the model sees them.
+      mask: [B, N], 1 for objects and 0 for padding; None when every world has all objects.
+    """
+
+    robot: Tensor
+    objects: Tensor
+    edges: Tensor | None
+    attributes: Tensor
+    world: Tensor
+    control: Tensor
+    mask: Tensor | None
+
+    def flat(self) -> Tensor:
+        """Everything in one vector [B, ...] for networks without tokens."""
+        import torch
+
+        objects = torch.cat([self.objects, self.attributes], dim=-1)
+        if self.mask is not None:
+            objects = objects * self.mask[..., None]
+        return torch.cat([self.robot, objects.flatten(1), self.world], dim=1)
+
+
+class Outputs(NamedTuple):
+    """Numbers of one step.
+
+    Attributes:
+      robot: [B, R]. objects: [B, N, O]: what `integrate.advance` turns into the next state.
+      memory: [B, ...].
+      latent: zhat_t.
+      penalty: [] a loss of the network's own.
+    """
+
+    robot: Tensor
+    objects: Tensor
+    memory: Tensor
+    latent: Tensor
+    penalty: Tensor
+
+
+class Sizes(NamedTuple):
+    """Numbers of features and outputs: see `Inputs` and `Outputs`."""
+
+    robot: int
+    objects: int
+    count: int
+    edges: int
+    attributes: int
+    world: int
+    control: int
+    robot_out: int
+    objects_out: int
+
+    @property
+    def flat(self) -> int:
+        """Length of `Inputs.flat`."""
+        return self.robot + self.count * (self.objects + self.attributes) + self.world
+
+    @property
+    def tokens(self) -> int:
+        """Number of tokens."""
+        return self.count + int(self.robot > 0)
+
+
+class Network(Protocol):
+    """One step of a learned model, on normalised numbers."""
+
+    def initial_memory(self, batch: int) -> Tensor:
+        """Memory [B, ...] when nothing is known of the past."""
+
+    def encode(self, inputs: Inputs, memory: Tensor) -> Tensor:
+        """z_t."""
+
+    def __call__(self, inputs: Inputs, memory: Tensor, observe: bool) -> Outputs:
+        """One step; with `observe` false, a network may go by its memory alone."""

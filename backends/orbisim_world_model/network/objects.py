@@ -1,0 +1,75 @@
+"""Equation RSSM as a whole: the object-centric recurrent state-space model."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from orbisim_world_model.config import ModelConfig
+from orbisim_world_model.network.coupling import Coupling, token_mask
+from orbisim_world_model.network.decoder import Decoder
+from orbisim_world_model.network.encoder import Encoder
+from orbisim_world_model.network.inputs import Inputs, Outputs, Sizes
+from orbisim_world_model.network.recurrence import Recurrence
+from orbisim_world_model.network.transition import Transition
+
+
+class ObjectCentricNetwork(nn.Module):
+    """Equation RSSM: one token for each entity, with its own latent z and memory h.
+
+    The robot's token is conditioned on the action and the world, an object's on its own
+    attributes and the world.
+    """
+
+    def __init__(self, sizes: Sizes, config: ModelConfig) -> None:
+        super().__init__()
+        width = config.width
+        self.remembers = config.memory == "gru"
+        self.robot_token, self.count = int(sizes.robot > 0), sizes.count
+        self.start = nn.Parameter(torch.zeros(2, width))  # of the robot's and the objects' memory
+        objects = sizes.objects if sizes.count else 0
+        self.f_enc = Encoder(sizes.robot, objects, width)
+        self.f_cp = Coupling(width, config.layers, config.heads, config.expansion, sizes.edges)
+        self.f_rec = Recurrence(width) if self.remembers else None
+        self.f_tra = Transition(width, config.skip)
+        self.f_dec = Decoder(width, sizes.robot_out, sizes.objects_out, sizes.count)
+        self.robot_condition = _condition(sizes.control + sizes.world, width)
+        self.object_condition = _condition(sizes.attributes + sizes.world, width)
+
+    def initial_memory(self, batch: int) -> Tensor:
+        """[B, K, width]: learned, one for robots and one for objects."""
+        robot = self.start[:1].expand(self.robot_token, -1)
+        tokens = torch.cat([robot, self.start[1:].expand(self.count, -1)])
+        return tokens.expand(batch, -1, -1)
+
+    def encode(self, inputs: Inputs, memory: Tensor) -> Tensor:
+        """z_t = f_enc(h_t, x_t)."""
+        return self.f_enc(memory, inputs.robot, inputs.objects)
+
+    def condition(self, inputs: Inputs) -> Tensor:
+        """c [B, K, width] of AdaLN."""
+        world = inputs.world
+        parts = []
+        if self.robot_token:
+            parts.append(self.robot_condition(torch.cat([inputs.control, world], -1))[:, None])
+        if self.count:
+            spread = world[:, None].expand(-1, inputs.attributes.shape[1], -1)
+            parts.append(self.object_condition(torch.cat([inputs.attributes, spread], -1)))
+        return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
+
+    def forward(self, inputs: Inputs, memory: Tensor, observe: bool = True) -> Outputs:
+        """One step of equation RSSM."""
+        mask = None
+        if inputs.mask is not None:
+            mask = token_mask(inputs.mask, bool(self.robot_token))
+        z = self.encode(inputs, memory)
+        e = self.f_cp(z, self.condition(inputs), inputs.edges, mask)
+        h = e if self.f_rec is None else self.f_rec(memory, e)
+        latent = self.f_tra(h, e)
+        robot, objects = self.f_dec(latent)
+        kept = memory if self.f_rec is None else h
+        return Outputs(robot, objects, kept, latent, latent.new_zeros(()))
+
+
+def _condition(inputs: int, width: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(inputs, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU())

@@ -1,0 +1,48 @@
+"""`Normalizer`: to unit scale and back, with numbers taken from the training data."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+
+class Normalizer(nn.Module):
+    """(x - mean) / std for each feature; features that do not vary become 0.
+
+    Args:
+      size: number of features.
+      centered: whether the mean is subtracted.
+    """
+
+    def __init__(self, size: int, centered: bool = True) -> None:
+        super().__init__()
+        self.centered = centered
+        self.register_buffer("mean", torch.zeros(size))
+        self.register_buffer("std", torch.ones(size))
+
+    def fit(self, values: Tensor, weights: Tensor | None = None) -> None:
+        """Takes mean and standard deviation from values [..., size].
+
+        Args:
+          weights: [...], 0 for rows that do not count.
+        """
+        if not values.numel():
+            return
+        rows = values.reshape(-1, values.shape[-1]).double()
+        if weights is not None:
+            rows = rows[weights.reshape(-1) > 0]
+        if not len(rows):
+            return
+        mean = rows.mean(0) if self.centered else torch.zeros_like(rows[0])
+        std = (rows - mean).square().mean(0).sqrt()
+        std = torch.where(std > 1e-6 * (1.0 + mean.abs()), std, torch.ones_like(std))
+        self.mean.copy_(mean)
+        self.std.copy_(std)
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Unit scale."""
+        return (values - self.mean) / self.std
+
+    def undo(self, values: Tensor) -> Tensor:
+        """Back to SI units."""
+        return values * self.std + self.mean

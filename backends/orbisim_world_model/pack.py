@@ -1,0 +1,201 @@
+"""`Pack`: training data as a few large tensors, small enough to live on the GPU.
+
+All episodes stand after one another; `start` and `length` say where each begins and how many
+control steps it has. The row after an episode's last step holds its last state.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from orbisim.errors import InputError
+from orbisim_world_model.config import ModelConfig
+from orbisim_world_model.entities import Context, Entities
+from orbisim_world_model.layout import Layout
+
+SCHEMA = "orbisim.pack/1"
+_TENSORS = ("qpos", "qvel", "act", "ctrl", "action", "hand", "start", "length")
+_STATIC = ("attributes", "world", "mask", "group")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Pack:
+    """Episodes of one scene layout.
+
+    Attributes:
+      layout: of the scene.
+      qpos, qvel, act: [F, ...] states, F the sum of length + 1.
+      ctrl, action: [F, ...] what acted after each state; 0 in an episode's last row.
+      hand: [F, 18] or [F, 0].
+      start, length: [E] first row and number of control steps of each episode.
+      attributes, world, mask: [E, N, D], [E, W], [E, N] (see `Context`).
+      group: [E] number of the subtask; `notes["groups"]` has the names.
+      notes: where the data come from.
+    """
+
+    layout: Layout
+    qpos: Tensor
+    qvel: Tensor
+    act: Tensor
+    ctrl: Tensor
+    action: Tensor
+    hand: Tensor
+    start: Tensor
+    length: Tensor
+    attributes: Tensor
+    world: Tensor
+    mask: Tensor
+    group: Tensor
+    notes: dict[str, Any]
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes."""
+        return len(self.start)
+
+    @property
+    def device(self) -> Any:
+        """Where the tensors are."""
+        return self.qpos.device
+
+    def to(self, device: Any) -> Pack:
+        """On another device."""
+        moved = {name: getattr(self, name).to(device) for name in (*_TENSORS, *_STATIC)}
+        return dataclasses.replace(self, **moved)
+
+    def controls(self, config: ModelConfig) -> Tensor:
+        """The control that a configuration is driven by, [F, U]."""
+        return self.ctrl if config.control == "ctrl" else self.action
+
+    def states(self, rows: Tensor) -> Entities:
+        """The entities at rows [...] of the data, flattened to one leading axis."""
+        flat = rows.reshape(-1)
+        x = self.layout.split(self.qpos[flat], self.qvel[flat], self.act[flat])
+        return x._replace(hand=self.hand[flat])
+
+    def context(self, episodes: Tensor) -> Context:
+        """The descriptors of episodes [B]."""
+        return Context(self.attributes[episodes], self.world[episodes], self.mask[episodes])
+
+    def subset(self, episodes: Tensor) -> Pack:
+        """Some of the episodes; the states stay where they are."""
+        chosen = {name: getattr(self, name)[episodes] for name in ("start", "length", *_STATIC)}
+        return dataclasses.replace(self, **chosen)
+
+    def split(self, held_out: float, seed: int = 0) -> tuple[Pack, Pack]:
+        """Training and held-out episodes, drawn at random; at least one of each."""
+        order = np.random.default_rng([seed, 7]).permutation(self.episodes)
+        count = min(max(1, round(held_out * self.episodes)), self.episodes - 1)
+        if count < 1:
+            raise InputError("need at least two episodes: one to train on and one to hold out")
+        held = torch.as_tensor(np.sort(order[:count]), device=self.device)
+        kept = torch.as_tensor(np.sort(order[count:]), device=self.device)
+        return self.subset(kept), self.subset(held)
+
+    def transitions(self, limit: int = 200_000) -> tuple[Tensor, Tensor]:
+        """Rows of states that a step follows, and their episodes; evenly thinned to a limit."""
+        counts = self.length
+        episode = torch.repeat_interleave(torch.arange(len(counts), device=self.device), counts)
+        before = torch.cumsum(counts, 0) - counts
+        row = torch.arange(int(counts.sum()), device=self.device) - before[episode]
+        row = row + self.start[episode]
+        stride = max(1, len(row) // limit)
+        return row[::stride], episode[::stride]
+
+    # -- files ---------------------------------------------------------------------------------
+
+    def save(self, path: str | Path) -> None:
+        """Writes the pack to a safetensors file."""
+        tensors = {name: getattr(self, name).contiguous().cpu() for name in (*_TENSORS, *_STATIC)}
+        header = {
+            "schema": SCHEMA,
+            "layout": json.dumps(self.layout.to_dict()),
+            "notes": json.dumps(self.notes),
+        }
+        save_file(tensors, str(path), metadata=header)
+
+    @staticmethod
+    def load(path: str | Path) -> Pack:
+        """Reads a pack.
+
+        Raises:
+          InputError: the file is not a pack.
+        """
+        try:
+            with safe_open(str(path), framework="pt") as file:
+                header = file.metadata() or {}
+                if header.get("schema") != SCHEMA:
+                    raise ValueError(f"schema is {header.get('schema')!r}, not {SCHEMA!r}")
+                tensors = {name: file.get_tensor(name) for name in (*_TENSORS, *_STATIC)}
+        except Exception as error:  # safetensors has an error type of its own
+            raise InputError(f"{path}: not a pack of episodes ({error})") from None
+        layout = Layout.from_dict(json.loads(header["layout"]))
+        return Pack(layout=layout, **tensors, notes=json.loads(header["notes"]))
+
+
+def joined(packs: list[Pack]) -> Pack:
+    """Packs of scenes with the same robot and up to as many objects as the largest, as one.
+
+    Raises:
+      InputError: the scenes do not fit together.
+    """
+    if len(packs) == 1:
+        return packs[0]
+    largest = max(packs, key=lambda pack: len(pack.layout.objects))
+    padded = [_padded(pack, largest.layout) for pack in packs]
+    offsets = np.cumsum([0] + [len(pack.qpos) for pack in padded])
+    names = [name for pack in padded for name in pack.notes["groups"]]
+    firsts = np.cumsum([0] + [len(pack.notes["groups"]) for pack in padded])
+    shifted = [
+        dataclasses.replace(pack, start=pack.start + int(offset), group=pack.group + int(first))
+        for pack, offset, first in zip(padded, offsets, firsts, strict=False)
+    ]
+    together = {n: torch.cat([getattr(p, n) for p in shifted]) for n in (*_TENSORS, *_STATIC)}
+    sources = [source for pack in packs for source in pack.notes["sources"]]
+    notes = {**packs[0].notes, "groups": names, "sources": sources}
+    return Pack(layout=largest.layout, **together, notes=notes)
+
+
+def _padded(pack: Pack, layout: Layout) -> Pack:
+    """With objects that are not there added, so that it has the larger layout."""
+    have, want = pack.layout, layout
+    same = (
+        have.joints == want.joints
+        and have.nu == want.nu
+        and have.attributes == want.attributes
+        and have.timestep == want.timestep
+    )
+    if not same or have.nq - 7 * len(have.objects) != want.nq - 7 * len(want.objects):
+        raise InputError(
+            f"scenes do not fit into one model: {have.joints}, {have.nu} controls, "
+            f"{have.timestep:g} s against {want.joints}, {want.nu}, {want.timestep:g} s"
+        )
+    extra = len(want.objects) - len(have.objects)
+    if not extra and have.object_q == want.object_q:
+        return dataclasses.replace(pack, layout=want)
+    x = have.split(pack.qpos, pack.qvel, pack.act)
+    rows, episodes = len(pack.qpos), pack.episodes
+    still, turned = torch.zeros(rows, extra, 3), torch.zeros(rows, extra, 4)
+    turned[..., 0] = 1.0
+    fields = {"pos": still, "quat": turned, "vel": still, "ang": still}
+    grown = {n: torch.cat([getattr(x, n), more], dim=1) for n, more in fields.items()}
+    qpos, qvel, act = want.join(x._replace(**grown))
+    more = torch.zeros(episodes, extra, len(want.attributes))
+    return dataclasses.replace(
+        pack,
+        layout=want,
+        qpos=qpos,
+        qvel=qvel,
+        act=act,
+        attributes=torch.cat([pack.attributes, more], dim=1),
+        mask=torch.cat([pack.mask, torch.zeros(episodes, extra)], dim=1),
+    )

@@ -1,0 +1,82 @@
+"""Named configurations: the paper's, the default, and the ablations of both."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from orbisim.errors import UnknownNameError
+from orbisim_world_model.config import Config, LossConfig, ModelConfig, Stage, TrainConfig
+
+DEFAULT = Config()
+
+PAPER = Config(
+    name="paper",
+    model=ModelConfig(
+        width=144,
+        memory="gru",
+        control="action",
+        extended=False,
+        residual=False,
+        manifold=False,
+        relative=False,
+        skip=False,
+        contact=False,
+    ),
+    loss=LossConfig(scaled=False),
+    train=TrainConfig(
+        stages=(Stage(0.5, 16, 512), Stage(0.5, 16, 512, autoregressive=True)), noise=0.0
+    ),
+)
+
+
+def _default_with(name: str, **model: Any) -> Config:
+    return dataclasses.replace(
+        DEFAULT, name=name, model=dataclasses.replace(DEFAULT.model, **model)
+    )
+
+
+PRESETS = {
+    config.name: config
+    for config in (
+        DEFAULT,
+        PAPER,
+        _default_with("no_residual", residual=False, manifold=False),
+        _default_with("no_manifold", manifold=False),
+        _default_with("no_relative", relative=False, contact=False),
+        _default_with("no_contact", contact=False),
+        _default_with("no_extended", extended=False, control="action"),
+        _default_with("no_skip", skip=False),
+        _default_with("no_memory", memory="none"),
+        dataclasses.replace(
+            DEFAULT, name="no_noise", train=dataclasses.replace(DEFAULT.train, noise=0.0)
+        ),
+        dataclasses.replace(
+            DEFAULT,
+            name="no_alignment",
+            loss=dataclasses.replace(DEFAULT.loss, alignment=0.0, consistency=0.0),
+        ),
+        dataclasses.replace(
+            PAPER, name="global", model=dataclasses.replace(PAPER.model, kind="global", width=192)
+        ),
+        dataclasses.replace(
+            PAPER, name="dreamer", model=dataclasses.replace(PAPER.model, kind="dreamer")
+        ),
+        dataclasses.replace(
+            PAPER,
+            name="constant_velocity",
+            model=dataclasses.replace(PAPER.model, kind="constant_velocity"),
+        ),
+    )
+}
+
+
+def preset(name: str) -> Config:
+    """The configuration of this name.
+
+    Raises:
+      UnknownNameError: there is none.
+    """
+    if name not in PRESETS:
+        raise UnknownNameError("configuration", name, PRESETS)
+    return PRESETS[name]

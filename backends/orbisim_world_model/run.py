@@ -1,0 +1,192 @@
+"""`train`: a whole training, with saves, metrics, curves and a model card."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from orbisim.errors import InputError
+from orbisim_world_model import parallel
+from orbisim_world_model.card import write_card
+from orbisim_world_model.checkpoint import load_checkpoint, ranges, save_checkpoint
+from orbisim_world_model.config import Config
+from orbisim_world_model.curves import draw_curves
+from orbisim_world_model.evaluate import HORIZONS, constant_velocity, evaluate
+from orbisim_world_model.pack import Pack
+from orbisim_world_model.progress_file import load_progress, save_progress
+from orbisim_world_model.schedule import Clock
+from orbisim_world_model.trainer import Trainer
+
+METRICS = "metrics.jsonl"
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """What is asked of a training.
+
+    Attributes:
+      out: folder for checkpoint, metrics, curves and card.
+      steps, limit: budgets in training steps and in seconds; at least one.
+      seed: of everything random.
+      device: `cpu`, `cuda`, `cuda:1`.
+      held_out: share of the episodes that is kept for evaluation.
+      save_every, log_every: seconds between saves, steps between lines of metrics.
+      resume: go on with what stands in `out`.
+      start: checkpoint whose weights are fine-tuned.
+      graph: run a training step as one CUDA graph.
+      horizons: of the evaluation.
+    """
+
+    out: Path
+    steps: int | None = None
+    limit: float | None = None
+    seed: int = 0
+    device: str = "cpu"
+    held_out: float = 0.1
+    save_every: float = 60.0
+    log_every: int = 50
+    resume: bool = False
+    start: Path | None = None
+    graph: bool = True
+    horizons: tuple[int, ...] = HORIZONS
+
+
+def train(
+    pack: Pack,
+    config: Config,
+    run: Run,
+    report: Callable[[dict[str, Any]], None] = lambda _: None,
+    held: Pack | None = None,
+) -> dict[str, Any]:
+    """Trains a model and leaves a checkpoint in `run.out`; returns its manifest.
+
+    Args:
+      pack: the data.
+      config: of model and training.
+      run: budgets, folders and the like.
+      report: called with each line of metrics.
+      held: episodes to evaluate on; a part of the pack if None.
+
+    Raises:
+      InputError: no budget, or nothing to resume, or `out` holds another training.
+    """
+    if run.steps is None and run.limit is None:
+        raise InputError("a training needs a budget: give --steps, --time-limit or both")
+    device = parallel.start(run.device)
+    pack = pack.to(device)
+    kept, spare = (pack, held.to(device)) if held is not None else pack.split(run.held_out)
+    clock = Clock(run.steps, run.limit)
+    model = load_checkpoint(run.start).model.to(device) if run.start else None
+    trainer = Trainer(kept, config, clock, seed=run.seed, model=model, graph=run.graph)
+    _resume(trainer, run)
+    leads = parallel.rank() == 0
+    if leads:
+        run.out.mkdir(parents=True, exist_ok=True)
+        (run.out / METRICS).touch() if run.resume else (run.out / METRICS).write_text("")
+    saved = time.monotonic()
+    while parallel.agreed(clock.progress, device) < 1.0:
+        trainer.step()
+        if clock.done % run.log_every == 0:
+            _log(trainer, run, leads, report)
+        if leads and time.monotonic() - saved > run.save_every:
+            _save(trainer, run, None)
+            saved = time.monotonic()
+    _log(trainer, run, leads, report)
+    manifest: dict[str, Any] = {}
+    if leads:
+        manifest = _save(trainer, run, spare)
+        draw_curves(run.out / METRICS, run.out / "curves.png")
+        write_card(run.out, manifest)
+    return manifest
+
+
+def _resume(trainer: Trainer, run: Run) -> None:
+    found = load_progress(run.out)
+    if not run.resume:
+        return
+    if found is None:
+        return  # killed before the first save: the same as a fresh start
+    tensors, notes = found
+    if notes["config"] != json.loads(json.dumps(trainer.config.to_dict())):
+        raise InputError(f"{run.out}: was trained with another configuration; use another --out")
+    if notes["seed"] != run.seed:
+        raise InputError(f"{run.out}: was trained with --seed {notes['seed']}, not {run.seed}")
+    trainer.optimizer.restore(tensors)
+    trainer.clock.done, trainer.clock.spent = notes["step"], notes["seconds"]
+
+
+def _log(trainer: Trainer, run: Run, leads: bool, report: Callable[[dict[str, Any]], None]) -> None:
+    losses = trainer.losses()
+    if not (leads and losses):
+        return
+    line = {
+        "step": trainer.clock.done,
+        "seconds": round(trainer.clock.elapsed, 3),
+        "rate": float(trainer.optimizer.rate),
+        "ratio": float(trainer.ratio),
+        **losses,
+    }
+    with (run.out / METRICS).open("a") as file:
+        file.write(json.dumps(line) + "\n")
+    report(line)
+
+
+def _save(trainer: Trainer, run: Run, held: Pack | None) -> dict[str, Any]:
+    """Writes progress and checkpoint; with `held`, evaluates first."""
+    clock, pack = trainer.clock, trainer.pack
+    notes = {
+        "config": trainer.config.to_dict(),
+        "seed": run.seed,
+        "step": clock.done,
+        "seconds": clock.elapsed,
+    }
+    save_progress(run.out, trainer.optimizer.state(), notes)
+    manifest: dict[str, Any] = {
+        "config": trainer.config.to_dict(),
+        "control_timestep": pack.layout.timestep,
+        "ranges": ranges(pack),
+        "data": {
+            **pack.notes,
+            "episodes": pack.episodes,
+            "control_steps": int(pack.length.sum()),
+        },
+        "training": {
+            "steps": clock.done,
+            "seconds": round(clock.elapsed, 1),
+            "seed": run.seed,
+            "device": _device_name(pack.device),
+            "processes": parallel.size(),
+            "finished": clock.progress >= 1.0,
+        },
+        "versions": {"torch": torch.__version__, "orbisim": _version()},
+        "metrics": {},
+    }
+    save_checkpoint(run.out, trainer.model, manifest)
+    if held is not None:
+        shipped = load_checkpoint(run.out).model.to(pack.device)  # as it will be used, in fp16
+        manifest["metrics"] = {
+            "held_out_episodes": held.episodes,
+            "model": evaluate(shipped, held, run.horizons),
+            "constant_velocity": evaluate(
+                constant_velocity(held, trainer.config.model), held, run.horizons
+            ),
+        }
+        save_checkpoint(run.out, trainer.model, manifest)
+    return json.loads((run.out / "manifest.json").read_text())
+
+
+def _device_name(device: Any) -> str:
+    device = torch.device(device)
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu"
+
+
+def _version() -> str:
+    import orbisim
+
+    return orbisim.__version__

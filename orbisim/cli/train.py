@@ -1,0 +1,147 @@
+"""`orbisim train`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from orbisim.cli.common import device_option, emit_json, json_option, note, seed_option
+from orbisim.errors import InputError, MissingDependencyError
+
+_EXAMPLE = (
+    "Example: orbisim train dynamics push.h5 --config default --out checkpoints/push "
+    "--time-limit 300 --device cuda"
+)
+
+
+@click.group("train")
+def command() -> None:
+    """Train a learned model."""
+
+
+@command.command("dynamics", epilog=_EXAMPLE)
+@click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--config", "name", default="default", show_default=True, help="Configuration.")
+@click.option(
+    "--set",
+    "assignments",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Change a setting of the configuration, such as model.width=64; repeatable.",
+)
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder to write to.")
+@click.option("--steps", type=click.IntRange(min=1), default=None, help="Training steps.")
+@click.option(
+    "--time-limit", type=click.FloatRange(min=0, min_open=True), default=None, help="Seconds."
+)
+@click.option("--held-out", default=0.1, show_default=True, help="Share of the episodes.")
+@click.option(
+    "--held-out-data",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="Evaluate on these episodes instead of a share of DATA; repeatable.",
+)
+@click.option("--save-every", default=60.0, show_default=True, help="Seconds between saves.")
+@click.option("--resume", is_flag=True, help="Go on with the training that stands in --out.")
+@click.option(
+    "--start",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Checkpoint to fine-tune, with its scales.",
+)
+@click.option(
+    "--residual-on",
+    type=click.Choice(["mujoco"]),
+    default=None,
+    help="Learn what MuJoCo's step leaves over (backend hybrid).",
+)
+@click.option("--graph/--no-graph", default=True, help="CUDA graphs, on a GPU.")
+@device_option
+@seed_option
+@json_option
+def dynamics(
+    data: tuple[Path, ...],
+    name: str,
+    assignments: tuple[str, ...],
+    out: Path,
+    steps: int | None,
+    time_limit: float | None,
+    held_out: float,
+    held_out_data: tuple[Path, ...],
+    save_every: float,
+    resume: bool,
+    start: Path | None,
+    residual_on: str | None,
+    graph: bool,
+    device: str | None,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Train OrbiSim-Dynamics on episode files (orbisim collect).
+
+    Leaves a checkpoint in --out (model.safetensors, manifest.json) with a model card, metrics and
+    curves. Under torchrun the batch is shared among the processes. A training that was killed goes
+    on with --resume as if nothing had happened.
+    """
+    training = _training()
+    from orbisim_world_model.config import replaced
+    from orbisim_world_model.packing import read_data
+    from orbisim_world_model.presets import preset
+
+    config = replaced(preset(name), dict(map(_assignment, assignments)))
+    if residual_on:
+        config = replaced(config, {"model.baseline": residual_on})
+    run = training.Run(
+        out=out,
+        steps=steps,
+        limit=time_limit,
+        seed=seed,
+        device=device or _default_device(),
+        held_out=held_out,
+        save_every=save_every,
+        resume=resume,
+        start=start,
+        graph=graph,
+    )
+    pack = read_data(data, config.model.baseline)
+    held = read_data(held_out_data, config.model.baseline) if held_out_data else None
+    manifest = training.train(pack, config, run, report=_report, held=held)
+    if not manifest:
+        return  # another process of the group writes
+    if as_json:
+        emit_json({"schema": "orbisim.train/1", "checkpoint": str(out), **manifest})
+        return
+    from orbisim_world_model.card import metric_lines
+
+    click.echo("\n".join(metric_lines(manifest["metrics"])))
+    note(f"checkpoint: {out}")
+
+
+def _training() -> Any:
+    try:
+        from orbisim_world_model import run
+    except ImportError as error:
+        raise MissingDependencyError("training", "learned", str(error)) from error
+    return run
+
+
+def _default_device() -> str:
+    import torch
+
+    return "cuda" if torch.cuda.is_available() else "cpu"
+
+
+def _assignment(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise InputError(f"--set {text}: expected NAME=VALUE, such as model.width=64")
+    return name, value
+
+
+def _report(line: dict[str, Any]) -> None:
+    note(
+        f"step {line['step']:>7}  {line['seconds']:8.1f} s  loss {line['loss']:.4g}  "
+        f"L_state {line['state_loss']:.4g}  AR ratio {line['ratio']:.2f}"
+    )

@@ -1,0 +1,105 @@
+"""Small packs of episodes, simulated on the spot."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import torch
+from orbisim_world_model.pack import Pack
+from orbisim_world_model.packing import hands
+from orbisim_world_model.reading import read_attributes, read_layout, read_settings
+
+from orbisim.episodes import random_controls
+
+PENDULUM = """
+<mujoco model="swing">
+  <option timestep="0.01" integrator="implicitfast"/>
+  <worldbody>
+    <body name="rod">
+      <joint name="hinge" axis="0 1 0" damping="0.05"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.02" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator><motor joint="hinge" gear="3" ctrllimited="true" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+
+TABLE = """
+<mujoco model="table">
+  <option timestep="0.005" integrator="implicitfast"/>
+  <worldbody>
+    <geom name="table" type="plane" size="2 2 0.1"/>
+    <body name="slider" pos="0 0 0.05">
+      <joint name="x" type="slide" axis="1 0 0" limited="true" range="-0.5 0.5" damping="5"/>
+      <joint name="y" type="slide" axis="0 1 0" limited="true" range="-0.5 0.5" damping="5"/>
+      <geom type="cylinder" size="0.03 0.04" mass="0.5"/>
+      <site name="tcp"/>
+    </body>
+    <body name="one" pos="0.15 0 0.04"><freejoint/>
+      <geom type="box" size="0.04 0.04 0.04" mass="0.2"/></body>
+    <body name="two" pos="-0.1 0.15 0.04"><freejoint/>
+      <geom type="box" size="0.03 0.04 0.04" mass="0.1"/></body>
+  </worldbody>
+  <actuator>
+    <position joint="x" kp="100" kv="10" ctrlrange="-0.4 0.4" ctrllimited="true"/>
+    <position joint="y" kp="100" kv="10" ctrlrange="-0.4 0.4" ctrllimited="true"/>
+  </actuator>
+</mujoco>
+"""
+
+BOX = """
+<mujoco model="box">
+  <option timestep="0.005"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="2 2 0.1"/>
+    <body name="box" pos="0 0 0.3"><freejoint/>
+      <geom type="box" size="0.05 0.05 0.05" mass="0.2"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def simulate(xml: str, episodes: int, steps: int, substeps: int, seed: int = 0) -> Pack:
+    """Episodes from states moved at random, under smooth random controls."""
+    model = mujoco.MjModel.from_xml_string(xml)
+    timestep = substeps * float(model.opt.timestep)
+    layout = read_layout(model, timestep)
+    rng = np.random.default_rng(seed)
+    controls = random_controls(model, episodes, steps, timestep, seed)
+    qpos, qvel, ctrl = [], [], []
+    data = mujoco.MjData(model)
+    for episode in range(episodes):
+        mujoco.mj_resetData(model, data)
+        data.qvel[:] = rng.normal(0.0, 0.5, model.nv)
+        for adr in layout.joint_q:
+            data.qpos[adr] += rng.uniform(-0.3, 0.3) * (3.0 if layout.hinge[0] else 0.3)
+        for t in range(steps + 1):
+            qpos.append(data.qpos.copy())
+            qvel.append(data.qvel.copy())
+            now = controls[episode, t] if t < steps else np.zeros(model.nu)
+            ctrl.append(now)
+            data.ctrl[:] = now
+            mujoco.mj_step(model, data, substeps)
+    state = [torch.tensor(np.array(rows), dtype=torch.float32) for rows in (qpos, qvel, ctrl)]
+    rows, count = steps + 1, len(layout.objects)
+    attributes = torch.tensor(read_attributes(model, layout), dtype=torch.float32)
+    settings = torch.tensor(read_settings(model, layout), dtype=torch.float32)
+    return Pack(
+        layout=layout,
+        qpos=state[0],
+        qvel=state[1],
+        act=torch.zeros(len(qpos), 0),
+        ctrl=state[2],
+        action=state[2],
+        hand=hands(layout, state[0], state[1]),
+        start=torch.arange(episodes) * rows,
+        length=torch.full((episodes,), steps),
+        attributes=attributes.expand(episodes, count, -1).clone(),
+        world=settings.expand(episodes, -1).clone(),
+        mask=torch.ones(episodes, count),
+        group=torch.zeros(episodes, dtype=torch.long),
+        notes={
+            "groups": ["random"],
+            "sources": [{"file": "synthetic", "task": model.names[:6].decode()}],
+        },
+    )
