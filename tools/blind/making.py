@@ -1,0 +1,182 @@
+"""Makes trials: recordings for the diagnosis, and the truth in a folder of its own."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+import shutil
+import time
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from blind.declared import alter
+from blind.grid import NOISES, Wish
+from blind.outside import Outside, outside
+from blind.scenes import RIGS, Rig
+from blind.sizes import Motion, observe, sized
+
+from orbisim import Recording, Scene, replay
+from orbisim.effects import EffectInstance, add_effects, find
+from orbisim.errors import OrbiSimError
+from orbisim.testing import inject_effect
+
+WINDOW = 0.5
+"""Duration of the windows in which an effect must show, s."""
+VISIBLE = 10.0
+"""Shift over noise from which an effect counts as visible."""
+SCALES = (1.0, 1.6, 2.6, 0.5)
+"""Sizes that are tried in turn, over the usual one."""
+
+
+@functools.cache
+def motion_of(name: str) -> Motion:
+    """What a scene does without effects."""
+    rig = RIGS[name]
+    return observe(rig, rig.scene(), _record(rig, rig.scene(), [], None, 0.0, 7))
+
+
+def _record(
+    rig: Rig,
+    scene: Scene,
+    effects: Sequence[EffectInstance],
+    other: Outside | None,
+    noise: float,
+    seed: int,
+    velocities: bool = True,
+) -> list[Recording]:
+    return inject_effect(
+        scene,
+        effects,
+        duration=rig.duration,
+        rate=rig.rate,
+        episodes=rig.fit + rig.held,
+        noise=noise,
+        velocities=velocities,
+        seed=seed,
+        hooks=None if other is None else other.hooks,
+    )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Made:
+    """What was injected: effects of the catalogue, another one, and how well they show."""
+
+    effects: tuple[EffectInstance, ...]
+    other: Outside | None
+    shifts: tuple[float, ...]  # over the noise; of each effect
+    noise: float
+
+
+def size_up(wish: Wish) -> Made | None:
+    """Chooses sizes at which every effect shows; at less noise if it must be; None if never."""
+    rng = np.random.default_rng(wish.seed)
+    motion = motion_of(wish.scene)
+    if wish.kind == "none":
+        return Made((), None, (), wish.noise)
+    for noise in sorted((n for n in NOISES if n <= wish.noise), reverse=True):
+        if wish.outside is not None:
+            kind, target = wish.outside
+            for scale in SCALES:
+                other = outside(kind, motion, target, rng, scale)
+                shift = _shift(wish, motion, (), other)
+                if shift is not None and shift >= VISIBLE * noise:
+                    return Made((), other, (shift / noise,), noise)
+            continue
+        found = [_visible(wish, motion, *one, rng, noise) for one in wish.effects]
+        if all(one is not None for one in found):
+            chosen = tuple(one[0] for one in found if one is not None)
+            if _shift(wish, motion, chosen, None) is not None:
+                shifts = tuple(one[1] / noise for one in found if one is not None)
+                return Made(chosen, None, shifts, noise)
+    return None
+
+
+def _visible(
+    wish: Wish,
+    motion: Motion,
+    effect: str,
+    target: str,
+    rng: np.random.Generator,
+    noise: float,
+) -> tuple[EffectInstance, float] | None:
+    for scale in SCALES:
+        instance = sized(effect, motion, target, rng, scale)
+        shift = _shift(wish, motion, (instance,), None)
+        if shift is not None and shift >= VISIBLE * noise:
+            return instance, shift
+    return None
+
+
+def _shift(
+    wish: Wish, motion: Motion, effects: Sequence[EffectInstance], other: Outside | None
+) -> float | None:
+    """How far the declared scene misses noise-free recordings within windows (RMS of the signal
+    that is worst), rad or m; None if the scene no longer works with the effect.
+    """
+    try:
+        clean = _record(motion.rig, motion.scene, effects, other, 0.0, wish.seed)
+    except OrbiSimError:
+        return None
+    if not _alive(motion, clean):
+        return None
+    found = replay(motion.scene, clean, window=WINDOW)
+    positions = [e.rms for n, e in found.signals.items() if n.split("/")[0] in _POSITIONS]
+    return float(max(positions)) if found.diverged == 0 else None
+
+
+_POSITIONS = ("qpos", "xpos", "xquat")
+
+
+def _alive(motion: Motion, clean: Iterable[Recording]) -> bool:
+    """Whether all that moved still moves, and stays within reach."""
+    bound = [one.bind(motion.scene) for one in clean]
+    qvel = np.concatenate([one.qvel for one in bound])
+    qpos = np.concatenate([one.qpos for one in bound])
+    before, now = np.std(motion.qvel, axis=0), np.std(qvel, axis=0)
+    reach = 4 * np.abs(motion.qpos).max(axis=0) + 1.0
+    return bool((now >= 0.15 * before).all() and (np.abs(qpos).max(axis=0) <= reach).all())
+
+
+def make(wish: Wish, name: str, out: Path) -> dict[str, Any]:
+    """Writes a trial; returns what happened (nothing of it is for the diagnosis)."""
+    started = time.perf_counter()
+    entry: dict[str, Any] = {"trial": name, "wish": dataclasses.asdict(wish)}
+    try:
+        made = size_up(wish)
+    except OrbiSimError as error:
+        return entry | {"skipped": str(error)}
+    if made is None:
+        return entry | {"skipped": "not visible"}
+    rig = RIGS[wish.scene]
+    recordings = _record(
+        rig, rig.scene(), made.effects, made.other, made.noise, wish.seed, wish.velocities
+    )
+    declared, factors = rig.path.read_text(), {}
+    if wish.wrong != "right":
+        declared, factors = alter(declared, wish.wrong, np.random.default_rng([wish.seed, 9]))
+    folder = out / "trials" / name
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    (folder / "scene.xml").write_text(declared)
+    for i, one in enumerate(recordings):
+        part, number = ("fit", i) if i < rig.fit else ("held", i - rig.fit)
+        one.save(folder / f"{part}_{number}.npz")
+    truth = entry | {
+        "effects": [one.to_json() for one in made.effects],
+        "outside": made.other.to_json() if made.other else None,
+        "shift_over_noise": list(made.shifts),
+        "noise": made.noise,
+        "velocities": wish.velocities,
+        "wrong": wish.wrong if factors else "right",
+        "declared_over_true": factors,
+        "seconds": round(time.perf_counter() - started, 2),
+    }
+    (out / "truth").mkdir(parents=True, exist_ok=True)
+    (out / "truth" / f"{name}.json").write_text(json.dumps(truth, indent=1))
+    simulated = [e for e in made.effects if not find(e.effect).measurement]
+    true = add_effects(rig.scene(), simulated)
+    (out / "truth" / f"{name}.xml").write_text(true.spec.to_xml())
+    return truth

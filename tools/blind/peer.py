@@ -1,0 +1,145 @@
+"""The peer: mujoco.sysid with four parameters a joint, as its users set it up.
+
+Armature, friction loss, damping and stiffness of every hinge and slide are fitted to windows of the
+recordings, starting from the declared values with bounds up to a multiple of what the joint's
+inertia and torques suggest. Free joints have no such parameters: those scenes stay as declared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+from mujoco import sysid
+from mujoco.sysid._src import optimize, parameter, residual, timeseries, trajectory
+
+from orbisim import Recording, Scene, load_scene, replay
+from orbisim.recording.held import Held
+from orbisim.recording.initial import starts
+from orbisim.recording.joints import joints
+from orbisim.recording.windows import cut
+
+Floats = npt.NDArray[np.float64]
+
+WINDOW = 0.5
+KINDS = ("armature", "frictionloss", "damping", "stiffness")
+
+__all__ = ["fit", "sysid"]
+
+
+def fit(scene: Path, recordings: Sequence[Path], held_out: Sequence[Path]) -> dict[str, Any]:
+    """Fits, and scores the fitted scene on held-out recordings by free-running replay."""
+    declared = load_scene(scene, trusted=True)
+    seen = [Recording.load(path) for path in recordings]
+    held = [Recording.load(path) for path in held_out]
+    before = replay(declared, held, window=WINDOW).rms
+    parameters = _parameters(declared)
+    values: dict[str, float] = {}
+    fitted = declared
+    if parameters.size:
+        sequences = _sequences(declared, seen)
+        function = residual.build_residual_fn(models_sequences=[sequences], n_threads=1)
+        found, _ = optimize.optimize(
+            parameters, function, optimizer="mujoco", verbose=False, max_iters=30
+        )
+        spec = declared.spec
+        for one in found.values():
+            one.apply_modifier(spec)
+            values[one.name] = float(np.ravel(one.value)[0])
+        fitted = Scene.from_spec(spec, source=declared.source)
+    after = replay(fitted, held, window=WINDOW).rms
+    return {
+        "verdict": "fitted" if values else "nothing to fit",
+        "values": values,
+        "error": {"held_out": {"before": before, "after": after}, "window_s": WINDOW},
+    }
+
+
+def _parameters(scene: Scene) -> parameter.ParameterDict:
+    model, found = scene.model, parameter.ParameterDict()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    for joint in joints(model):
+        if not joint.scalar:
+            continue
+        dof = joint.v.start
+        inertia = float(model.dof_M0[dof])
+        declared = {
+            "armature": float(model.dof_armature[dof]),
+            "frictionloss": float(model.dof_frictionloss[dof]),
+            "damping": float(np.ravel(model.dof_damping[dof])[0]),
+            "stiffness": float(np.ravel(model.jnt_stiffness[joint.id])[0]),
+        }
+        for kind in KINDS:
+            most = _TYPICAL[kind] * inertia + 3 * declared[kind]
+            start = max(declared[kind], 0.05 * most)  # at a bound the fit may stall
+            found.add(
+                parameter.Parameter(
+                    f"{joint.label}_{kind}", start, 0.0, most, modifier=_setter(joint.label, kind)
+                )
+            )
+    return found
+
+
+_TYPICAL = {"armature": 1.0, "frictionloss": 10.0, "damping": 10.0, "stiffness": 50.0}
+"""Upper bounds for a joint of unit inertia: SI, per kg m^2."""
+
+
+def _setter(joint: str, kind: str) -> Any:
+    def modify(spec: mujoco.MjSpec, one: parameter.Parameter) -> None:
+        value = float(np.ravel(one.value)[0])
+        if kind in ("damping", "stiffness"):
+            getattr(spec.joint(joint), kind)[0] = value
+        else:
+            setattr(spec.joint(joint), kind, value)
+
+    return modify
+
+
+def _sequences(scene: Scene, recordings: Sequence[Recording]) -> trajectory.ModelSequences:
+    model, step = scene.model, float(scene.model.opt.timestep)
+    names: list[str] = []
+    states: list[Floats] = []
+    controls: list[Any] = []
+    measured: list[Any] = []
+    q_map, v_map, _, c_map = timeseries.TimeSeries.compute_all_state_mappings(model)
+    for number, recording in enumerate(recordings):
+        bound = recording.bind(scene)
+        begin = starts(bound, "recorded")
+        for window in cut(bound.time, WINDOW, begin.usable):
+            rows = slice(window.start, window.stop)
+            time = bound.time[rows] - bound.time[window.start]
+            ticks = np.arange(round(time[-1] / step) + 1) * step
+            held = Held(time, bound.ctrl[rows]).at(ticks + 1e-9)
+            first = window.start
+            state = trajectory.create_initial_state(model, begin.qpos[first], begin.qvel[first])
+            data, mapping = _measured(bound, rows, q_map, v_map, model.nq)
+            names.append(f"{number}-{first}")
+            states.append(state)
+            controls.append(timeseries.TimeSeries(ticks, held, c_map))
+            measured.append(timeseries.TimeSeries(time, data, mapping))
+    return trajectory.ModelSequences(
+        scene.name, scene.spec, names, states, controls, measured, allow_missing_sensors=True
+    )
+
+
+def _measured(
+    bound: Any, rows: slice, q_map: Any, v_map: Any, nq: int
+) -> tuple[Floats, dict[str, Any]]:
+    """Positions, and velocities where they are recorded, with their places in the columns."""
+    columns: list[Floats] = []
+    mapping: dict[str, Any] = {}
+    position = 0
+    for table, values, offset in ((q_map, bound.qpos, 0), (v_map, bound.qvel, nq)):
+        for name, (kind, where) in table.items():
+            block = values[rows][:, where - offset]
+            if not np.isfinite(block).all():
+                continue
+            mapping[name] = (kind, np.arange(position, position + block.shape[1]))
+            columns.append(block)
+            position += block.shape[1]
+    return np.concatenate(columns, axis=1), mapping

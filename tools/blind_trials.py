@@ -1,0 +1,134 @@
+"""Blind trials of the diagnosis.
+
+    python tools/blind_trials.py generate --out trials
+    python tools/blind_trials.py run --trials trials --out results.jsonl --workers 16
+    python tools/blind_trials.py peer --trials trials --out peer.jsonl --workers 16
+    python tools/blind_trials.py score --trials trials --results results.jsonl --out scores
+
+`generate` writes `trials/<name>/` (a declared scene and recordings: all that `run` and `peer`
+open) and, apart from them, `truth/`. Names of trials say nothing. `--sample` takes a fixed few.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "backends"))
+
+
+def generate(args: argparse.Namespace) -> int:
+    from blind.grid import SAMPLE, every
+    from blind.making import make, motion_of
+    from blind.scenes import RIGS
+
+    out = Path(args.out)
+    if args.sample:
+        jobs = [(wish, f"s{i:02d}") for i, wish in enumerate(SAMPLE)]
+    else:
+        wishes = every({name: motion_of(name) for name in RIGS}, args.seed)
+        jobs = [(wish, f"t{i:04d}") for i, wish in enumerate(wishes)]
+        jobs += [(wish, f"s{i:02d}") for i, wish in enumerate(SAMPLE)]
+    if args.limit:
+        jobs = jobs[: args.limit]
+    entries: list[dict[str, Any]] = []
+    with ProcessPoolExecutor(args.workers, initializer=single_threaded) as pool:
+        waiting = [pool.submit(make, wish, name, out) for wish, name in jobs]
+        for done in as_completed(waiting):
+            entries.append(done.result())
+            if len(entries) % 20 == 0 or len(entries) == len(jobs):
+                print(f"{len(entries)} of {len(jobs)}", file=sys.stderr, flush=True)
+    entries.sort(key=lambda entry: entry["trial"])
+    (out / "truth" / "index.json").write_text(json.dumps(entries, indent=1))
+    skipped = [entry for entry in entries if "skipped" in entry]
+    kinds = Counter(entry["wish"]["kind"] for entry in entries if "skipped" not in entry)
+    seconds = sum(entry.get("seconds", 0.0) for entry in entries)
+    print(
+        f"{len(entries) - len(skipped)} trials ({dict(kinds)}), {len(skipped)} left out as nothing "
+        f"shows, {seconds:.0f} s of work"
+    )
+    return 0
+
+
+def single_threaded() -> None:
+    """Keeps a worker to one core: libraries ask for the number of cores to start threads."""
+    os.environ["OMP_NUM_THREADS"] = "1"
+    os.cpu_count = lambda: 1  # type: ignore[assignment]
+
+
+def run(args: argparse.Namespace) -> int:
+    from blind.running import run_all
+
+    return run_all(args, "diagnose")
+
+
+def peer(args: argparse.Namespace) -> int:
+    from blind.running import run_all
+
+    return run_all(args, "peer")
+
+
+def one(args: argparse.Namespace) -> int:
+    """A single trial, in a process of its own (used by `run` and `peer`)."""
+    single_threaded()
+    from blind.running import run_one
+
+    return run_one(Path(args.folder), args.tool)
+
+
+def score(args: argparse.Namespace) -> int:
+    from blind.scoring import write_scores
+
+    return write_scores(
+        Path(args.trials), Path(args.results), Path(args.out), args.peer and Path(args.peer)
+    )
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    commands = parser.add_subparsers(dest="command", required=True)
+    making = commands.add_parser("generate", help="write trials and the truth about them")
+    making.add_argument("--out", required=True)
+    making.add_argument("--seed", type=int, default=2026)
+    making.add_argument("--workers", type=int, default=1)
+    making.add_argument("--limit", type=int, default=0)
+    making.add_argument("--sample", action="store_true", help="only the fixed few")
+    making.set_defaults(work=generate)
+    for name, work, what in (
+        ("run", run, "diagnose trials"),
+        ("peer", peer, "fit four parameters a joint with mujoco.sysid"),
+    ):
+        running = commands.add_parser(name, help=what)
+        running.add_argument("--trials", required=True, help="what `generate` wrote")
+        running.add_argument("--out", required=True, help="one JSON line for each trial")
+        running.add_argument("--workers", type=int, default=1)
+        running.add_argument("--only", nargs="*", default=[], help="names of trials or scenes")
+        running.add_argument("--limit", type=int, default=0)
+        running.add_argument("--sample", action="store_true", help="only the fixed few")
+        running.add_argument("--timeout", type=float, default=900.0, help="s, for each trial")
+        running.add_argument("--again", action="store_true", help="also those that have failed")
+        running.set_defaults(work=work)
+    single = commands.add_parser("one")
+    single.add_argument("folder")
+    single.add_argument("--tool", default="diagnose")
+    single.set_defaults(work=one)
+    scoring = commands.add_parser("score", help="open the truth and count")
+    scoring.add_argument("--trials", required=True)
+    scoring.add_argument("--results", required=True)
+    scoring.add_argument("--peer", default="", help="what `peer` wrote")
+    scoring.add_argument("--out", required=True)
+    scoring.set_defaults(work=score)
+    args = parser.parse_args(argv)
+    return int(args.work(args))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
