@@ -106,9 +106,9 @@ class Task(abc.ABC):
 
 def shares(weights: Sequence[int], total: int) -> list[int]:
     """`total` split in proportion to the weights, by largest remainders."""
-    exact = [total * weight / sum(weights) for weight in weights]
-    parts = [int(value) for value in exact]
-    order = sorted(range(len(exact)), key=lambda i: (parts[i] - exact[i], i))
+    whole = sum(weights)
+    parts = [total * weight // whole for weight in weights]
+    order = sorted(range(len(weights)), key=lambda i: (-(total * weights[i] % whole), i))
     for i in order[: total - sum(parts)]:
         parts[i] += 1
     return parts

@@ -41,7 +41,7 @@ class PushConfig(TabletopConfig):
       aim: standard deviation of the direction of the push, rad.
     """
 
-    speed: Range = (0.12, 0.5)
+    speed: Range = (0.1, 0.7)
     distance: Range = (0.06, 0.2)
     spacing: Range = (0.03, 0.1)
     follow: Range = (0.05, 0.13)
@@ -70,7 +70,7 @@ class Stroke:
         yield Move((*self.start, HOVER), yaw=yaw, speed=0.6, accel=4.0)
         yield Move((*self.start, skim), yaw=yaw, speed=0.35)
         yield Hold(2)
-        yield Move((*self.end, skim), yaw=yaw, speed=self.speed, accel=5.0)
+        yield Move((*self.end, skim), yaw=yaw, speed=self.speed, accel=8.0)
 
 
 class Push(ArmTask):
@@ -135,8 +135,8 @@ def draw_push(
         distance, speed = rng.uniform(*config.distance), rng.uniform(*config.speed)
         start = behind(poses[0], half, heading, 0.02)
         stroke = Stroke(start, heading, 0.02 + distance, speed)
-        slide = distance + 0.08
-        end = np.array(poses[0].pos[:2]) + slide * np.array([np.cos(heading), np.sin(heading)])
+        way = distance + slide(speed)
+        end = np.array(poses[0].pos[:2]) + way * np.array([np.cos(heading), np.sin(heading)])
         others = [np.array(p.pos[:2]) for p in poses[1:]]
         free = all(np.linalg.norm(np.array(start) - other) > 0.07 for other in others)
         if free and within(start) and inside(end) and within(stroke.end):
@@ -160,7 +160,7 @@ def draw_hit(
         aimed = heading + off
         start = behind(poses[0], first, aimed, 0.02)
         stroke = Stroke(start, aimed, 0.02 + spacing + follow, speed)
-        end = target + (follow + 0.1) * direction
+        end = target + (follow + slide(speed)) * direction
         if not (within(start) and within(stroke.end) and inside(end)):
             continue
         if len(setting.cubes) > 2:
@@ -174,6 +174,11 @@ def draw_hit(
 
 def _at(spot: Floats, half: float, yaw: float) -> Pose:
     return Pose((float(spot[0]), float(spot[1]), half), yaw)
+
+
+def slide(speed: float) -> float:
+    """How far a cube slides on the slipperiest table of the training range, and a margin, m."""
+    return speed**2 / (2 * 0.2 * 9.81) + 0.03
 
 
 def within(spot: tuple[float, float]) -> bool:

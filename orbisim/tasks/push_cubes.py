@@ -20,6 +20,7 @@ from orbisim.tasks.push import (
     draw_hit,
     hit,
     inside,
+    slide,
     start_of_tool,
     within,
 )
@@ -108,7 +109,7 @@ class PushCubes(ArmTask):
             stroke = Stroke(start, heading, _ROOM + distance, speed)
             others = [spots[i][:2] for i in range(count) if i != index]
             free = all(np.linalg.norm(np.array(start) - other) > 0.065 for other in others)
-            end = spots[index][:2] + (distance + 0.08) * direction
+            end = spots[index][:2] + (distance + slide(speed)) * direction
             if free and within(start) and within(stroke.end) and inside(end):
                 return stroke
         return None

@@ -52,7 +52,8 @@ def make(name: str, **changes: Any) -> Task:
         return SuiteTask(rest, **changes)
     short = rest if prefix == "task" and rest else name
     if short not in _TASKS:
-        raise UnknownNameError("task", name, [*(f"task:{n}" for n in _TASKS), "suite:cheetah-run"])
+        known = [f"task:{n}" for n in _TASKS] if prefix == "task" else list(_TASKS)
+        raise UnknownNameError("task", name, [*known, "suite:cheetah-run"])
     found = _TASKS[short]
     if isinstance(found, str):
         module, _, attribute = found.partition(":")
