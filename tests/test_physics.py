@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import pytest
+from dm_control.mujoco import engine
 from dm_control.rl import control
 
 from orbisim import Backend, Physics, State, load_scene, make_backend, register_backend
 from orbisim.errors import DivergedError, InputError, SceneError, UnknownNameError
 from orbisim.mirror import ACCELERATION_FIELDS, ModelWatch
+from orbisim.physics import hybrid
 from orbisim.testing import scenes
 
 TOUCH = """
@@ -132,6 +136,43 @@ def test_divergence_is_dm_controls_physics_error(physics: Physics) -> None:
     with pytest.raises(control.PhysicsError) as caught:
         physics.step()
     assert isinstance(caught.value, DivergedError)
+
+
+def test_warnings_are_dm_controls_own() -> None:
+    messages = []
+    for cls in (engine.Physics, Physics):
+        native = cls.from_xml_string(TOUCH)
+        native.data.qpos[0] = np.nan
+        with pytest.raises(control.PhysicsError) as caught:
+            native.step()
+        messages.append(str(caught.value))
+        native.data.qpos[0] = np.nan
+        with native.suppress_physics_errors():
+            native.step()
+        native.step()  # nothing new
+        with pytest.raises(ZeroDivisionError), native.check_invalid_state():
+            native.data.warning.number[0] += 1
+            raise ZeroDivisionError
+    assert messages[0] == messages[1]
+    assert "mjWARN_BADQPOS" in messages[0]
+
+
+def test_a_check_of_a_users_own_is_kept() -> None:
+    class Careful(engine.Physics):
+        checks = 0
+
+        @contextlib.contextmanager
+        def check_invalid_state(self):
+            self.checks += 1
+            yield
+
+    class MoreCareful(Careful):
+        pass
+
+    physics = hybrid(MoreCareful).from_xml_string(TOUCH)
+    before = physics.checks
+    physics.step()
+    assert physics.checks == before + 1
 
 
 def test_a_changed_model_is_noticed() -> None:
