@@ -7,6 +7,7 @@ import itertools
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+
 from blind.outside import PLACES
 from blind.scenes import RIGS
 from blind.sizes import SIZES, Motion, targets

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from blind.declared import alter
 from blind.grid import NOISES, Wish
 from blind.outside import Outside, outside
 from blind.scenes import RIGS, Rig
 from blind.sizes import Motion, observe, sized
-
 from orbisim import Recording, Scene, replay
 from orbisim.effects import EffectInstance, add_effects, find
 from orbisim.errors import OrbiSimError

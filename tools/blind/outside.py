@@ -1,5 +1,6 @@
 """Effects that the catalogue does not have; the diagnosis must not give them a wrong name."""
 
+# ruff: noqa: D102 (overrides are documented in the base class)
 from __future__ import annotations
 
 import dataclasses
@@ -9,8 +10,8 @@ from typing import Any
 import mujoco
 import numpy as np
 import numpy.typing as npt
-from blind.sizes import Motion, _inertia, _rms, _torque
 
+from blind.sizes import Motion, _inertia, _rms, _torque
 from orbisim.effects import Hook, Moment
 from orbisim.effects.base import index_of
 
@@ -97,15 +98,15 @@ class OneSidedCord(JointHook):
 
     def law(self, q: Floats, v: Floats, time: Floats) -> Floats:
         stretch = np.maximum(q - self.value("slack"), 0.0)
-        return -self.value("stiffness") * np.sqrt(stretch) - self.value("damping") * v * (stretch > 0)
+        return -self.value("stiffness") * np.sqrt(stretch) - self.value("damping") * v * (
+            stretch > 0
+        )
 
 
 class ControlHook(Hook):
     """A gain of one actuator's control that `law` gives."""
 
-    def __init__(
-        self, model: mujoco.MjModel, actuator: str, values: Mapping[str, float]
-    ) -> None:
+    def __init__(self, model: mujoco.MjModel, actuator: str, values: Mapping[str, float]) -> None:
         super().__init__(values)
         number = index_of(model, "actuator", actuator)
         self._control = int(model.actuator_ctrladr[number])

@@ -6,7 +6,6 @@ import dataclasses
 from pathlib import Path
 
 import mjcf_assets
-
 from orbisim import Scene, load_scene
 
 ASSETS = Path(mjcf_assets.__file__).parent

@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping
 import mujoco
 import numpy as np
 import numpy.typing as npt
-from blind.scenes import Rig
 
+from blind.scenes import Rig
 from orbisim import Recording, Scene
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.base import index_of, is_scalar_joint, names_of_kind
@@ -333,7 +333,10 @@ def _payload(m: Motion, body: str, rng: np.random.Generator, scale: float) -> Ef
         spread[1] = 0.0
     place = m.model.body_ipos[i] + spread
     mass = scale * _between(rng, 0.1, 0.4) * m.mass(body)
-    values = {"mass": mass, **dict(zip(("com_x", "com_y", "com_z"), map(float, place), strict=True))}
+    values = {
+        "mass": mass,
+        **dict(zip(("com_x", "com_y", "com_z"), map(float, place), strict=True)),
+    }
     return EffectInstance("payload", body, values)
 
 
@@ -475,9 +478,7 @@ SIZES: Mapping[str, Size] = {
     "linear_drag": _drag("linear_drag", 1),
     "quadratic_drag": _drag("quadratic_drag", 2),
     "magnus": _magnus,
-    "buoyancy": _single(
-        "buoyancy", "displaced_mass", 0.06, 0.25, lambda m, body: m.mass(body)
-    ),
+    "buoyancy": _single("buoyancy", "displaced_mass", 0.06, 0.25, lambda m, body: m.mass(body)),
     "gravity_tilt": _tilt,
     "sliding_friction": _sliding,
     "torsional_friction": _coefficient("torsional_friction", 0.005, 0.03),
