@@ -137,7 +137,7 @@ def compare(
     b: str | Backend = "warp",
     *,
     count: int = 16,
-    horizon: float = 2.0,
+    horizon: float | None = None,
     seed: int = 0,
     device: str | None = None,
     rounding: bool = True,
@@ -148,7 +148,7 @@ def compare(
       scene: a path or task name, a scene, or episodes with initial states of their own.
       a, b: names or objects of the two backends; `a` is the reference.
       count: number of episodes.
-      horizon: duration of each, s.
+      horizon: duration of each, s; that of the task, or 2 s, if None.
       seed: of initial states and controls.
       device: where backends given by name compute.
       rounding: whether to compute `Comparison.rounding`.
@@ -156,13 +156,13 @@ def compare(
     Raises:
       InputError: no episodes, no horizon, or control steps that do not fit together.
     """
-    if count < 1 or not horizon > 0:
+    if count < 1 or (horizon is not None and not horizon > 0):
         raise InputError(f"need at least one episode and a horizon above 0; got {count}, {horizon}")
     source = scene if isinstance(scene, str) else _source(scene)
     setup = _setup(scene, count, seed)
     sides = [_backend(name, setup, device) for name in (a, b)]
     step = _common_step(*sides)
-    controls = setup.controls(horizon, step, seed)
+    controls = setup.controls(horizon or setup.horizon, step, seed)
     runs = [_run(backend, setup.initial, controls, step) for backend in sides]
     every = _thin(controls.shape[1])
     ra, rb = (

@@ -13,6 +13,9 @@ from orbisim.physics import read_state
 from orbisim.scene import Scene, load_scene
 from orbisim.state import State
 
+HORIZON = 2.0
+"""Duration of an episode, s."""
+
 Floats = npt.NDArray[np.float64]
 
 CONTROL_CORRELATION = 0.1
@@ -30,6 +33,11 @@ class Episodes:
 
     scene: Scene
     initial: State
+
+    @property
+    def horizon(self) -> float:
+        """How long the episodes are if nobody says otherwise, s."""
+        return HORIZON
 
     def controls(self, duration: float, step: float, seed: int) -> Floats:
         """Smooth random controls [nworld, T, nu], each held for `step` seconds."""

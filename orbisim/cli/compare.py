@@ -25,7 +25,12 @@ from orbisim.cli.common import (
 @click.option("--a", default="mujoco", show_default=True, help="The reference backend.")
 @click.option("--b", default="warp", show_default=True, help="The backend to compare with it.")
 @click.option("--episodes", default=16, show_default=True, help="Number of episodes.")
-@click.option("--horizon", default=2.0, show_default=True, help="Duration of an episode, s.")
+@click.option(
+    "--horizon",
+    type=float,
+    default=None,
+    help="Duration of an episode, s. Default: the task's, or 2.",
+)
 @click.option(
     "--out", type=click.Path(path_type=Path), default=None, help="Folder for report.html and .json."
 )
@@ -39,7 +44,7 @@ def command(
     a: str,
     b: str,
     episodes: int,
-    horizon: float,
+    horizon: float | None,
     out: Path | None,
     video: bool,
     device: str | None,

@@ -30,10 +30,9 @@ from orbisim.cli.common import (
 @click.option("--worlds", default=1, show_default=True, help="Number of worlds at once.")
 @click.option(
     "--controls",
-    type=click.Choice(["zero", "random"]),
-    default="zero",
-    show_default=True,
-    help="What the actuators get.",
+    type=click.Choice(["zero", "random", "policy"]),
+    default=None,
+    help="What the actuators get. Default: a task's policy, if it has one; else zero.",
 )
 @click.option("--camera", default="", help="Name or number of a camera. Default: the first.")
 @click.option("--size", default="480x640", show_default=True, help="Height x width of the video.")
@@ -49,7 +48,7 @@ def command(
     renderer: str | None,
     duration: float,
     worlds: int,
-    controls: str,
+    controls: str | None,
     camera: str,
     size: str,
     fps: float,
@@ -59,7 +58,6 @@ def command(
     as_json: bool,
 ) -> None:
     """Simulate SCENE; write trajectory.npz and, with a renderer, video.mp4 to --out."""
-    import numpy as np
 
     from orbisim.episodes import episodes
     from orbisim.errors import InputError
@@ -75,9 +73,7 @@ def command(
         backend, setup.scene, nworld=worlds, device=None if backend == "mujoco" else device
     )
     step = engine.timestep
-    sequence = setup.controls(duration, step, seed)
-    if controls == "zero":
-        sequence = np.zeros_like(sequence)
+    sequence = _controls(setup, controls, duration, step, seed)
     film = _Film(renderer, setup.scene, camera, height, width, fps) if renderer else None
     started = time.perf_counter()
     trajectory = _rollout(engine, setup.initial, sequence)
@@ -103,6 +99,23 @@ def command(
         print_table("", ("", "value"), [(k, v) for k, v in result.items() if k != "schema"])
     if lost:
         note(f"warning: {lost} of {worlds} worlds became non-finite")
+
+
+def _controls(setup: Any, kind: str | None, duration: float, step: float, seed: int) -> Any:
+    """The controls [worlds, T, nu] of a kind."""
+    import numpy as np
+
+    from orbisim.episodes import Episodes
+    from orbisim.errors import InputError
+
+    scripted = type(setup) is not Episodes
+    if kind == "policy" and not scripted:
+        raise InputError("only tasks (task:push) have a policy; use --controls random")
+    plain = Episodes(setup.scene, setup.initial)
+    if kind == "policy" or (kind is None and scripted):
+        return setup.controls(duration, step, seed)
+    sequence = plain.controls(duration, step, seed)
+    return sequence if kind == "random" else np.zeros_like(sequence)
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -77,7 +77,8 @@ class ArmController:
         self.reset(self._home[: self.config.joints])
         rotation = pointing_down(yaw)
         for _ in range(iterations):
-            self._descend(np.asarray(pos, np.float64), rotation)
+            if self._descend(np.asarray(pos, np.float64), rotation) < 1e-7:
+                break
         return self.target.copy()
 
     def step(self, action: Floats) -> Floats:
@@ -114,8 +115,8 @@ class ArmController:
         self.pos: Floats = self._data.site_xpos[self._site].copy()
         self.rot: Floats = self._data.site_xmat[self._site].reshape(3, 3).copy()
 
-    def _descend(self, pos: Floats, rot: Floats) -> None:
-        """One step of damped least squares towards a pose."""
+    def _descend(self, pos: Floats, rot: Floats) -> float:
+        """One step of damped least squares towards a pose; returns the error before it."""
         mujoco.mj_jacSite(
             self._model, self._data, self._jacobian[:3], self._jacobian[3:], self._site
         )
@@ -123,6 +124,7 @@ class ArmController:
         error = np.concatenate([pos - self.pos, rotation_vector(rot @ self.rot.T)])
         normal = jacobian @ jacobian.T + self.config.damping**2 * np.eye(6)
         self._place(self.target + jacobian.T @ np.linalg.solve(normal, error))
+        return float(np.abs(error).max())
 
 
 def pointing_down(yaw: float) -> Floats:

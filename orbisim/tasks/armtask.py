@@ -17,7 +17,7 @@ from orbisim.tasks.arm import ArmConfig, ArmController
 from orbisim.tasks.base import Scripted, Task
 from orbisim.tasks.episode import Episode, Rollout
 from orbisim.tasks.sampling import stream
-from orbisim.tasks.staging import Script, perform
+from orbisim.tasks.staging import Script, opening_pose, perform
 from orbisim.tasks.tabletop import Setting, TabletopConfig, build, draw_setting
 from orbisim.tasks.views import Cast, free_bodies, make_episode
 
@@ -66,11 +66,17 @@ class ArmTask(Task):
         return draw_setting(self.config, self.count_of_cubes(subtask, rng), rng)
 
     def scene(self, subtask: str | None = None, seed: int | None = None) -> Scene:
-        """A scene drawn from the distribution; the nominal one, as in the asset, without a seed."""
+        """A scene drawn from the distribution; the nominal one, as in the asset, without a seed.
+
+        Its first keyframe, `start`, is where the episode begins.
+        """
         name = self.check_subtask(subtask)
         if seed is None:
             return assets.scene(assets.spec(self.name), self.label)
-        return build(self.name, self.setting(name, seed), self.label)
+        setting = self.setting(name, seed)
+        script = self.script(name, setting, stream(seed, 1))
+        pose = opening_pose(script, controller(self.arm))
+        return build(self.name, setting, self.label, *pose)
 
     def episode(self, subtask: str, seed: int) -> Episode:
         """One episode."""

@@ -76,7 +76,8 @@ class Ball(Task):
         velocities = np.array([self._velocity(seed + i) for i in range(count)])
         start = np.array([*self.constants.start, 1.0, 0.0, 0.0, 0.0])
         qvel = np.hstack([velocities, np.zeros((count, 3))])
-        return passive_trials(self.scene(subtask), np.tile(start, (count, 1)), qvel)
+        qpos = np.tile(start, (count, 1))
+        return passive_trials(self.scene(subtask), qpos, qvel, self.horizon, self.control_timestep)
 
     def _velocity(self, seed: int) -> Floats:
         rng = stream(seed, 1)

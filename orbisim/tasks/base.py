@@ -126,6 +126,11 @@ class Scripted(Episodes):
     sequence: Floats
     held: float
 
+    @property
+    def horizon(self) -> float:
+        """Until the last control has been held, s."""
+        return self.sequence.shape[1] * self.held
+
     def controls(self, duration: float, step: float, seed: int) -> Floats:
         """The controls, resampled to `step` seconds; [nworld, T, nu]."""
         import numpy as np

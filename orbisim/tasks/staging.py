@@ -63,19 +63,13 @@ class Script:
     grip: float = 1.0
 
 
-def set_up(stage: Stage, script: Script, arm: ArmController) -> None:
-    """Puts the arm and the cubes where the script begins."""
-    model, data = stage.model, stage.data
+def opening_pose(script: Script, arm: ArmController) -> tuple[Floats, Floats]:
+    """qpos and ctrl where the script begins: arm, fingers, cubes; the arm's target is set."""
     target = arm.solve(script.tool, script.yaw)
-    arm.reset(target)
-    joints = arm.config.joints
     opening = arm.gripper(script.grip)
-    data.qpos[:joints] = target
-    data.qpos[joints : joints + 2] = opening / 2
-    data.ctrl[:] = [*target, opening]
-    for number, pose in enumerate(script.cubes, 1):
-        address = int(model.joint(f"cube{number}").qposadr[0])
-        data.qpos[address : address + 7] = pose.qpos
+    cubes = [pose.qpos for pose in script.cubes]
+    qpos = np.concatenate([target, [opening / 2, opening / 2], *cubes])
+    return qpos, np.append(target, opening)
 
 
 def perform(
@@ -83,7 +77,7 @@ def perform(
 ) -> tuple[Rollout, State]:
     """Runs a script for `steps` control steps; also returns the initial state."""
     stage = Stage(model)
-    set_up(stage, script, arm)
+    stage.data.qpos[:], stage.data.ctrl[:] = opening_pose(script, arm)
     initial = read_state(model, stage.data)
     director = Director(script.plan(stage), arm, script.yaw, control_timestep, script.grip)
     substeps = round(control_timestep / model.opt.timestep)

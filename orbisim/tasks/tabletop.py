@@ -77,8 +77,8 @@ def _draw_cube(config: TabletopConfig, rng: np.random.Generator) -> Cube:
     return Cube(half, density, friction, (red, green, blue))
 
 
-def build(asset: str, setting: Setting, label: str) -> Scene:
-    """The scene of a setting, with its cubes named cube1, cube2 ..."""
+def build(asset: str, setting: Setting, label: str, qpos: Floats, ctrl: Floats) -> Scene:
+    """The scene of a setting, with its cubes named cube1, cube2 ..., and a keyframe `start`."""
     spec = assets.spec(asset)
     spec.geom("table").friction = [setting.table_friction, 0.005, 0.0001]
     present = [body for body in spec.bodies if body.name.startswith("cube")]
@@ -88,6 +88,7 @@ def build(asset: str, setting: Setting, label: str) -> Scene:
         spec.delete(key)
     for number, cube in enumerate(setting.cubes, 1):
         _write_cube(spec, f"cube{number}", cube)
+    spec.add_key(name="start", qpos=qpos, ctrl=ctrl)
     return assets.scene(spec, label)
 
 

@@ -95,7 +95,7 @@ class Toss(Task):
         scene = self.scene(subtask, seed)
         throws = [self._throw(scene.model, seed + i) for i in range(count)]
         qpos, qvel = (np.array(part) for part in zip(*throws, strict=True))
-        return passive_trials(scene, qpos, qvel)
+        return passive_trials(scene, qpos, qvel, self.horizon, self.control_timestep)
 
     def _throw(self, model: mujoco.MjModel, seed: int) -> tuple[Floats, Floats]:
         """Initial qpos [7] and qvel [6] (angular velocity in the body's frame)."""
