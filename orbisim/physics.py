@@ -22,7 +22,6 @@ from dm_control.rl import control as _control
 
 from orbisim import gl
 from orbisim.backend import Backend
-from orbisim.effects.carry import hooks_of
 from orbisim.errors import DivergedError, InputError, RenderingUnavailableError
 from orbisim.mirror import Mirror
 from orbisim.registry import backend_class, make_backend, make_renderer
@@ -76,7 +75,7 @@ class _Switchable:
           UnsupportedSceneError: the backend cannot simulate this scene. The backend in use stays.
         """
         self._forward_native_if_mirrored()
-        if _is_native(backend) and not hooks_of(self.model.ptr):
+        if _is_native(backend) and not _has_hooks(self.model.ptr):
             self._mirror, self._backend_name = None, _NATIVE
             return
         scene = self._current_scene()
@@ -214,7 +213,7 @@ class _Switchable:
         super()._reload_from_data(data)  # type: ignore[misc]
         if backend is not None:
             self.use_backend(backend)
-        elif hooks_of(self.model.ptr):
+        elif _has_hooks(self.model.ptr):
             self.use_backend(_NATIVE)
         if self._renderer is not None:
             self._renderer.load(self._current_scene())
@@ -400,6 +399,15 @@ def _is_native(backend: str | Backend) -> bool:
     if isinstance(backend, Backend):
         return type(backend) is backend_class(_NATIVE)
     return backend == _NATIVE
+
+
+def _has_hooks(model: mujoco.MjModel) -> bool:
+    """Whether the scene carries effects that act between timesteps."""
+    if not model.ntext:  # the usual case, without importing the catalogue
+        return False
+    from orbisim.effects.carry import hooks_of
+
+    return bool(hooks_of(model))
 
 
 def _copied_model(model: mujoco.MjModel) -> Any:
