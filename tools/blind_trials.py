@@ -26,6 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "backends"))
 
 
 def generate(args: argparse.Namespace) -> int:
+    from_source()
     from blind.grid import SAMPLE, every
     from blind.making import make, motion_of
     from blind.scenes import RIGS
@@ -62,6 +63,17 @@ def single_threaded() -> None:
     """Keeps a worker to one core: libraries ask for the number of cores to start threads."""
     os.environ["OMP_NUM_THREADS"] = "1"
     os.cpu_count = lambda: 1  # type: ignore[assignment]
+    from_source()
+
+
+def from_source() -> None:
+    """Makes C MuJoCo known where OrbiSim is not installed but run from its source."""
+    from orbisim.registry import available_backends, register_backend
+
+    if "mujoco" not in available_backends():
+        from orbisim_mujoco import MujocoBackend
+
+        register_backend("mujoco", MujocoBackend)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -85,6 +97,7 @@ def one(args: argparse.Namespace) -> int:
 
 
 def score(args: argparse.Namespace) -> int:
+    from_source()
     from blind.scoring import write_scores
 
     return write_scores(

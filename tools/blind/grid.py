@@ -41,7 +41,13 @@ TOGETHER_UNCLEAR = (
 )
 """Of each of these, a pair has one at most: their sum is like one of another size."""
 
-RARE = ("armature",)
+MEANS_THE_SAME = {
+    ("torque_gain", "gains"): "mass",
+    ("viscous_damping", "damping"): "mass",
+    ("payload", "mass"): "damping",
+}
+"""What is declared wrongly instead where the effect is just that parameter: which part of the
+difference is the effect could not be said."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,11 +86,18 @@ def every(motions: dict[str, Motion], seed: int) -> list[Wish]:
         dataclasses.replace(wish, **condition)
         for wish, condition in zip(wishes, conditions, strict=False)
     ]
-    wishes = [
-        dataclasses.replace(w, wrong="right") if w.kind == "outside" else w for w in wishes
-    ] + without(rng)
+    wishes = [_untangled(wish) for wish in wishes] + without(rng)
     order = rng.permutation(len(wishes))
     return [dataclasses.replace(wishes[i], seed=int(rng.integers(2**31))) for i in order]
+
+
+def _untangled(wish: Wish) -> Wish:
+    if wish.kind == "outside":
+        return dataclasses.replace(wish, wrong="right")
+    for effect, _ in wish.effects:
+        wrong = MEANS_THE_SAME.get((effect, wish.wrong), wish.wrong)
+        wish = dataclasses.replace(wish, wrong=wrong)
+    return wish
 
 
 def singles(motions: dict[str, Motion], rng: np.random.Generator) -> list[Wish]:

@@ -45,12 +45,14 @@ def equivalent(found: Found, truth: Found, model: mujoco.MjModel) -> bool:
     - a constant force straight up at a body's centre of mass is buoyancy, and the other way round;
     - where a body's centre of mass moves with a single hinge or slide, at a constant distance, drag
       on the body is damping of that joint of the same power;
+    - on the only body that moves, another direction of gravity is a constant force of the weight's
+      change, if that is what was found;
     - on a horizontal slide, a mass more on the body is armature of the slide, and a force along it
       is an offset of the motor that drives it.
     """
     return any(
         rule(*pair, model)
-        for rule in (_lift, _lone_drag, _level_slide)
+        for rule in (_lift, _lone_drag, _tilted, _level_slide)
         for pair in ((found, truth), (truth, found))
     )
 
@@ -65,6 +67,15 @@ def _lift(a: Found, b: Found, model: mujoco.MjModel) -> bool:
 def _lone_drag(a: Found, b: Found, model: mujoco.MjModel) -> bool:
     pairs = {("linear_drag", "viscous_damping"), ("quadratic_drag", "quadratic_damping")}
     return (a["effect"], b["effect"]) in pairs and _only_joint(model, a["target"]) == b["target"]
+
+
+def _tilted(a: Found, b: Found, model: mujoco.MjModel) -> bool:
+    if (a["effect"], b["effect"]) != ("constant_force", "gravity_tilt") or model.nbody != 2:
+        return False
+    force = np.array([_number(a["parameters"][axis]) for axis in "xyz"])
+    gravity = np.array([_number(b["parameters"][axis]) for axis in "xyz"])
+    change = float(model.body_mass[1]) * (gravity - model.opt.gravity)
+    return bool(np.linalg.norm(force - change) <= 0.1 * np.linalg.norm(change))
 
 
 def _level_slide(a: Found, b: Found, model: mujoco.MjModel) -> bool:
