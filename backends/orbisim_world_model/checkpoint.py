@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +57,7 @@ def save_checkpoint(folder: Path, model: Dynamics, manifest: dict[str, Any]) -> 
     save_file(tensors, str(folder / f"{WEIGHTS}.part"))
     (folder / f"{MANIFEST}.part").write_text(json.dumps(header, indent=1))
     for name in (WEIGHTS, MANIFEST):
-        os.replace(folder / f"{name}.part", folder / name)
+        (folder / f"{name}.part").replace(folder / name)
 
 
 def read_manifest(folder: str | Path) -> dict[str, Any]:

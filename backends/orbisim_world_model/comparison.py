@@ -38,7 +38,7 @@ def compare_checkpoints(
       InputError: the episodes are of another scene than a checkpoint.
     """
     checkpoints = [load_checkpoint(folder) for folder in folders]
-    pack = read_data(data, checkpoints[0].model.config.baseline).to(device)
+    pack = read_data(data, baseline=checkpoints[0].model.config.baseline).to(device)
     for checkpoint in checkpoints:
         _check(checkpoint, pack)
     parts = {"all": pack}

@@ -36,7 +36,7 @@ class ModelConfig:
     layers: int = 4
     heads: int = 4
     expansion: int = 4
-    memory: Literal["gru", "none"] = "gru"
+    memory: Literal["gru", "none"] = "none"
     control: Literal["ctrl", "action"] = "ctrl"
     extended: bool = True
     residual: bool = True
@@ -100,8 +100,9 @@ class TrainConfig:
     """
 
     stages: tuple[Stage, ...] = (
-        Stage(0.4, 4, 2048),
-        Stage(0.6, 16, 512, autoregressive=True),
+        Stage(0.4, 1, 8192),
+        Stage(0.4, 8, 1024, autoregressive=True),
+        Stage(0.2, 24, 512, autoregressive=True, full=True),
     )
     rate: float = 1e-3
     final_rate: float = 1e-6

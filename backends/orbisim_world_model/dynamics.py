@@ -68,13 +68,18 @@ class Dynamics(nn.Module):
         sizes = _sizes(self.features, controls)
         self.sizes = sizes
         self.controls = controls
-        self.see_robot, self.see_objects = Normalizer(sizes.robot), Normalizer(sizes.objects)
+        extra = OBJECT_OUTPUTS if config.baseline != "none" else 0
+        self.see_robot = Normalizer(sizes.robot - (sizes.robot_out if extra else 0))
+        self.see_objects = Normalizer(sizes.objects - extra)
         self.see_edges = Normalizer(EDGE_FEATURES)
         self.see_attributes, self.see_world = Normalizer(sizes.attributes), Normalizer(sizes.world)
         self.see_control = Normalizer(sizes.control)
         centered = not config.residual
         self.robot_scale = Normalizer(sizes.robot_out, centered)
         self.object_scale = Normalizer(sizes.objects_out, centered)
+        corrects = config.baseline != "none"
+        self.base_robot = Normalizer(sizes.robot_out if corrects else 0)
+        self.base_objects = Normalizer(sizes.objects_out if corrects else 0)
         self.network = _NETWORKS[config.kind](sizes, config)
         return self
 
@@ -98,17 +103,25 @@ class Dynamics(nn.Module):
         control: Tensor,
         context: Context,
         observe: bool = True,
+        base: Entities | None = None,
     ) -> Step:
-        """x_t and h_t from x_{t-1} (`completed`), h_{t-1}, a_{t-1} [B, U] and descriptors."""
+        """x_t and h_t from x_{t-1} (`completed`), h_{t-1}, a_{t-1} [B, U] and descriptors.
+
+        Args:
+          base: what the classical step predicts for x_t, where the model corrects one.
+        """
         with self._exact():
-            inputs = self._cast(self.inputs(x, control, context))
+            inputs = self._cast(self.inputs(x, control, context, base))
         out = self.network(inputs, memory, observe)
         with self._exact():
-            return self._advanced(x, out)
+            return self._advanced(x, out, base)
 
-    def _advanced(self, x: Entities, out: Outputs) -> Step:
+    def _advanced(self, x: Entities, out: Outputs, base: Entities | None) -> Step:
         raw = Raw(self.robot_scale.undo(out.robot.float()), self._undo_objects(out.objects))
-        state = advance(x, raw, self.layout, self.config)
+        if base is None:
+            state = advance(x, raw, self.layout.timestep, self.config)
+        else:
+            state = advance(base, raw, 0.0, self.config)
         return Step(self.completed(state), out.memory, out.latent, out.penalty)
 
     def encode(self, x: Entities, memory: Tensor, control: Tensor, context: Context) -> Tensor:
@@ -117,14 +130,21 @@ class Dynamics(nn.Module):
             inputs = self._cast(self.inputs(x, control, context))
         return self.network.encode(inputs, memory)
 
-    def inputs(self, x: Entities, control: Tensor, context: Context) -> Inputs:
+    def inputs(
+        self, x: Entities, control: Tensor, context: Context, base: Entities | None = None
+    ) -> Inputs:
         """Normalised features."""
         see, edges = self.features, None
         if self.sizes.edges:
             edges = self.see_edges(see.edges(x))
+        robot, objects = self.see_robot(see.robot(x)), self.see_objects(see.objects(x, context))
+        if base is not None:
+            change = required(x, base, self.layout.timestep, self.config)
+            robot = torch.cat([robot, self.base_robot(change.robot)], dim=-1)
+            objects = torch.cat([objects, self.base_objects(change.objects)], dim=-1)
         return Inputs(
-            self.see_robot(see.robot(x)),
-            self.see_objects(see.objects(x, context)),
+            robot,
+            objects,
             edges,
             self.see_attributes(context.attributes),
             self.see_world(context.world),
@@ -134,8 +154,15 @@ class Dynamics(nn.Module):
 
     # -- scales --------------------------------------------------------------------------------
 
-    @torch.no_grad()
-    def fit(self, x: Entities, after: Entities, control: Tensor, context: Context) -> None:
+    @torch.no_grad()  # type: ignore[untyped-decorator]
+    def fit(
+        self,
+        x: Entities,
+        after: Entities,
+        control: Tensor,
+        context: Context,
+        base: Entities | None = None,
+    ) -> None:
         """Takes all scales from transitions of the training data."""
         x, after = self.completed(x), self.completed(after)
         mask, see = context.mask, self.features
@@ -146,7 +173,14 @@ class Dynamics(nn.Module):
         self.see_control.fit(see.control(x, control))
         if self.sizes.edges:
             self.see_edges.fit(see.edges(x))
-        raw = required(x, after, self.layout, self.config)
+        dt = self.layout.timestep
+        if base is None:
+            raw = required(x, after, dt, self.config)
+        else:
+            raw = required(base, after, 0.0, self.config)
+            change = required(x, base, dt, self.config)
+            self.base_robot.fit(change.robot)
+            self.base_objects.fit(change.objects, mask)
         self.robot_scale.fit(raw.robot)
         self.object_scale.fit(raw.objects, mask)
         if self.config.residual:
@@ -179,16 +213,18 @@ def _sizes(see: Features, controls: int) -> Sizes:
     """Numbers of features, found by asking the functions that make them."""
     layout, config = see.layout, see.config
     x, context = example(layout)
-    many = layout.tokens > 1 and config.kind == "objects"
+    pairs = layout.tokens > 1 and config.kind == "objects"
+    outputs = robot_outputs(layout, config) if layout.has_robot else 0
+    corrects = config.baseline != "none"
     return Sizes(
-        robot=see.robot(x).shape[1] if layout.has_robot else 0,
-        objects=see.objects(x, context).shape[2],
-        count=len(layout.objects),
-        edges=EDGE_FEATURES if many and config.relative else 0,
+        robot=see.robot(x).shape[1] + corrects * outputs if layout.has_robot else 0,
+        objects=see.objects(x, context).shape[2] + corrects * OBJECT_OUTPUTS,
+        many=len(layout.objects),
+        edges=EDGE_FEATURES if pairs and config.relative else 0,
         attributes=len(layout.attributes),
         world=len(layout.settings),
         control=controls + len(see.servos),
-        robot_out=robot_outputs(layout, config) if layout.has_robot else 0,
+        robot_out=outputs,
         objects_out=OBJECT_OUTPUTS,
     )
 

@@ -70,12 +70,12 @@ class Context(NamedTuple):
     Attributes:
       attributes: [B, N, D] of the objects.
       world: [B, W].
-      mask: [B, N], 1 where there is an object and 0 where there is padding.
+      mask: [B, N], 1 where there is an object and 0 where there is padding; None for all ones.
     """
 
     attributes: Tensor
     world: Tensor
-    mask: Tensor
+    mask: Tensor | None
 
 
 def choose(condition: Tensor, a: Entities, b: Entities) -> Entities:

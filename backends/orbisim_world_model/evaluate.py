@@ -23,7 +23,7 @@ BURN = 8
 """Control steps of true states that every model sees before it predicts."""
 
 
-@torch.no_grad()
+@torch.no_grad()  # type: ignore[untyped-decorator]
 def evaluate(
     model: Dynamics,
     pack: Pack,
@@ -70,7 +70,7 @@ def _errors(model: Dynamics, pack: Pack, horizon: int, burn: int) -> dict[str, T
     batch = windows.batch(*windows.locate(first))
     predicted = open_loop(model, batch, burn)
     truth = Entities(*(field[burn + 1 :] for field in batch.states))
-    mask, layout = batch.context.mask, pack.layout
+    mask, layout = pack.mask, pack.layout
     if layout.hand and not model.config.extended:
         predicted = predicted._replace(q=truth.q, v=truth.v)  # the paper's state has no joints
     each = [

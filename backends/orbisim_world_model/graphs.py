@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -20,9 +21,19 @@ class Graphed:
     def __init__(
         self, function: Callable[[], Any], restore: Callable[[], None], enabled: bool
     ) -> None:
-        self._function, self._graph = function, None
+        self._function = function
+        self._graph: Any = None
         if not enabled:
             return
+        try:
+            self._record(function)
+        except RuntimeError as error:
+            torch.cuda.synchronize()
+            text = " ".join(str(error).split())[:200]
+            warnings.warn(f"no CUDA graph, steps are slower: {text}", stacklevel=2)
+        restore()
+
+    def _record(self, function: Callable[[], Any]) -> None:
         stream = torch.cuda.Stream()
         stream.wait_stream(torch.cuda.current_stream())
         with torch.cuda.stream(stream):
@@ -33,7 +44,6 @@ class Graphed:
         with torch.cuda.graph(graph):
             self._result = function()
         self._graph = graph
-        restore()
 
     def __call__(self) -> Any:
         """Runs it once; with a graph, the result's tensors are the same each time."""

@@ -41,12 +41,19 @@ class Raw(NamedTuple):
     objects: Tensor
 
 
-def advance(x: Entities, raw: Raw, layout: Layout, config: ModelConfig) -> Entities:
-    """x_t from x_{t-1} and the decoder's (unscaled) numbers."""
-    pos, quat, vel, ang = _objects(x, raw.objects, layout, config)
+def advance(x: Entities, raw: Raw, dt: float, config: ModelConfig) -> Entities:
+    """x_t from x_{t-1} and the decoder's (unscaled) numbers.
+
+    Args:
+      x: where to start from; with `dt` 0 a prediction to be corrected.
+      raw: the numbers.
+      dt: the control step, s.
+      config: says what the numbers mean.
+    """
+    pos, quat, vel, ang = _objects(x, raw.objects, dt, config)
     if not config.extended:
         return x._replace(hand=_hand(x, raw.robot, config), pos=pos, quat=quat, vel=vel, ang=ang)
-    count, dt = len(layout.joints), layout.timestep
+    count = x.q.shape[1]
     dq, dv = raw.robot[:, :count], raw.robot[:, count : 2 * count]
     act = raw.robot[:, 2 * count :]
     if config.residual:
@@ -59,9 +66,8 @@ def advance(x: Entities, raw: Raw, layout: Layout, config: ModelConfig) -> Entit
 
 
 def _objects(
-    x: Entities, raw: Tensor, layout: Layout, config: ModelConfig
+    x: Entities, raw: Tensor, dt: float, config: ModelConfig
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    dt = layout.timestep
     dpos, dquat, dvel, dang = raw.split((3, 4, 3, 3), dim=-1)
     if not config.residual:
         ang = dang if config.extended else x.ang
@@ -93,9 +99,8 @@ def _hand(x: Entities, raw: Tensor, config: ModelConfig) -> Tensor:
     return torch.cat([pos, turned, vel, x.hand[:, 15:18]], dim=1)
 
 
-def required(x: Entities, after: Entities, layout: Layout, config: ModelConfig) -> Raw:
+def required(x: Entities, after: Entities, dt: float, config: ModelConfig) -> Raw:
     """The numbers with which `advance` leads from `x` to `after`."""
-    dt = layout.timestep
     if not config.residual:
         objects = torch.cat([after.pos, after.quat, after.vel, after.ang], dim=-1)
         plain = torch.cat([after.q, after.v, after.act], dim=-1)

@@ -47,7 +47,7 @@ class FlatAdamW:
         """Forgets the gradient."""
         self.gradient.zero_()
 
-    @torch.no_grad()
+    @torch.no_grad()  # type: ignore[untyped-decorator]
     def step(self) -> None:
         """Moves the parameters along the gradient that `backward` left."""
         norm = self.gradient.norm()

@@ -20,10 +20,11 @@ from torch import Tensor
 from orbisim.errors import InputError
 from orbisim_world_model.config import ModelConfig
 from orbisim_world_model.entities import Context, Entities
+from orbisim_world_model.kinematics import Kinematics
 from orbisim_world_model.layout import Layout
 
 SCHEMA = "orbisim.pack/1"
-_TENSORS = ("qpos", "qvel", "act", "ctrl", "action", "hand", "start", "length")
+_TENSORS = ("qpos", "qvel", "act", "ctrl", "action", "start", "length", "base")
 _STATIC = ("attributes", "world", "mask", "group")
 
 
@@ -35,7 +36,8 @@ class Pack:
       layout: of the scene.
       qpos, qvel, act: [F, ...] states, F the sum of length + 1.
       ctrl, action: [F, ...] what acted after each state; 0 in an episode's last row.
-      hand: [F, 18] or [F, 0].
+      hand: [F, 18] or [F, 0]; follows from qpos and qvel.
+      base: [F, nq + nv + na] state that MuJoCo predicts for the next row, or [F, 0].
       start, length: [E] first row and number of control steps of each episode.
       attributes, world, mask: [E, N, D], [E, W], [E, N] (see `Context`).
       group: [E] number of the subtask; `notes["groups"]` has the names.
@@ -49,6 +51,7 @@ class Pack:
     ctrl: Tensor
     action: Tensor
     hand: Tensor
+    base: Tensor
     start: Tensor
     length: Tensor
     attributes: Tensor
@@ -69,7 +72,8 @@ class Pack:
 
     def to(self, device: Any) -> Pack:
         """On another device."""
-        moved = {name: getattr(self, name).to(device) for name in (*_TENSORS, *_STATIC)}
+        names = (*_TENSORS, *_STATIC, "hand")
+        moved = {name: getattr(self, name).to(device) for name in names}
         return dataclasses.replace(self, **moved)
 
     def controls(self, config: ModelConfig) -> Tensor:
@@ -81,6 +85,11 @@ class Pack:
         flat = rows.reshape(-1)
         x = self.layout.split(self.qpos[flat], self.qvel[flat], self.act[flat])
         return x._replace(hand=self.hand[flat])
+
+    def predictions(self, rows: Tensor) -> Entities:
+        """What MuJoCo predicts for the step after rows [...], flattened."""
+        sizes = (self.layout.nq, self.layout.nv, self.layout.na)
+        return self.layout.split(*self.base[rows.reshape(-1)].split(sizes, dim=1))
 
     def context(self, episodes: Tensor) -> Context:
         """The descriptors of episodes [B]."""
@@ -116,6 +125,8 @@ class Pack:
     def save(self, path: str | Path) -> None:
         """Writes the pack to a safetensors file."""
         tensors = {name: getattr(self, name).contiguous().cpu() for name in (*_TENSORS, *_STATIC)}
+        if torch.equal(self.action, self.ctrl):
+            del tensors["action"]
         header = {
             "schema": SCHEMA,
             "layout": json.dumps(self.layout.to_dict()),
@@ -135,11 +146,25 @@ class Pack:
                 header = file.metadata() or {}
                 if header.get("schema") != SCHEMA:
                     raise ValueError(f"schema is {header.get('schema')!r}, not {SCHEMA!r}")
-                tensors = {name: file.get_tensor(name) for name in (*_TENSORS, *_STATIC)}
+                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            tensors.setdefault("action", tensors["ctrl"])
         except Exception as error:  # safetensors has an error type of its own
             raise InputError(f"{path}: not a pack of episodes ({error})") from None
         layout = Layout.from_dict(json.loads(header["layout"]))
-        return Pack(layout=layout, **tensors, notes=json.loads(header["notes"]))
+        hand = hands(layout, tensors["qpos"], tensors["qvel"])
+        return Pack(layout=layout, hand=hand, **tensors, notes=json.loads(header["notes"]))
+
+
+def hands(layout: Layout, qpos: Tensor, qvel: Tensor) -> Tensor:
+    """Pose and velocity of the hand [F, 18] of states, or [F, 0] without a hand."""
+    if not layout.hand:
+        return torch.zeros(len(qpos), 0)
+    kinematics = Kinematics(layout).double()
+    parts = [
+        kinematics(q[:, list(layout.joint_q)].double(), v[:, list(layout.joint_v)].double())
+        for q, v in zip(qpos.split(65_536), qvel.split(65_536), strict=True)
+    ]
+    return torch.cat(parts).float()
 
 
 def joined(packs: list[Pack]) -> Pack:
@@ -159,7 +184,8 @@ def joined(packs: list[Pack]) -> Pack:
         dataclasses.replace(pack, start=pack.start + int(offset), group=pack.group + int(first))
         for pack, offset, first in zip(padded, offsets, firsts, strict=False)
     ]
-    together = {n: torch.cat([getattr(p, n) for p in shifted]) for n in (*_TENSORS, *_STATIC)}
+    names_of_all = (*_TENSORS, *_STATIC, "hand")
+    together = {n: torch.cat([getattr(p, n) for p in shifted]) for n in names_of_all}
     sources = [source for pack in packs for source in pack.notes["sources"]]
     notes = {**packs[0].notes, "groups": names, "sources": sources}
     return Pack(layout=largest.layout, **together, notes=notes)

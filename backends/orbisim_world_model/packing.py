@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,22 +13,48 @@ import torch
 
 from orbisim.errors import InputError
 from orbisim.tasks.dataset import EpisodeFile
-from orbisim_world_model.kinematics import Kinematics
+from orbisim_world_model.baseline import pack_recordings, with_baseline
+from orbisim_world_model.fitting import robot_parameters
 from orbisim_world_model.layout import Layout
-from orbisim_world_model.pack import Pack, joined
+from orbisim_world_model.pack import Pack, hands, joined
 from orbisim_world_model.reading import ATTRIBUTES, read_layout
 
 
-def read_data(paths: Sequence[str | Path], baseline: str = "none") -> Pack:
-    """The episodes of HDF5 files and packs (`.pack`), as one pack.
+def read_data(
+    paths: Sequence[str | Path],
+    *,
+    baseline: str = "none",
+    scene: str | None = None,
+    timestep: float | None = None,
+) -> Pack:
+    """Episode files (`.h5`), packs (`.pack`) and recordings, as one pack.
+
+    Args:
+      paths: the files.
+      baseline: `mujoco` to add what MuJoCo's own step predicts.
+      scene: whose step that is; the task's nominal one if None. Recordings need it.
+      timestep: control step of recordings, s; their own sampling interval if None.
 
     Raises:
       InputError: a file cannot be read, or the scenes do not fit into one model.
     """
     if not paths:
         raise InputError("no data: give the files that `orbisim collect` wrote, or packs of them")
-    loaded = [Pack.load(p) if Path(p).suffix == ".pack" else pack_file(p) for p in paths]
-    return joined(loaded)
+    packs, recordings = [], []
+    for path in map(Path, paths):
+        if path.suffix == ".pack":
+            packs.append(Pack.load(path))
+        elif path.suffix in (".h5", ".hdf5"):
+            packs.append(pack_file(path))
+        else:
+            recordings.append(path)
+    if recordings:
+        if scene is None:
+            raise InputError("recordings need a scene to be read with: give --scene")
+        packs.append(pack_recordings(recordings, scene, timestep))
+    if baseline == "mujoco":
+        packs = [p if p.base.shape[1] else with_baseline(p, scene) for p in packs]
+    return joined(packs)
 
 
 def pack_file(path: str | Path, layout: Layout | None = None) -> Pack:
@@ -62,20 +89,29 @@ def pack_file(path: str | Path, layout: Layout | None = None) -> Pack:
         layout=layout,
         **tensors,
         hand=hands(layout, tensors["qpos"], tensors["qvel"]),
+        base=torch.zeros(int(rows.sum()), 0),
         start=torch.as_tensor(np.cumsum(rows) - rows),
         length=torch.as_tensor(lengths),
         **{name: _float(np.array(parts)) for name, parts in static.items()},
         group=torch.as_tensor(group),
-        notes={"groups": groups, "sources": [{**source, "episodes": len(lengths)}]},
+        notes={
+            "groups": groups,
+            "sources": [{**source, "episodes": len(lengths)}],
+            "robot": robot_parameters(_nominal(source["task"]), layout),
+        },
     )
 
 
 def task_layout(task: str, control_timestep: float) -> Layout:
     """The layout of a task's nominal scene."""
+    return read_layout(_nominal(task), control_timestep, source=task)
+
+
+@functools.lru_cache(maxsize=8)
+def _nominal(task: str) -> mujoco.MjModel:
     from orbisim.scene import load_scene
 
-    scene = load_scene(task)
-    return read_layout(scene.model, control_timestep, source=task)
+    return load_scene(task).model
 
 
 def _attributes(file: EpisodeFile, data: dict[str, Any], index: int, layout: Layout) -> Any:
@@ -99,14 +135,6 @@ def _with_last(array: Any, rows: int) -> Any:
 
 def _float(array: Any) -> Any:
     return torch.as_tensor(np.ascontiguousarray(array), dtype=torch.float32)
-
-
-def hands(layout: Layout, qpos: Any, qvel: Any) -> Any:
-    if not layout.hand:
-        return torch.zeros(len(qpos), 0)
-    x = layout.split(qpos, qvel, qpos[:, :0])
-    kinematics = Kinematics(layout).double()
-    return kinematics(x.q.double(), x.v.double()).float()
 
 
 def check_kinematics(model: mujoco.MjModel, layout: Layout, qpos: Any) -> float:

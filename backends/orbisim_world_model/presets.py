@@ -47,7 +47,10 @@ PRESETS = {
         _default_with("no_contact", contact=False),
         _default_with("no_extended", extended=False, control="action"),
         _default_with("no_skip", skip=False),
-        _default_with("no_memory", memory="none"),
+        dataclasses.replace(
+            _default_with("recurrent", memory="gru"),
+            train=dataclasses.replace(DEFAULT.train, stages=PAPER.train.stages),
+        ),
         dataclasses.replace(
             DEFAULT, name="no_noise", train=dataclasses.replace(DEFAULT.train, noise=0.0)
         ),
@@ -55,6 +58,11 @@ PRESETS = {
             DEFAULT,
             name="no_alignment",
             loss=dataclasses.replace(DEFAULT.loss, alignment=0.0, consistency=0.0),
+        ),
+        dataclasses.replace(
+            _default_with("hybrid", baseline="mujoco"),
+            loss=dataclasses.replace(DEFAULT.loss, alignment=0.0, consistency=0.0),
+            train=dataclasses.replace(DEFAULT.train, stages=(Stage(1.0, 1, 4096),), noise=0.0),
         ),
         dataclasses.replace(
             PAPER, name="global", model=dataclasses.replace(PAPER.model, kind="global", width=192)

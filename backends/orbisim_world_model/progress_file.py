@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ def save_progress(folder: Path, tensors: dict[str, Tensor], notes: dict[str, Any
     part = folder / f"{NAME}.part"
     host = {name: tensor.detach().cpu().clone() for name, tensor in tensors.items()}
     save_file(host, str(part), metadata={"notes": json.dumps(notes)})
-    os.replace(part, folder / NAME)
+    part.replace(folder / NAME)
 
 
 def load_progress(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]] | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 import numpy.typing as npt
@@ -122,7 +124,9 @@ def _chain(model: mujoco.MjModel, hand: str, scalar: list[int]) -> tuple[tuple, 
     while body:
         path.append(body)
         body = int(model.body_parentid[body])
-    fixed, bases, members = np.eye(4), [], []
+    fixed: Any = np.eye(4)
+    bases: list[list[Floats]] = []
+    members: list[int] = []
     for body in reversed(path):
         fixed = fixed @ _transform(model.body_pos[body], model.body_quat[body])
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])

@@ -17,7 +17,7 @@ from orbisim_world_model.card import write_card
 from orbisim_world_model.checkpoint import load_checkpoint, ranges, save_checkpoint
 from orbisim_world_model.config import Config
 from orbisim_world_model.curves import draw_curves
-from orbisim_world_model.evaluate import HORIZONS, constant_velocity, evaluate
+from orbisim_world_model.evaluate import BURN, HORIZONS, constant_velocity, evaluate
 from orbisim_world_model.pack import Pack
 from orbisim_world_model.progress_file import load_progress, save_progress
 from orbisim_world_model.schedule import Clock
@@ -40,7 +40,7 @@ class Run:
       resume: go on with what stands in `out`.
       start: checkpoint whose weights are fine-tuned.
       graph: run a training step as one CUDA graph.
-      horizons: of the evaluation.
+      horizons, burn: of the evaluation.
     """
 
     out: Path
@@ -55,6 +55,7 @@ class Run:
     start: Path | None = None
     graph: bool = True
     horizons: tuple[int, ...] = HORIZONS
+    burn: int = BURN
 
 
 def train(
@@ -172,9 +173,10 @@ def _save(trainer: Trainer, run: Run, held: Pack | None) -> dict[str, Any]:
         shipped = load_checkpoint(run.out).model.to(pack.device)  # as it will be used, in fp16
         manifest["metrics"] = {
             "held_out_episodes": held.episodes,
-            "model": evaluate(shipped, held, run.horizons),
+            "burn": run.burn,
+            "model": evaluate(shipped, held, run.horizons, burn=run.burn),
             "constant_velocity": evaluate(
-                constant_velocity(held, trainer.config.model), held, run.horizons
+                constant_velocity(held, trainer.config.model), held, run.horizons, burn=run.burn
             ),
         }
         save_checkpoint(run.out, trainer.model, manifest)

@@ -20,11 +20,13 @@ class Batch(NamedTuple):
       states: fields [L+1, B, ...].
       control: [L, B, U].
       context: of each sequence.
+      base: what the classical step predicts from each state, fields [L, B, ...]; None without.
     """
 
     states: Entities
     control: Tensor
     context: Context
+    base: Entities | None = None
 
 
 class Windows:
@@ -39,6 +41,9 @@ class Windows:
     def __init__(self, pack: Pack, length: int, config: ModelConfig) -> None:
         self.pack, self.length = pack, length
         self.controls = pack.controls(config)
+        self.corrects = config.baseline != "none"
+        if self.corrects and not pack.base.shape[1]:
+            raise InputError("the data hold no classical predictions: give --residual-on mujoco")
         counts = (pack.length - length + 1).clamp_min(0)
         self.ends = torch.cumsum(counts, 0)
         self.firsts = self.ends - counts
@@ -64,7 +69,11 @@ class Windows:
         rows = row[None] + steps[:, None]  # [L+1, B]
         flat = self.pack.states(rows)
         states = Entities(*(field.unflatten(0, rows.shape) for field in flat))
-        return Batch(states, self.controls[rows[:-1]], self.pack.context(episode))
+        base = None
+        if self.corrects:
+            flat = self.pack.predictions(rows[:-1])
+            base = Entities(*(field.unflatten(0, rows[:-1].shape) for field in flat))
+        return Batch(states, self.controls[rows[:-1]], self.pack.context(episode), base)
 
 
 def generator_of(device: Any, seed: int, step: int) -> torch.Generator:

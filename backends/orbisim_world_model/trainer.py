@@ -10,7 +10,6 @@ from torch import Tensor
 from orbisim_world_model import parallel
 from orbisim_world_model.config import Config, Stage
 from orbisim_world_model.dynamics import Dynamics
-from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.graphs import Graphed
 from orbisim_world_model.losses import measure_scales
 from orbisim_world_model.optimizer import FlatAdamW
@@ -158,16 +157,11 @@ def new_model(pack: Pack, config: Config, seed: int) -> Dynamics:
         torch.manual_seed(seed)
         model = Dynamics(pack.layout, config.model).build(pack.controls(config.model).shape[1])
     model.to(pack.device)
-    x, after, control, context = transitions(pack, config)
-    model.fit(x, after, control, context)
-    return model
-
-
-def transitions(pack: Pack, config: Config) -> tuple[Entities, Entities, Tensor, Context]:
-    """Single steps of the data: before, after, control, descriptors."""
     row, episode = pack.transitions()
+    base = pack.predictions(row) if config.model.baseline != "none" else None
     control = pack.controls(config.model)[row]
-    return pack.states(row), pack.states(row + 1), control, pack.context(episode)
+    model.fit(pack.states(row), pack.states(row + 1), control, pack.context(episode), base)
+    return model
 
 
 def _scales(model: Dynamics, pack: Pack) -> Any:
@@ -181,5 +175,5 @@ def _copy(into: Any, values: Any) -> None:
     for target, value in zip(into, values, strict=True):
         if isinstance(target, Tensor):
             target.copy_(value, non_blocking=True)
-        else:
+        elif target is not None:
             _copy(target, value)

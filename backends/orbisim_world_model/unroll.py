@@ -77,7 +77,8 @@ def dynamics_loss(
             x = model.completed(perturbed(x, draws.noise[t] * noise, scales))
         if predicted is not None and t >= warm:
             x = choose(draws.chance[t] < ratio, predicted, x)
-        step = model(x, memory, batch.control[t], context)
+        base = None if batch.base is None else batch.base.at(t)
+        step = model(x, memory, batch.control[t], context, base=base)
         memory, predicted = step.memory, step.state
         target = batch.states.at(t + 1)
         if config.scaled:
@@ -116,7 +117,7 @@ def perturbed(x: Entities, noise: Tensor, scales: Scales) -> Entities:
     )
 
 
-@torch.no_grad()
+@torch.no_grad()  # type: ignore[untyped-decorator]
 def open_loop(model: Dynamics, batch: Batch, burn: int, start: Entities | None = None) -> Entities:
     """Predicted states [L - burn, B, ...] after `burn` steps that saw ground truth.
 
@@ -130,7 +131,8 @@ def open_loop(model: Dynamics, batch: Batch, burn: int, start: Entities | None =
     for t in range(len(batch.control)):
         if t <= burn:
             x = model.completed(batch.states.at(t) if start is None or t < burn else start)
-        step = model(x, memory, batch.control[t], batch.context, observe=t <= burn)
+        base = None if batch.base is None else batch.base.at(t)
+        step = model(x, memory, batch.control[t], batch.context, observe=t <= burn, base=base)
         memory, x = step.memory, step.state
         if t >= burn:
             found.append(x)

@@ -51,6 +51,8 @@ def command() -> None:
     default=None,
     help="Checkpoint to fine-tune, with its scales.",
 )
+@click.option("--scene", default=None, help="Scene of recordings and of --residual-on.")
+@click.option("--control-timestep", type=float, default=None, help="Control step of recordings, s.")
 @click.option(
     "--residual-on",
     type=click.Choice(["mujoco"]),
@@ -73,13 +75,15 @@ def dynamics(
     save_every: float,
     resume: bool,
     start: Path | None,
+    scene: str | None,
+    control_timestep: float | None,
     residual_on: str | None,
     graph: bool,
     device: str | None,
     seed: int,
     as_json: bool,
 ) -> None:
-    """Train OrbiSim-Dynamics on episode files (orbisim collect).
+    """Train OrbiSim-Dynamics on episode files (orbisim collect), packs of them, or recordings.
 
     Leaves a checkpoint in --out (model.safetensors, manifest.json) with a model card, metrics and
     curves. Under torchrun the batch is shared among the processes. A training that was killed goes
@@ -91,8 +95,8 @@ def dynamics(
     from orbisim_world_model.presets import preset
 
     config = replaced(preset(name), dict(map(_assignment, assignments)))
-    if residual_on:
-        config = replaced(config, {"model.baseline": residual_on})
+    if residual_on and config.model.baseline != residual_on:
+        raise InputError(f"--residual-on {residual_on} needs --config hybrid; got {name}")
     run = training.Run(
         out=out,
         steps=steps,
@@ -105,8 +109,9 @@ def dynamics(
         start=start,
         graph=graph,
     )
-    pack = read_data(data, config.model.baseline)
-    held = read_data(held_out_data, config.model.baseline) if held_out_data else None
+    how: Any = {"baseline": config.model.baseline, "scene": scene, "timestep": control_timestep}
+    pack = read_data(data, **how)
+    held = read_data(held_out_data, **how) if held_out_data else None
     manifest = training.train(pack, config, run, report=_report, held=held)
     if not manifest:
         return  # another process of the group writes

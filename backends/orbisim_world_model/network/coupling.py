@@ -61,7 +61,7 @@ class Block(nn.Module):
 
     def attention(self, u: Tensor, pairs: Tensor | None, mask: Tensor | None) -> Tensor:
         """Global self-attention [B, K, width] over tokens that the mask [B, K] lets be seen."""
-        batch, count, width = u.shape
+        count, width = u.shape[1:]
         if count == 1 and pairs is None:
             return self.qkv(u)[..., 2 * width :]  # it can only look at itself
         q, k, v = self.qkv(u).chunk(3, dim=-1)

@@ -30,13 +30,13 @@ class DreamerNetwork(nn.Module):
         super().__init__()
         width, hidden, latent = config.width, 2 * config.width, _GROUPS * _CLASSES
         self.sizes, self.width = sizes, width
-        descriptors = sizes.count * sizes.attributes + sizes.world
+        descriptors = sizes.many * sizes.attributes + sizes.world
         self.start = nn.Parameter(torch.zeros(width + latent))
         self.posterior = _perceptron(width + sizes.flat, hidden, latent)
         self.prior = _perceptron(width, hidden, latent)
         self.mix = _perceptron(latent + sizes.control + descriptors, hidden, width)
         self.f_rec = Recurrence(width)
-        outputs = sizes.robot_out + sizes.count * sizes.objects_out
+        outputs = sizes.robot_out + sizes.many * sizes.objects_out
         self.f_dec = _perceptron(width + latent + descriptors, hidden, outputs)
 
     def initial_memory(self, batch: int) -> Tensor:
@@ -63,9 +63,9 @@ class DreamerNetwork(nn.Module):
         latent = _sample(logits, self.training)
         decoded = self.f_dec(torch.cat([h, latent, given], dim=1))
         robot, objects = decoded.split(
-            (self.sizes.robot_out, self.sizes.count * self.sizes.objects_out), dim=1
+            (self.sizes.robot_out, self.sizes.many * self.sizes.objects_out), dim=1
         )
-        shaped = objects.unflatten(1, (self.sizes.count, self.sizes.objects_out))
+        shaped = objects.unflatten(1, (self.sizes.many, self.sizes.objects_out))
         memory = torch.cat([h, latent], dim=1)
         return Outputs(robot, shaped, memory, logits.flatten(1), penalty)
 

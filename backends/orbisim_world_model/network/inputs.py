@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
+import torch
 from torch import Tensor
 
 
@@ -27,8 +28,6 @@ class Inputs(NamedTuple):
 
     def flat(self) -> Tensor:
         """Everything in one vector [B, ...] for networks without tokens."""
-        import torch
-
         objects = torch.cat([self.objects, self.attributes], dim=-1)
         if self.mask is not None:
             objects = objects * self.mask[..., None]
@@ -57,7 +56,7 @@ class Sizes(NamedTuple):
 
     robot: int
     objects: int
-    count: int
+    many: int
     edges: int
     attributes: int
     world: int
@@ -68,12 +67,12 @@ class Sizes(NamedTuple):
     @property
     def flat(self) -> int:
         """Length of `Inputs.flat`."""
-        return self.robot + self.count * (self.objects + self.attributes) + self.world
+        return self.robot + self.many * (self.objects + self.attributes) + self.world
 
     @property
     def tokens(self) -> int:
         """Number of tokens."""
-        return self.count + int(self.robot > 0)
+        return self.many + int(self.robot > 0)
 
 
 class Network(Protocol):

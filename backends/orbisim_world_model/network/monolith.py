@@ -30,12 +30,12 @@ class GlobalNetwork(nn.Module):
             nn.Linear(2 * width, width),
             nn.LayerNorm(width),
         )
-        conditions = sizes.control + sizes.world + sizes.count * sizes.attributes
+        conditions = sizes.control + sizes.world + sizes.many * sizes.attributes
         self.conditions = nn.Sequential(nn.Linear(conditions, width), nn.SiLU())
         self.blocks = nn.ModuleList(_Block(width, config.expansion) for _ in range(config.layers))
         self.f_rec = Recurrence(width)
         self.f_tra = Transition(width, config.skip)
-        outputs = sizes.robot_out + sizes.count * sizes.objects_out
+        outputs = sizes.robot_out + sizes.many * sizes.objects_out
         self.f_dec = nn.Sequential(
             nn.Linear(width, 2 * width), nn.SiLU(), nn.Linear(2 * width, outputs)
         )
@@ -58,9 +58,9 @@ class GlobalNetwork(nn.Module):
         h = self.f_rec(memory, e)
         latent = self.f_tra(h, e)
         robot, objects = self.f_dec(latent).split(
-            (self.sizes.robot_out, self.sizes.count * self.sizes.objects_out), dim=1
+            (self.sizes.robot_out, self.sizes.many * self.sizes.objects_out), dim=1
         )
-        shaped = objects.unflatten(1, (self.sizes.count, self.sizes.objects_out))
+        shaped = objects.unflatten(1, (self.sizes.many, self.sizes.objects_out))
         return Outputs(robot, shaped, h, latent, latent.new_zeros(()))
 
 

@@ -25,14 +25,14 @@ class ObjectCentricNetwork(nn.Module):
         super().__init__()
         width = config.width
         self.remembers = config.memory == "gru"
-        self.robot_token, self.count = int(sizes.robot > 0), sizes.count
+        self.robot_token, self.count = int(sizes.robot > 0), sizes.many
         self.start = nn.Parameter(torch.zeros(2, width))  # of the robot's and the objects' memory
-        objects = sizes.objects if sizes.count else 0
+        objects = sizes.objects if sizes.many else 0
         self.f_enc = Encoder(sizes.robot, objects, width)
         self.f_cp = Coupling(width, config.layers, config.heads, config.expansion, sizes.edges)
         self.f_rec = Recurrence(width) if self.remembers else None
         self.f_tra = Transition(width, config.skip)
-        self.f_dec = Decoder(width, sizes.robot_out, sizes.objects_out, sizes.count)
+        self.f_dec = Decoder(width, sizes.robot_out, sizes.objects_out, sizes.many)
         self.robot_condition = _condition(sizes.control + sizes.world, width)
         self.object_condition = _condition(sizes.attributes + sizes.world, width)
 

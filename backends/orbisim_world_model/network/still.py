@@ -29,5 +29,5 @@ class StillNetwork(nn.Module):
         """Zeros."""
         batch, sizes = len(inputs.world), self.sizes
         robot = inputs.world.new_zeros((batch, sizes.robot_out))
-        objects = inputs.world.new_zeros((batch, sizes.count, sizes.objects_out))
+        objects = inputs.world.new_zeros((batch, sizes.many, sizes.objects_out))
         return Outputs(robot, objects, memory, memory, robot.new_zeros(()))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import torch
-from orbisim_world_model.pack import Pack
-from orbisim_world_model.packing import hands
+from orbisim_world_model.fitting import robot_parameters
+from orbisim_world_model.pack import Pack, hands
 from orbisim_world_model.reading import read_attributes, read_layout, read_settings
 
 from orbisim.episodes import random_controls
@@ -66,21 +66,23 @@ def simulate(xml: str, episodes: int, steps: int, substeps: int, seed: int = 0) 
     layout = read_layout(model, timestep)
     rng = np.random.default_rng(seed)
     controls = random_controls(model, episodes, steps, timestep, seed)
-    qpos, qvel, ctrl = [], [], []
+    qpos, qvel, act, ctrl = [], [], [], []
     data = mujoco.MjData(model)
     for episode in range(episodes):
         mujoco.mj_resetData(model, data)
         data.qvel[:] = rng.normal(0.0, 0.5, model.nv)
         for adr in layout.joint_q:
-            data.qpos[adr] += rng.uniform(-0.3, 0.3) * (3.0 if layout.hinge[0] else 0.3)
+            data.qpos[adr] += rng.uniform(-0.3, 0.3) * (3.0 if all(layout.hinge) else 0.3)
         for t in range(steps + 1):
             qpos.append(data.qpos.copy())
             qvel.append(data.qvel.copy())
+            act.append(data.act.copy())
             now = controls[episode, t] if t < steps else np.zeros(model.nu)
             ctrl.append(now)
             data.ctrl[:] = now
             mujoco.mj_step(model, data, substeps)
-    state = [torch.tensor(np.array(rows), dtype=torch.float32) for rows in (qpos, qvel, ctrl)]
+    state = [torch.tensor(np.array(rows), dtype=torch.float32) for rows in (qpos, qvel, act, ctrl)]
+    robot = robot_parameters(model, layout)
     rows, count = steps + 1, len(layout.objects)
     attributes = torch.tensor(read_attributes(model, layout), dtype=torch.float32)
     settings = torch.tensor(read_settings(model, layout), dtype=torch.float32)
@@ -88,18 +90,16 @@ def simulate(xml: str, episodes: int, steps: int, substeps: int, seed: int = 0) 
         layout=layout,
         qpos=state[0],
         qvel=state[1],
-        act=torch.zeros(len(qpos), 0),
-        ctrl=state[2],
-        action=state[2],
+        act=state[2],
+        ctrl=state[3],
+        action=state[3],
         hand=hands(layout, state[0], state[1]),
+        base=torch.zeros(len(qpos), 0),
         start=torch.arange(episodes) * rows,
         length=torch.full((episodes,), steps),
         attributes=attributes.expand(episodes, count, -1).clone(),
         world=settings.expand(episodes, -1).clone(),
         mask=torch.ones(episodes, count),
         group=torch.zeros(episodes, dtype=torch.long),
-        notes={
-            "groups": ["random"],
-            "sources": [{"file": "synthetic", "task": model.names[:6].decode()}],
-        },
+        notes={"groups": ["random"], "sources": [{"task": "synthetic"}], "robot": robot},
     )

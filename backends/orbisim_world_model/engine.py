@@ -1,0 +1,147 @@
+"""`Engine`: a checkpoint on a device, stepping states of one scene."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from orbisim.scene import Scene
+from orbisim.state import Array, State
+from orbisim.trajectory import Trajectory
+from orbisim_world_model.arrays import has_gradient, later, like, tensor
+from orbisim_world_model.checkpoint import Checkpoint
+from orbisim_world_model.entities import Context, Entities
+from orbisim_world_model.guard import Guard
+from orbisim_world_model.reading import read_attributes, read_settings
+from orbisim_world_model.stepper import Stepper
+
+MEMORY = "world_model_memory"
+ATTRIBUTES, SETTINGS = "world_model_attributes", "world_model_settings"
+_STALE = frozenset({"qacc_warmstart", "history", "plugin_state"})
+"""Memory of classical backends that no longer holds after a learned step."""
+
+
+class Steps(NamedTuple):
+    """States [T, B, ...] on the device, and the memory [B, ...] after the last."""
+
+    states: Entities
+    memory: Tensor
+
+
+class Engine:
+    """Steps states with a checkpoint.
+
+    Args:
+      checkpoint: for the scene's layout.
+      device: where to compute.
+      half: compute the network in half precision (GPU only).
+    """
+
+    def __init__(self, checkpoint: Checkpoint, device: torch.device, half: bool) -> None:
+        self.checkpoint, self.layout, self.device = checkpoint, checkpoint.layout, device
+        self.stepper = Stepper(checkpoint.model, device, half)
+        self.guard = Guard(checkpoint.manifest, checkpoint.layout)
+        self._exact: Any = None
+
+    def describe(self, scene: Scene) -> None:
+        """Takes the descriptors of the scene."""
+        attributes, settings = (
+            torch.as_tensor(read(scene.model, self.layout), dtype=torch.float32).to(self.device)
+            for read in (read_attributes, read_settings)
+        )
+        self._attributes, self._settings = attributes[None], settings[None]
+
+    def entities(self, state: State) -> Entities:
+        """The state as the model sees it."""
+        fields = (tensor(a, self.device) for a in (state.qpos, state.qvel, state.act))
+        return self.layout.split(*fields)
+
+    def run(self, state: State, controls: Array, nstep: int) -> Steps:
+        """The states after each of the controls [B, T, nu], held for `nstep` steps."""
+        given = (state.qpos, state.qvel, state.act, controls, *state.memory.values())
+        gradients = torch.is_grad_enabled() and any(map(has_gradient, given))
+        step = self._step_exactly if gradients else self.stepper
+        with torch.set_grad_enabled(gradients):
+            x = self.stepper.model.completed(self.entities(state))
+            memory, context = self._memory(state), self._context(state)
+            inputs = tensor(controls, self.device)
+            found = []
+            for t in range(inputs.shape[1]):
+                for _ in range(nstep):
+                    x, memory = step(x, memory, inputs[:, t], context)
+                found.append(x)
+            stacked = Entities(*(torch.stack(field) for field in zip(*found, strict=True)))
+        return Steps(stacked, memory)
+
+    def corrected(self, state: State, predicted: State, control: Array) -> Steps:
+        """The classical prediction [B] for the next state, corrected by the model."""
+        with torch.no_grad():
+            model = self.stepper.model
+            x, base = model.completed(self.entities(state)), self.entities(predicted)
+            memory, context = self._memory(state), self._context(state)
+            step = model(x, memory, tensor(control, self.device), context, base=base)
+            return Steps(Entities(*(field[None] for field in step.state)), step.memory)
+
+    def state(self, before: State, path: Steps, seconds: float) -> State:
+        """The last state of a path, so many seconds after it began."""
+        qpos, qvel, act = (like(a, before.qpos) for a in self.layout.join(path.states.at(-1)))
+        kept = {name: value for name, value in before.memory.items() if name not in _STALE}
+        memory = {**kept, MEMORY: like(path.memory, before.qpos)}
+        return State(later(before.time, seconds), qpos, qvel, act, memory)
+
+    def trajectory(
+        self,
+        before: State,
+        controls: Array,
+        path: Steps,
+        diverged_at: npt.NDArray[np.int64],
+        duration: float,
+    ) -> Trajectory:
+        """All states of a path; `duration` is that of each control."""
+        count, worlds = path.states.pos.shape[:2]
+        flat = Entities(*(field.flatten(0, 1) for field in path.states))
+        qpos, qvel, act = (
+            like(a.unflatten(0, (count, worlds)).transpose(0, 1), before.qpos)
+            for a in self.layout.join(flat)
+        )
+        return Trajectory(
+            initial=before,
+            control=controls,
+            time=later(before.time, np.arange(1, count + 1) * duration),
+            qpos=qpos,
+            qvel=qvel,
+            act=act,
+            sensordata=None,
+            diverged_at=diverged_at,
+            final=self.state(before, path, count * duration),
+        )
+
+    def _step_exactly(
+        self, x: Entities, memory: Tensor, control: Tensor, context: Context
+    ) -> tuple[Entities, Tensor]:
+        """With gradients, in float32."""
+        if self._exact is None:
+            self._exact = self.checkpoint.model.to(self.device).requires_grad_(False)
+        step = self._exact(x, memory, control, context)
+        return step.state, step.memory
+
+    def _memory(self, state: State) -> Tensor:
+        fresh = self.stepper.initial_memory(state.nworld)
+        given = state.memory.get(MEMORY)
+        if given is None or tuple(given.shape) != tuple(fresh.shape):
+            return fresh
+        return tensor(given, self.device).to(fresh.dtype)
+
+    def _context(self, state: State) -> Context:
+        count = state.nworld
+        attributes = tensor(state.memory.get(ATTRIBUTES, self._attributes), self.device)
+        settings = tensor(state.memory.get(SETTINGS, self._settings), self.device)
+        return Context(
+            attributes.expand(count, *self._attributes.shape[1:]),
+            settings.expand(count, self._settings.shape[1]),
+            None,
+        )

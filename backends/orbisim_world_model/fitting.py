@@ -1,0 +1,138 @@
+"""Whether a checkpoint fits a scene: what must agree, and what lies outside its training data."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from orbisim.errors import UnsupportedSceneError
+from orbisim.scene import Scene
+from orbisim_world_model.layout import Layout
+from orbisim_world_model.reading import read_attributes, read_layout, read_settings
+
+_SLACK = 0.02
+"""How far, relative to a range's width, a value may lie outside it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """How a checkpoint fits a scene.
+
+    Attributes:
+      layout: of the scene.
+      concerns: what lies outside the training data, one line each.
+    """
+
+    layout: Layout
+    concerns: tuple[str, ...]
+
+
+def fit(manifest: dict[str, Any], scene: Scene) -> Fit:
+    """Checks a scene against a checkpoint's manifest.
+
+    Raises:
+      UnsupportedSceneError: the checkpoint cannot step this scene.
+    """
+    trained = Layout.from_dict(manifest["layout"])
+    model = scene.model
+    layout = read_layout(
+        model,
+        trained.timestep,
+        hand=trained.hand if _has_site(model, trained.hand) else "",
+        surface=_surface(model, trained.surface),
+        source=scene.source,
+    )
+    problem = _mismatch(trained, layout, manifest, model)
+    if problem:
+        raise UnsupportedSceneError(scene.source, problem)
+    return Fit(layout, tuple(_concerns(manifest, model, layout)))
+
+
+def robot_parameters(model: mujoco.MjModel, layout: Layout) -> dict[str, list[float]]:
+    """Numbers of all that is not an object: the learned model knows them by heart."""
+    free = {int(model.body(name).id) for name in layout.objects}
+    bodies = [b for b in range(1, model.nbody) if b not in free]
+    geoms = [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) not in free]
+    geoms = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
+    dofs = list(layout.joint_v)
+    tables = {
+        "mass": model.body_mass[bodies],
+        "inertia": model.body_inertia[bodies],
+        "damping": model.dof_damping[dofs],
+        "armature": model.dof_armature[dofs],
+        "frictionloss": model.dof_frictionloss[dofs],
+        "gain": model.actuator_gainprm[:, 0],
+        "bias": model.actuator_biasprm[:, :3],
+        "gear": model.actuator_gear[:, 0],
+        "geom size": model.geom_size[geoms],
+        "geom position": model.geom_pos[geoms],
+    }
+    return {name: [float(f"{v:.6g}") for v in np.ravel(rows)] for name, rows in tables.items()}
+
+
+def _mismatch(
+    trained: Layout, layout: Layout, manifest: dict[str, Any], model: mujoco.MjModel
+) -> str:
+    """What makes it impossible, in words; empty if nothing does."""
+    pairs = {
+        "joints": (trained.joints, layout.joints),
+        "kinds of joints": (trained.hinge, layout.hinge),
+        "number of controls": (trained.nu, layout.nu),
+        "number of activations": (trained.na, layout.na),
+        "hand": (trained.hand, layout.hand),
+    }
+    for what, (theirs, ours) in pairs.items():
+        if theirs != ours:
+            return f"the checkpoint was trained with {what} {theirs}; the scene has {ours}"
+    if bool(trained.objects) != bool(layout.objects) or (
+        manifest["model"]["kind"] != "objects" and len(trained.objects) != len(layout.objects)
+    ):
+        return (
+            f"the checkpoint was trained on {len(trained.objects)} objects; "
+            f"the scene has {len(layout.objects)}"
+        )
+    steps = trained.timestep / float(model.opt.timestep)
+    if abs(steps - round(steps)) > 1e-6 * steps or round(steps) < 1:
+        return (
+            f"the checkpoint's control step is {trained.timestep:g} s, which is not a multiple of "
+            f"the scene's timestep of {model.opt.timestep:g} s"
+        )
+    return ""
+
+
+def _concerns(manifest: dict[str, Any], model: mujoco.MjModel, layout: Layout) -> list[str]:
+    found = manifest["ranges"]
+    concerns = []
+    low, high = found["objects"]
+    if not low <= len(layout.objects) <= high:
+        concerns.append(f"{len(layout.objects)} objects (trained on {low} to {high})")
+    for name, row in zip(layout.objects, read_attributes(model, layout), strict=True):
+        for column, value in zip(layout.attributes, row, strict=True):
+            concerns += _outside(f"{column} of object {name!r}", value, found["attributes"][column])
+    for column, value in zip(layout.settings, read_settings(model, layout), strict=True):
+        concerns += _outside(f"world setting {column}", value, found["settings"][column])
+    ours, theirs = robot_parameters(model, layout), manifest["data"].get("robot", {})
+    for name, values in theirs.items():
+        if len(values) != len(ours[name]) or not np.allclose(values, ours[name], 1e-3, 1e-6):
+            concerns.append(f"the scene's {name} differs from the training scene's")
+    return concerns
+
+
+def _outside(what: str, value: float, bounds: list[float]) -> list[str]:
+    low, high = bounds
+    slack = _SLACK * (high - low) + 1e-5 * max(abs(low), abs(high)) + 1e-9
+    if low - slack <= value <= high + slack:
+        return []
+    return [f"{what} is {value:.4g} (trained on {low:.4g} to {high:.4g})"]
+
+
+def _has_site(model: mujoco.MjModel, name: str) -> bool:
+    return bool(name) and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name) >= 0
+
+
+def _surface(model: mujoco.MjModel, name: str) -> str | None:
+    has = bool(name) and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name) >= 0
+    return name if has else None

@@ -1,0 +1,51 @@
+"""Toy checkpoints for the tests of the learned backend."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+from orbisim_world_model import zoo
+from orbisim_world_model.config import Config, replaced
+from orbisim_world_model.pack import Pack
+from orbisim_world_model.presets import preset
+from orbisim_world_model.run import Run, train
+
+from orbisim.testing import scenes
+from tests.backends.world_model.synthetic import simulate
+
+TOY = {"model.width": 32, "model.layers": 2, "model.heads": 2}
+
+
+def toy(name: str = "default", stages: str = "1x1x64", **changes: object) -> Config:
+    """A configuration that trains in seconds on a CPU."""
+    dotted = {key.replace("__", "."): value for key, value in changes.items()}
+    return replaced(preset(name), {**TOY, "train.stages": stages, **dotted})
+
+
+@pytest.fixture(scope="session")
+def toy_zoo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A zoo with a hardly trained model for each scene of the conformance tests."""
+    folder = tmp_path_factory.mktemp("zoo")
+    for name in ("CARTPOLE", "FILTERED", "FREE_BODY", "RESTING_BOX"):
+        pack = simulate(getattr(scenes, name), 6, 30, 1)
+        train(pack, toy(), Run(out=folder / name.lower(), steps=30))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(zoo, "FOLDER", folder)
+        yield folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread() -> None:
+    """Small products are slower on many threads."""
+    torch.set_num_threads(1)
+
+
+def halves(pack: Pack) -> Pack:
+    """The pack without its last object."""
+    layout = pack.layout
+    fewer = dataclasses.replace(layout, objects=layout.objects[:-1])
+    return dataclasses.replace(pack, layout=fewer)

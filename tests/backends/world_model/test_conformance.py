@@ -1,0 +1,14 @@
+"""The learned backend keeps to what every backend must do."""
+
+from __future__ import annotations
+
+import pytest
+
+from orbisim.testing import BackendConformance
+
+
+@pytest.mark.usefixtures("toy_zoo")
+@pytest.mark.filterwarnings("ignore::orbisim_world_model.backend.OutsideTrainingWarning")
+class TestLearned(BackendConformance):
+    backend = "learned"
+    tolerance = 2e-5  # products in float32 depend on the size of the batch

@@ -1,0 +1,227 @@
+"""Trains the checkpoints of the zoo, and the models they are measured against, within a budget.
+
+    python tools/train_all.py --data DATA --out OUT --time-limit 550 --only push,ball --device cuda
+
+DATA holds what tools/collect_all.py wrote, or packs of it (tools/pack_data.py). The seconds are
+shared among the jobs by weight. After each job, and while one runs, OUT has `summary.json` and
+`checkpoints-0.tar`, `-1.tar` ... with the folders of the checkpoints; each file is below 15 MB.
+Training goes on in a folder of its own (--work), where --resume finds it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import sys
+import tarfile
+import time
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path[:0] = [str(ROOT), str(ROOT / "backends")]
+
+LARGEST = 15 * 1024 * 1024
+SHIPPED = ("model.safetensors", "manifest.json", "card.md", "metrics.jsonl", "curves.png")
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """One model.
+
+    Attributes:
+      data: names of the data files: `push` for `push_train` and, held out, `push_test`.
+      config: preset. settings: changes to it.
+      weight: share of the budget.
+      horizons: of the evaluation, control steps.
+      burn: control steps of true states before an evaluation.
+      start: job whose checkpoint is fine-tuned.
+    """
+
+    data: tuple[str, ...]
+    config: str = "default"
+    settings: tuple[tuple[str, Any], ...] = ()
+    weight: float = 1.0
+    horizons: tuple[int, ...] = (10, 50, 100)
+    burn: int = 8
+    start: str = ""
+
+
+_SMALL = (
+    ("train.precision", "tf32"),
+    ("train.stages", "0.4x1x8192,0.4x8x1024ar,0.2x32x512arf"),
+    ("model.layers", 3),
+    ("train.noise", 0.01),
+)
+SUITE = (
+    "pendulum",
+    "cartpole",
+    "acrobot",
+    "point_mass",
+    "reacher",
+    "finger",
+    "cheetah",
+    "hopper",
+    "walker",
+)
+BASELINES = ("paper", "global", "dreamer")
+ABLATIONS = (
+    "recurrent",
+    "no_residual",
+    "no_manifold",
+    "no_relative",
+    "no_contact",
+    "no_noise",
+    "no_alignment",
+)
+JOBS: dict[str, Job] = {
+    "push": Job(("push",), weight=6.0),
+    "cubes": Job(("push_cubes", "pick_and_place"), weight=6.0),
+    "ball": Job(("ball",), settings=_SMALL, weight=2.0, horizons=(10, 20, 36), burn=0),
+    "toss": Job(("toss",), settings=_SMALL, weight=4.0, burn=0),
+    **{
+        name: Job(
+            (f"suite_{name}",), settings=_SMALL, weight=2.0, horizons=(10, 50, 100, 1000), burn=0
+        )
+        for name in SUITE
+    },
+    **{f"push_{name}": Job(("push",), name, weight=2.0) for name in (*BASELINES, *ABLATIONS)},
+}
+
+
+def main() -> int:
+    """Runs the chosen jobs."""
+    options = _parser().parse_args()
+    names = [name for name in options.only.split(",") if name]
+    unknown = sorted(set(names) - set(JOBS))
+    if unknown:
+        print(f"unknown jobs {unknown}; there are {sorted(JOBS)}", file=sys.stderr)
+        return 2
+    options.out.mkdir(parents=True, exist_ok=True)
+    began, total = time.monotonic(), sum(JOBS[name].weight for name in names)
+    left, failed = total, 0
+    for name in names:
+        remaining = options.time_limit - (time.monotonic() - began)
+        budget = remaining * JOBS[name].weight / left - options.overhead
+        left -= JOBS[name].weight
+        for seed in range(options.seed, options.seed + options.seeds):
+            label = name if options.seeds == 1 else f"{name}-s{seed}"
+            try:
+                _train(name, label, seed, max(budget / options.seeds, 1.0), options)
+            except Exception as error:  # the other jobs still count
+                failed += 1
+                print(f"{label}: failed: {type(error).__name__}: {error}", flush=True)
+            collect(options.work, options.out)
+    return int(failed > 0)
+
+
+def _train(name: str, label: str, seed: int, budget: float, options: Any) -> None:
+    from orbisim_world_model.config import replaced
+    from orbisim_world_model.presets import preset
+    from orbisim_world_model.run import Run, train
+
+    job, began = JOBS[name], time.monotonic()
+    settings = {**dict(job.settings), **dict(text.split("=", 1) for text in options.set)}
+    config = replaced(preset(job.config), settings)
+    pack = _read(options.data, [f"{part}_train" for part in job.data])
+    held = _read(options.data, [f"{part}_test" for part in job.data])
+    assert pack is not None, f"no data of {job.data}"
+    reading = time.monotonic() - began
+    saved = [time.monotonic()]
+
+    def report(line: dict[str, Any]) -> None:
+        if time.monotonic() - saved[0] > 60:
+            saved[0] = time.monotonic()
+            collect(options.work, options.out)
+        print(
+            f"{label}: step {line['step']} {line['seconds']:.0f} s loss {line['loss']:.4g} "
+            f"state {line['state_loss']:.4g} skipped {line['skipped']:.0f}",
+            flush=True,
+        )
+
+    run = Run(
+        out=options.work / label,
+        limit=max(budget - reading, 1.0) if options.steps is None else None,
+        steps=options.steps,
+        seed=seed,
+        device=options.device,
+        log_every=options.log_every,
+        save_every=45.0,
+        resume=options.resume,
+        start=options.work / job.start if job.start else None,
+        horizons=job.horizons,
+        burn=job.burn,
+    )
+    manifest = train(pack, config, run, report, held)
+    steps = manifest["training"]["steps"]
+    print(f"{label}: {steps} steps, {time.monotonic() - began:.0f} s", flush=True)
+    for horizon, values in manifest["metrics"]["model"].items():
+        medians = {k: round(v["median"], 4) for k, v in values.items() if isinstance(v, dict)}
+        print(f"{label}: {horizon} steps: {medians}", flush=True)
+
+
+def _read(folder: Path, names: list[str]) -> Any:
+    """The data of these names as one pack; None where there are none."""
+    from orbisim_world_model.pack import Pack, joined
+
+    packs = []
+    for name in names:
+        pack, raw = folder / f"{name}.pack", folder / f"{name}.h5"
+        if pack.exists():
+            packs.append(Pack.load(pack))
+        elif raw.exists():
+            from orbisim_world_model.packing import read_data
+
+            packs.append(read_data([raw]))
+    return joined(packs) if packs else None
+
+
+def collect(work: Path, out: Path) -> None:
+    """Puts the checkpoints into archives below the size limit, and their figures into a summary."""
+    folders = sorted(path.parent for path in work.glob("*/manifest.json"))
+    summary, bins, room = {}, [], 0
+    for folder in folders:
+        manifest = json.loads((folder / "manifest.json").read_text())
+        summary[folder.name] = {
+            key: manifest.get(key) for key in ("parameters", "training", "metrics")
+        }
+        size = sum((folder / name).stat().st_size for name in SHIPPED if (folder / name).exists())
+        if not bins or room + size > LARGEST:
+            bins.append([])
+            room = 0
+        bins[-1].append(folder)
+        room += size
+    (out / "summary.json").write_text(json.dumps(summary, indent=1))
+    for number, chosen in enumerate(bins):
+        part = out / f"checkpoints-{number}.part"
+        with tarfile.open(part, "w") as archive:
+            for folder in chosen:
+                for name in SHIPPED:
+                    if (folder / name).exists():
+                        archive.add(folder / name, f"{folder.name}/{name}")
+        part.replace(out / f"checkpoints-{number}.tar")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--work", type=Path, default=Path("out/train_all"))
+    parser.add_argument("--time-limit", type=float, required=True, help="seconds for everything")
+    parser.add_argument("--only", default="push,cubes,ball,toss," + ",".join(SUITE))
+    parser.add_argument("--device", default="cuda")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--steps", type=int, help="instead of seconds, for rehearsals")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--overhead", type=float, default=6.0, help="seconds a job for evaluation")
+    parser.add_argument("--log-every", type=int, default=500)
+    parser.add_argument("--resume", action="store_true")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())
