@@ -171,7 +171,8 @@ def _mujoco_batch(model: Any, controls: Any, threads: int) -> Callable[[], float
 def run(*arguments: str) -> float:
     """Seconds of processor time that a command takes as a whole process."""
     silent = subprocess.DEVNULL
-    process = subprocess.Popen(arguments, stdout=silent, stderr=silent)
+    with_gl = {"MUJOCO_GL": "egl", **os.environ}  # or dm_control would look for a display only
+    process = subprocess.Popen(arguments, stdout=silent, stderr=silent, env=with_gl)
     _, status, used = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:

@@ -14,7 +14,6 @@ from typing import Any
 from xml.etree import ElementTree
 from xml.sax.handler import ContentHandler
 
-import defusedxml.sax  # type: ignore[import-untyped]
 from defusedxml.common import DefusedXmlException  # type: ignore[import-untyped]
 
 from orbisim.errors import SceneError
@@ -78,6 +77,8 @@ def parse(data: bytes | str, source: str, limits: XmlLimits | None = None) -> No
       SceneError: the document is not XML text, is not well formed, declares entities, refers to
         external ones, or exceeds the limits.
     """
+    import defusedxml.sax  # type: ignore[import-untyped]  # it imports an HTTP client
+
     limits = limits or XmlLimits()
     raw = _as_utf8(data, source, limits)
     builder = _Builder(source, limits)
