@@ -16,6 +16,8 @@ from orbisim import gl as _gl
 if TYPE_CHECKING:
     from orbisim.backend import Backend as Backend
     from orbisim.backend import Capability as Capability
+    from orbisim.diagnosis import Diagnosis as Diagnosis
+    from orbisim.diagnosis import diagnose as diagnose
     from orbisim.errors import OrbiSimError as OrbiSimError
     from orbisim.physics import Physics as Physics
     from orbisim.physics import hybrid as hybrid
@@ -42,6 +44,7 @@ _gl.configure()  # before anything imports MuJoCo
 _HOMES = {
     "Backend": "orbisim.backend",
     "Capability": "orbisim.backend",
+    "Diagnosis": "orbisim.diagnosis",
     "OrbiSimError": "orbisim.errors",
     "Physics": "orbisim.physics",
     "Recording": "orbisim.recording",
@@ -49,6 +52,7 @@ _HOMES = {
     "Replay": "orbisim.replay",
     "State": "orbisim.state",
     "Trajectory": "orbisim.trajectory",
+    "diagnose": "orbisim.diagnosis",
     "available_backends": "orbisim.registry",
     "available_renderers": "orbisim.registry",
     "hybrid": "orbisim.physics",

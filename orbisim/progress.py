@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Callable, Iterable, Iterator, Sized
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -30,3 +31,19 @@ def track(items: Iterable[T], description: str, total: int | None = None) -> Ite
             bar.advance(task)
             if time.monotonic() - started > PATIENCE:
                 bar.update(task, visible=True, refresh=True)
+
+
+@contextlib.contextmanager
+def status(description: str) -> Iterator[Callable[[str], None]]:
+    """Gives a function that says what is going on, with a clock, on standard error if it is a
+    terminal."""
+    if not sys.stderr.isatty():
+        yield lambda text: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(description, total=None)
+        yield lambda text: bar.update(task, description=f"{description}: {text}")

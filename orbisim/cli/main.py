@@ -14,6 +14,7 @@ COMMANDS = {
     "sim": "simulate a scene; write the trajectory and a video",
     "compare": "run the same episodes through two backends and report the differences",
     "replay": "free-running simulation against a recording",
+    "diagnose": "find the physical effect that a scene lacks, from recordings",
     "collect": "collect episodes of a task for training",
     "train": "train a learned model",
     "eval": "measure a learned model",

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.bench import Bench, Hypothesis
+from orbisim.diagnosis.bench import Bench, Hypothesis, clean
+from orbisim.diagnosis.consistency import inconsistency
+from orbisim.diagnosis.linear import Intervals, linearize
 from orbisim.diagnosis.refine import Judge, Judged
-from orbisim.diagnosis.screening import Screening, cleaned, screen
+from orbisim.diagnosis.retune import Tunable, tunables
+from orbisim.diagnosis.screening import Screening, Suspect, cleaned, factor_columns, screen
 from orbisim.effects import EffectInstance, effect_names, find
+from orbisim.errors import OrbiSimError
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -27,20 +31,25 @@ class Settings:
       shortlist: how many suspects of a screening are fitted by simulation.
       windows: how many windows are used to compare suspects.
       enough: residual over noise at which nothing is left to explain.
-      gain: an effect must reduce the mean squared residual on check windows by this share.
+      gain: an effect must reduce the mean squared residual on check windows by this share of what
+        exceeds the noise.
       certainty: ... and by so many standard errors over the windows.
       margin: information criterion by which an effect must pay.
+      most_left: share of the residual's amplitude that an explanation may leave at most.
+      retune: whether declared parameters may be retuned.
       robust: Huber threshold, or None.
     """
 
     effects: tuple[str, ...] | None = None
     most_effects: int = 4
-    shortlist: int = 7
+    shortlist: int = 6
     windows: int = 48
     enough: float = 1.06
     gain: float = 0.02
     certainty: float = 2.0
-    margin: float = 10.0
+    margin: float = 12.0
+    most_left: float = 0.6
+    retune: bool = True
     robust: float | None = None
 
 
@@ -66,105 +75,243 @@ class Attribution:
     Attributes:
       bench: the data, with the noise as it was known in the end.
       before, after: the declared scene and the final hypothesis, fitted on all windows.
-      first: screening of the declared scene. last: of the final one.
+      first: screening of the declared scene. last: of the final one; None if nothing was left.
       rivals: fitted suspects of all rounds.
-      evidence: for each effect the drop in information criterion that it brings, and the mean squared
-        residuals on check windows without and with it.
+      evidence: for each effect the drop in information criterion that it brings, and the residual
+        over noise on check windows without and with it.
+      rejected: effects that lowered the residual but were not believed, with the reason.
+      intervals: linear system along the final hypothesis.
     """
 
     bench: Bench
     before: Judged
     after: Judged
-    first: Screening
+    first: Screening | None
     last: Screening | None
     rivals: tuple[Rival, ...]
     evidence: tuple[tuple[float, float, float], ...]
+    rejected: tuple[tuple[EffectInstance, str], ...]
+    intervals: Intervals
 
 
 def attribute(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> Attribution:
     """Searches for the effects that a scene lacks."""
-    search = _Search(bench, settings, say)
-    return search.run()
+    return _Search(bench, settings, say).run()
+
+
+def enough(settings: Settings, judged: Judged) -> float:
+    """Residual over noise below which there is nothing to explain, given how much data there is."""
+    return settings.enough + 3.0 / np.sqrt(2.0 * max(judged.fit.count, 1))
 
 
 class _Search:
     def __init__(self, bench: Bench, settings: Settings, say: Progress) -> None:
         self.bench, self.settings, self.say = bench, settings, say
         self.rivals: list[Rival] = []
+        self.rejected: list[tuple[EffectInstance, str]] = []
+        self.tunables: tuple[Tunable, ...] = ()
+        self.columns: Floats | None = None
+        self.intervals = bench.intervals
+        self.round = 0
 
     def run(self) -> Attribution:
-        settings = self.settings
         self.say("fitting the declared scene")
         self.judge = self._judge()
-        current = self._need(Hypothesis())
-        before_first = self.bench
+        nothing = self._need(Hypothesis())
+        if self._done(nothing):
+            return self._conclude(nothing, None, None)
+        self._find_tunables()
         self.say("screening effects")
-        first = last = screen(self.bench, Hypothesis(), settings.effects)
-        for number in range(settings.most_effects):
-            if current.ratio <= settings.enough and number > 0:
-                break
-            winner = self._round(number, current, last)
-            if winner is None:
-                break
-            current = self._prune(winner)
-            self._renew_noise(current)
-            current = self._need(current.hypothesis)
+        first = self._screen(Hypothesis())
+        current, last = self._explain(nothing, first)
+        return self._conclude(current, first, last)
+
+    def _explain(self, nothing: Judged, first: Screening) -> tuple[Judged, Screening | None]:
+        """One effect if it is all; else declared parameters; else effects and parameters."""
+        single = self._round(nothing, first.suspects, first)
+        if single is not None:
+            single = self._renewed(single)
+            if self._done(single):
+                return single, None
+        tuned = self._tuned(Hypothesis())
+        if tuned is not None and self._done(tuned):
+            return tuned, None
+        start = single
+        if single is not None and self.tunables:
+            start = self._tuned(single.hypothesis) or single
+        elif single is None:
+            start = tuned or nothing
+        assert start is not None
+        if self._done(start):
+            return self._untuned(start), None
+        return self._forward(start, tuned or nothing, first)
+
+    def _forward(
+        self, start: Judged, base: Judged, first: Screening
+    ) -> tuple[Judged, Screening | None]:
+        """Adds effects while they pay, from one start or, if that ends worse, from the other."""
+        current, last = self._add_all(start)
+        if start.hypothesis.effects and not self._done(current) and self.tunables:
+            self.say("looking again with declared parameters retuned")
+            self._renew(base.hypothesis)
+            winner = self._round(base, first.tuned, first)
+            if winner is not None and winner.hypothesis.effects[0] != start.hypothesis.effects[0]:
+                other, other_last = self._add_all(self._renewed(winner))
+                if other.ratio < current.ratio:
+                    current, last = other, other_last
+        return self._untuned(self._prune(current)), last
+
+    def _add_all(self, current: Judged) -> tuple[Judged, Screening | None]:
+        last: Screening | None = None
+        while len(current.hypothesis.effects) < self.settings.most_effects:
+            if self._done(current):
+                return current, None
             self.say(f"screening what is left ({current.ratio:.3g} times the noise)")
-            last = screen(self.bench, current.hypothesis, settings.effects)
-        return self._conclude(before_first, current, first, last)
+            last = self._screen(current.hypothesis)
+            suspects = last.tuned if current.hypothesis.factors else last.suspects
+            winner = self._round(current, suspects, last)
+            if winner is None:
+                return current, last
+            current = self._renewed(self._prune(winner))
+        return current, last
+
+    # -- tools ---------------------------------------------------------------------------------
 
     def _judge(self) -> Judge:
-        return Judge(self.bench, self.settings.windows, self.settings.robust)
+        settings = self.settings
+        return Judge(
+            self.bench, self.intervals, self.tunables, self.columns, settings.windows,
+            settings.robust,
+        )  # fmt: skip
 
     def _need(self, hypothesis: Hypothesis) -> Judged:
         judged = self.judge.judge(hypothesis)
         if judged is None:
-            raise FloatingPointError("the declared scene cannot be simulated along the recordings")
+            raise FloatingPointError("the scene cannot be simulated along the recordings")
         return judged
 
-    def _renew_noise(self, current: Judged) -> None:
-        """The noise is known better along a better scene."""
-        scene = current.hypothesis.scene(self.bench.scene)
-        self.bench = self.bench.with_noise_of(scene)
+    def _done(self, judged: Judged) -> bool:
+        return judged.ratio <= enough(self.settings, judged)
+
+    def _screen(self, hypothesis: Hypothesis) -> Screening:
+        only = self.settings.effects
+        return screen(self.bench, hypothesis, self.intervals, only, self.columns)
+
+    def _find_tunables(self) -> None:
+        """Declared parameters that the data feel at all."""
+        if not self.settings.retune:
+            return
+        every = tunables(self.bench.scene.model)
+        columns = factor_columns(self.bench, every)
+        size = np.abs(columns).max(axis=(0, 1)) if len(every) else np.zeros(0)
+        felt = size > 1e-9
+        self.tunables = tuple(one for one, f in zip(every, felt, strict=True) if f)
+        self.columns = columns[:, :, felt] if felt.any() else None
         self.judge = self._judge()
+
+    def _renew(self, hypothesis: Hypothesis) -> None:
+        """Noise and derivatives are known better along a better scene."""
+        self.intervals = linearize(self.bench.flow(hypothesis))
+        self.bench = self.bench.with_noise_of(hypothesis, self.intervals)
+        self.judge = self._judge()
+
+    def _renewed(self, judged: Judged) -> Judged:
+        self._renew(judged.hypothesis)
+        again = self._need(judged.hypothesis)
+        self.judge.start_from(again)
+        return again
+
+    def _tuned(self, hypothesis: Hypothesis) -> Judged | None:
+        """The hypothesis with declared parameters retuned."""
+        if not self.tunables:
+            return None
+        self.say("retuning declared parameters")
+        self._renew(hypothesis)
+        judged = self.judge.judge(hypothesis.tuned(self.tunables))
+        if judged is None:
+            return None
+        self._renew(judged.hypothesis)
+        return self.judge.judge(judged.hypothesis)
+
+    def _untuned(self, judged: Judged) -> Judged:
+        """Without retuning, if that is no worse."""
+        if not judged.hypothesis.factors:
+            return judged
+        plain = self.judge.judge(dataclasses.replace(judged.hypothesis, factors=()))
+        return plain if plain is not None and plain.cost <= judged.cost else judged
 
     # -- one round -----------------------------------------------------------------------------
 
-    def _round(self, number: int, current: Judged, screening: Screening) -> Judged | None:
+    def _round(
+        self, current: Judged, suspects: Sequence[Suspect], screening: Screening
+    ) -> Judged | None:
         """The best effect to add, if any pays."""
+        self.round += 1
+        self.judge.start_from(current)
         fitted: list[Judged] = []
-        for instance in self._suspects(current.hypothesis, screening):
-            self.say(f"round {number + 1}: fitting {instance.effect} at {instance.target}")
-            judged = self.judge.judge(current.hypothesis.plus(instance))
+        for instance, bic in self._suspects(current.hypothesis, suspects, screening):
+            if fitted and self._settled(fitted, bic):
+                break
+            self.say(f"round {self.round}: fitting {instance.effect} at {instance.target}")
+            judged = self.judge.judge(current.hypothesis.plus(instance), self._iterations)
             if judged is not None:
                 fitted.append(judged)
         if not fitted:
             return None
-        fitted.sort(key=self._criterion)
-        best = self._criterion(fitted[0])
+        fitted.sort(key=lambda j: j.cost)
         self.rivals += [
-            Rival(j.hypothesis.effects[-1], self._criterion(j) - best, j.ratio, number)
+            Rival(j.hypothesis.effects[-1], j.cost - fitted[0].cost, j.ratio, self.round)
             for j in fitted
         ]
-        for judged in fitted[:2]:
-            if self._pays(current, judged):
+        for judged in fitted[:3]:
+            if not self._pays(current, judged):
+                continue
+            problem = None if self._done(judged) else inconsistency(self.bench, judged)
+            if problem is None:
                 return judged
+            self.rejected.append((judged.hypothesis.effects[-1], problem))
         return None
 
-    def _suspects(self, hypothesis: Hypothesis, screening: Screening) -> list[EffectInstance]:
-        found = [cleaned(self.bench, s) for s in screening.suspects]
-        chosen = [instance for instance in found if instance is not None]
-        chosen = chosen[: self.settings.shortlist]
-        return [*chosen, *self._structural(hypothesis, screening)]
+    def _settled(self, fitted: Sequence[Judged], bic: float | None) -> bool:
+        """Whether an explanation down to the noise makes clearly worse suspects idle."""
+        best = min(fitted, key=lambda j: j.cost)
+        if len(fitted) < 2 or best.ratio > 1.15:
+            return False
+        return bic is None or len(fitted) >= 3
 
-    def _structural(self, hypothesis: Hypothesis, screening: Screening) -> list[EffectInstance]:
-        """Play and elasticity, which no regression sees, at the joints where something is left."""
+    def _suspects(
+        self, hypothesis: Hypothesis, suspects: Sequence[Suspect], screening: Screening
+    ) -> Iterator[tuple[EffectInstance, float | None]]:
+        """Best first; then play and elasticity, which no regression sees."""
+        for suspect in self._shortlist(suspects):
+            instance = cleaned(self.bench, suspect)
+            if instance is not None:
+                yield instance, suspect.bic
+        yield from ((instance, None) for instance in self._structural(hypothesis, screening))
+
+    def _shortlist(self, suspects: Sequence[Suspect]) -> list[Suspect]:
+        """The best; where there are contacts, half of them effects on contacts, whose regression
+        says less."""
+        possible = [s for s in suspects if cleaned(self.bench, s) is not None]
+        most = self.settings.shortlist
+        if not self.bench.contacts:
+            return possible[:most]
+        touching = [s for s in possible if find(s.instance.effect).kind == "geom"]
+        others = [s for s in possible if find(s.instance.effect).kind != "geom"]
+        chosen = [*touching[: most - 2], *others[: most - 2]]
+        return sorted(chosen, key=lambda s: s.bic)
+
+    @property
+    def _iterations(self) -> int:
+        return 4 if self.bench.contacts else 5
+
+    def _structural(self, hypothesis: Hypothesis, screening: Screening) -> Iterator[EffectInstance]:
+        """Play and elasticity at the joints where something is left."""
         model = self.bench.scene.model
         names = [n for n in effect_names() if find(n).structural and find(n).kind == "joint"]
         if self.settings.effects is not None:
             names = [n for n in names if n in self.settings.effects]
         taken = {(e.effect, e.target) for e in hypothesis.effects}
-        found: list[EffectInstance] = []
         for name in names:
             for target in find(name).targets(model):
                 dof = int(model.jnt_dofadr[model.joint(target).id])
@@ -172,8 +319,7 @@ class _Search:
                     continue
                 best = self._best_trial(hypothesis, name, target)
                 if best is not None:
-                    found.append(best)
-        return found
+                    yield best
 
     def _best_trial(self, hypothesis: Hypothesis, name: str, target: str) -> EffectInstance | None:
         """The trial values that leave least, without fitting."""
@@ -181,40 +327,26 @@ class _Search:
         for values in find(name).trials(self.bench.scene.model, target):
             instance = EffectInstance(name, target, dict(values))
             try:
-                left = self.judge.score(hypothesis.plus(instance), self.judge.check).square
-            except Exception:  # a variant that cannot be simulated is no candidate
+                instance = clean(self.bench.scene, instance)
+                trial = hypothesis.plus(instance)
+                left = self.judge.score(trial, self.judge.check, 2).square
+            except OrbiSimError:  # a variant that cannot be simulated is no candidate
                 continue
             if left < least:
                 best, least = instance, left
         return best
 
-    def _criterion(self, judged: Judged) -> float:
-        """Information criterion of the fit, with the error variance estimated where it is larger
-        than the noise."""
-        count = self._count(judged)
-        return count * float(np.log(max(judged.fit.ratio, 1.0) ** 2)) + judged.size * float(
-            np.log(count)
-        )
-
-    def _count(self, judged: Judged) -> int:
-        """Independent data: neighbouring residuals of a wrong scene are not independent."""
-        windows = len(judged.fit.per_window)
-        measured = self.judge.fitted.target.shape[2]
-        independent = windows * measured * _PER_WINDOW
-        return int(min(judged.fit.count, max(independent, 8)))
-
     def _pays(self, before: Judged, after: Judged) -> bool:
         """Whether windows that were not fitted get better, by enough and surely."""
         settings = self.settings
         drop = before.checked - after.checked
-        total = float(before.checked.mean())
-        excess = max(total - 1.0, 1e-12)
+        excess = max(float(before.checked.mean()) - 1.0, 1e-12)
         mean, error = float(drop.mean()), float(drop.std() / np.sqrt(max(len(drop), 1)))
         if mean <= settings.gain * max(excess, 0.02):
             return False
         if mean < settings.certainty * error and mean < 0.5 * excess:
             return False
-        return self._criterion(before) - self._criterion(after) > settings.margin
+        return before.cost - after.cost > settings.margin
 
     # -- removal -------------------------------------------------------------------------------
 
@@ -235,36 +367,57 @@ class _Search:
     # -- the end -------------------------------------------------------------------------------
 
     def _conclude(
-        self, first_bench: Bench, current: Judged, first: Screening, last: Screening | None
+        self, current: Judged, first: Screening | None, last: Screening | None
     ) -> Attribution:
         """Fits on all windows and weighs each effect."""
         self.say("final fit")
-        everything = dataclasses.replace(
-            self.bench, fit=np.ones_like(self.bench.fit), check=self.bench.check
-        )
-        judge = Judge(everything, None, self.settings.robust)
+        if current.hypothesis.effects or current.hypothesis.factors:
+            self._renew(current.hypothesis)
+        everything = np.ones_like(self.bench.fit)
+        whole = dataclasses.replace(self.bench, fit=everything, check=everything)
+        judge = Judge(
+            whole, self.intervals, self.tunables, self.columns, _MOST_WINDOWS,
+            self.settings.robust,
+        )  # fmt: skip
         before = judge.judge(Hypothesis())
-        after = judge.judge(current.hypothesis) if current.hypothesis.effects else before
         assert before is not None
-        after = after or current
+        after = judge.judge(current.hypothesis, 8) or current
+        if not current.hypothesis.effects and not current.hypothesis.factors:
+            after = before
+        elif not self._believable(before, after):
+            for effect in after.hypothesis.effects:
+                self.rejected.append((effect, "most of the residual remains with it"))
+            after = before
+        judge.start_from(after)
         evidence = []
-        self.judge = judge
         for index in range(len(after.hypothesis.effects)):
             fewer = judge.judge(after.hypothesis.without(index)) or before
             evidence.append(
                 (
-                    self._criterion(fewer) - self._criterion(after),
+                    fewer.cost - after.cost,
                     float(np.sqrt(fewer.checked.mean())),
                     float(np.sqrt(after.checked.mean())),
                 )
             )
         return Attribution(
-            self.bench, before, after, first, last, tuple(self.rivals), tuple(evidence)
-        )
+            self.bench, before, after, first, last, tuple(self.rivals), tuple(evidence),
+            tuple(self.rejected), self.intervals,
+        )  # fmt: skip
+
+    def _believable(self, before: Judged, after: Judged) -> bool:
+        """An explanation that leaves most of the residual is none."""
+        if self._done(after):
+            return True
+        return _excess(after) <= self.settings.most_left * _excess(before)
+
+
+def _excess(judged: Judged) -> float:
+    """Amplitude of the residual beyond the noise, in units of the noise (median window)."""
+    return float(np.sqrt(max(float(np.mean(judged.checked)) - 1.0, 0.0)))
 
 
 _SHARE = 0.08
-_PER_WINDOW = 6
+_MOST_WINDOWS = 240
 
 
 def confidence(
@@ -290,12 +443,7 @@ def confidence(
     low, high = np.quantile(draws, [0.025, 0.975], axis=0)
     width = 1.96 * np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     low, high = np.minimum(low, fit.values - width), np.maximum(high, fit.values + width)
-    return {n: (float(a), float(b)) for n, a, b in zip(names, low, high, strict=True)}
+    return {n: (float(low[i]), float(high[i])) for i, n in enumerate(names)}
 
 
 _DRAWS = 200
-
-
-def unique(values: Iterable[str]) -> tuple[str, ...]:
-    """Without repetitions, in order."""
-    return tuple(dict.fromkeys(values))

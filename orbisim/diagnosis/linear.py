@@ -60,6 +60,7 @@ class IntervalMap:
       rows: for each recording the rows at which intervals start.
       variant: the scene that is simulated (the declared one with effects added); the declared one
         if None.
+      clock: recorded over true durations.
     """
 
     def __init__(
@@ -68,6 +69,7 @@ class IntervalMap:
         samples: Sequence[Samples],
         rows: Sequence[Ints],
         variant: Scene | None = None,
+        clock: float = 1.0,
     ) -> None:
         self.model = declared.model
         self.variant = declared if variant is None else variant
@@ -81,7 +83,7 @@ class IntervalMap:
         self.ctrl = np.concatenate([s.ctrl[r] for s, r in pick])
         self.force = np.concatenate([s.force[r] for s, r in pick])
         self.start = np.concatenate([s.time[r] for s, r in pick])
-        self.duration = np.concatenate([s.time[r + 1] - s.time[r] for s, r in pick])
+        self.duration = np.concatenate([s.time[r + 1] - s.time[r] for s, r in pick]) / clock
         hidden = [carried_along(s, declared.model, self.variant.model) for s in samples]
         self.act = np.concatenate([hidden[i][0][r] for i, r in enumerate(rows)])
         self.history = np.concatenate([hidden[i][1][r] for i, r in enumerate(rows)])

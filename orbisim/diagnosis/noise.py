@@ -19,18 +19,25 @@ from orbisim.diagnosis.samples import Samples
 Floats = npt.NDArray[np.float64]
 
 _KNOT = 4
-_ROUNDS = 6
-_MAX_WINDOWS = 60
+_ROUNDS = 4
+_MAX_WINDOWS = 40
+_BRACE = 1e-6
 
 
 def estimate_noise(
-    samples: Sequence[Samples], intervals: Intervals, windows: Windows
+    samples: Sequence[Samples],
+    intervals: Intervals,
+    windows: Windows,
+    known: Sequence[Floats] | None = None,
 ) -> tuple[Floats, Floats]:
     """Standard deviations of measured positions and velocities, each [nv]; NaN where not measured.
 
     Within each window, the start and a piecewise linear force (a knot every few samples) in
     every degree of freedom are fitted; the noise of each signal is what remains, degrees of freedom
     counted. Signals are weighted by their noise, which takes a few rounds.
+
+    Args:
+      known: for each recording what measurement effects add to it, [T, 2 nv].
     """
     nv = intervals.B.shape[2]
     guess = np.concatenate([samples[0].q_noise, samples[0].v_noise])
@@ -38,7 +45,7 @@ def estimate_noise(
     if not len(windows) or not len(measured):
         return guess[:nv], guess[nv:]
     some = windows.some(_spread(len(windows)))
-    design, target, seen = _flexible(samples, intervals, some, measured)
+    design, target, seen = _flexible(samples, intervals, some, measured, known)
     sigma = np.maximum(guess[measured], 1e-12)
     for _ in range(_ROUNDS):
         sigma = _round(design, target, seen, sigma)
@@ -58,6 +65,7 @@ def _flexible(
     intervals: Intervals,
     windows: Windows,
     measured: npt.NDArray[np.int64],
+    known: Sequence[Floats] | None,
 ) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
     """Responses [W, K + 1, ny, P] to start and force knots, deviations and which are there."""
     n2, nv, k = intervals.A.shape[1], intervals.B.shape[2], windows.length
@@ -70,6 +78,8 @@ def _flexible(
     design = np.zeros((len(windows), k + 1, len(measured), width))
     target = np.zeros((len(windows), k + 1, len(measured)))
     both = [np.concatenate([s.dq, s.dv], axis=1) for s in samples]
+    if known is not None:
+        both = [seen - added for seen, added in zip(both, known, strict=True)]
     for step in range(k + 1):
         at = windows.first + min(step, k - 1)
         rows = [
@@ -88,17 +98,32 @@ def _flexible(
 
 def _round(design: Floats, target: Floats, seen: npt.NDArray[np.bool_], sigma: Floats) -> Floats:
     """Noise of each signal from the residuals of one weighted fit."""
-    squares, freedom = np.zeros(len(sigma)), np.zeros(len(sigma))
-    for w in range(len(design)):
+    windows, count = len(design), len(sigma)
+    squares, freedom = np.zeros((windows, count)), np.zeros((windows, count))
+    for w in range(windows):
         weight = seen[w] / sigma
         matrix = (design[w] * weight[..., None]).reshape(-1, design.shape[3])
         values = (np.where(seen[w], target[w], 0.0) * weight).ravel()
         scale = np.linalg.norm(matrix, axis=0)
         matrix = matrix / np.where(scale > 0, scale, 1.0)
-        u, s, _ = np.linalg.svd(matrix, full_matrices=False)
-        u = u[:, s > 1e-8 * s[0]]
+        braced = np.concatenate([matrix, _BRACE * np.eye(matrix.shape[1])])
+        u = np.linalg.qr(braced)[0][: len(matrix)]
         left = (values - u @ (u.T @ values)).reshape(seen[w].shape)
         leverage = (u**2).sum(axis=1).reshape(seen[w].shape)
-        squares += (left**2).sum(axis=0)
-        freedom += (seen[w] * (1 - leverage)).sum(axis=0)
-    return np.maximum(sigma * np.sqrt(squares / np.maximum(freedom, 1.0)), 1e-12)
+        squares[w] = (left**2).sum(axis=0)
+        freedom[w] = (seen[w] * (1 - leverage)).sum(axis=0)
+    return np.maximum(sigma * np.sqrt(_typical(squares, freedom)), 1e-12)
+
+
+def _typical(squares: Floats, freedom: Floats) -> Floats:
+    """Variance of each signal: the median over windows, so that impacts do not count.
+
+    The median of a chi-square with k degrees of freedom is about k (1 - 2 / (9 k))^3.
+    """
+    found = np.ones(squares.shape[1])
+    for c in range(len(found)):
+        good = freedom[:, c] > 1.0
+        if good.any():
+            k = freedom[good, c]
+            found[c] = np.median(squares[good, c] / (k * (1 - 2 / (9 * k)) ** 3))
+    return found

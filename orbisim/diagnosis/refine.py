@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
-from orbisim.diagnosis.shooting import Fit, Shooter, gauss_newton
+from orbisim.diagnosis.linear import Intervals
+from orbisim.diagnosis.retune import Tunable
+from orbisim.diagnosis.shooting import Fit, Hints, Shooter, gauss_newton
 from orbisim.effects import find
 from orbisim.errors import OrbiSimError
 
 Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
 
 _WEAK = 1e-7
+_PER_WINDOW = 6
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -25,97 +30,204 @@ class Judged:
       hypothesis: with fitted values. fit: on the windows it was fitted to.
       checked: [windows] mean squared weighted residual of each check window, starts fitted.
       ratio: residual over noise on the check windows.
+      cost: information criterion of the fit; lower is better.
     """
 
     hypothesis: Hypothesis
     fit: Fit
     checked: Floats
     ratio: float
-
-    @property
-    def size(self) -> int:
-        """Number of fitted parameters."""
-        return len(self.fit.values)
+    cost: float
 
 
 class Judge:
     """Fits and checks hypotheses on the same windows.
 
     Args:
-      bench: the data. most: at most so many windows are fitted (spread evenly), for speed.
+      bench: the data.
+      intervals: linear system along a scene close to what will be judged, for quick derivatives.
+      tunables, columns: declared parameters and their effect on every interval [N, 2 nv, F].
+      most: at most so many windows are fitted (spread evenly), for speed; None for all.
       robust: residuals beyond this many standard deviations count linearly; None for none.
     """
 
-    def __init__(self, bench: Bench, most: int | None = None, robust: float | None = None) -> None:
+    def __init__(
+        self,
+        bench: Bench,
+        intervals: Intervals,
+        tunables: Sequence[Tunable] = (),
+        columns: Floats | None = None,
+        most: int | None = None,
+        robust: float | None = None,
+    ) -> None:
         self.bench, self.robust = bench, robust
-        self.fitted = bench.shooter(_thinned(bench.fit, most))
+        self.fitted = bench.shooter(thinned(bench.fit, most))
         check = bench.check if bench.check.any() else bench.fit
-        self.check = bench.shooter(_thinned(check, None if most is None else max(8, most // 2)))
-        self._starts: dict[int, Floats] = {}
+        self.check = bench.shooter(thinned(check, None if most is None else max(8, most // 2)))
+        self._free: dict[int, Floats] = {}
+        if not bench.contacts:
+            self._free = {id(s): s.chained(intervals) for s in (self.fitted, self.check)}
+        self._slopes: dict[Tunable, Floats] = {}
+        if columns is not None:
+            response = self.fitted.respond(intervals, columns)
+            self._slopes = {one: response[..., f] for f, one in enumerate(tunables)}
+        self._warm: Fit | None = None
+        self._warm_check: Fit | None = None
 
-    def judge(self, hypothesis: Hypothesis, iterations: int = 6) -> Judged | None:
+    def judge(self, hypothesis: Hypothesis, iterations: int = 5) -> Judged | None:
         """Fits the hypothesis' free parameters; None if it cannot be simulated."""
-        declared = self.bench.scene
         try:
-            fit = self._fit(hypothesis, iterations)
-            fitted = hypothesis.at(declared, fit.values)
-            weak = _undetermined(fit)
-            if weak.any() and not weak.all():
-                names = [f for f, w in zip(fitted.free(declared), weak, strict=True) if w]
-                fitted = hypothesis.at(declared, _kept(hypothesis, declared, fit, weak))
-                fitted = dataclasses.replace(fitted, frozen=fitted.frozen | set(names))
-                fit = self._fit(fitted, iterations)
-                fitted = fitted.at(declared, fit.values)
-            fitted, fit = self._polish(fitted, fit)
+            fitted, fit = self._fitted(hypothesis, iterations)
             checked = self.score(fitted, self.check)
         except (OrbiSimError, np.linalg.LinAlgError):
             return None
-        data = self.check.seen.reshape(len(self.check), -1).sum(axis=1)
-        free = np.maximum(data - 2 * self.check.nv, 1)
-        mean = checked.per_window / free
-        ratio = float(np.sqrt(checked.per_window.sum() / free.sum()))
-        return Judged(fitted, fit, mean, ratio)
+        means = _means(self.check, checked)
+        ratio = float(np.sqrt(self._typical(means)))
+        return Judged(fitted, fit, means, ratio, self._cost(fitted, fit))
 
-    def score(self, hypothesis: Hypothesis, shooter: Shooter) -> Fit:
+    def _typical(self, means: Floats) -> float:
+        """Mean over windows; with contacts, without the worst, whose starts may be lost."""
+        if not self.bench.contacts or len(means) < 6:
+            return float(means.mean())
+        kept = np.sort(means)[: max(1, round((1 - _TRIMMED) * len(means)))]
+        return float(kept.mean())
+
+    def start_from(self, judged: Judged) -> None:
+        """Takes a hypothesis' window starts as first guesses of others'."""
+        if judged.fit.start.shape[0] == len(self.fitted):
+            self._warm = judged.fit
+
+    def score(self, hypothesis: Hypothesis, shooter: Shooter, iterations: int = 4) -> Fit:
         """Residuals of fixed parameters, window starts fitted."""
-        scene = hypothesis.scene(self.bench.scene)
-        return gauss_newton(shooter, lambda _: scene, [], iterations=5, robust=self.robust)
+        variant = hypothesis.variant(self.bench.scene)
+        hints = Hints(free=self._free.get(id(shooter)), exact=self.bench.contacts)
+        return gauss_newton(
+            shooter, lambda _: variant, [], hints=hints, iterations=iterations, robust=self.robust
+        )
+
+    def _fitted(self, hypothesis: Hypothesis, iterations: int) -> tuple[Hypothesis, Fit]:
+        declared = self.bench.scene
+        fit = self._fit(hypothesis, iterations)
+        fitted = hypothesis.at(declared, fit.values)
+        weak = self._undetermined(fitted, fit)
+        if weak:
+            fitted = self._reset(hypothesis, fitted, weak)
+            fit = self._fit(fitted, iterations)
+            fitted = fitted.at(declared, fit.values)
+        return self._polish(fitted, fit)
 
     def _fit(self, hypothesis: Hypothesis, iterations: int) -> Fit:
         declared = self.bench.scene
+        first = len(hypothesis.free(declared))
+        slopes = {
+            first + f: self._slopes[one]
+            for f, (one, _) in enumerate(hypothesis.factors)
+            if one in self._slopes
+        }
         return gauss_newton(
             self.fitted,
-            lambda values: hypothesis.at(declared, values).scene(declared),
+            lambda values: hypothesis.at(declared, values).variant(declared),
             hypothesis.unknowns(declared),
+            start=None if self._warm is None else self._warm.start,
+            hints=Hints(self._free.get(id(self.fitted)), slopes, self.bench.contacts),
             iterations=iterations,
             robust=self.robust,
         )
+
+    def _undetermined(self, fitted: Hypothesis, fit: Fit) -> list[tuple[int, str]]:
+        """Parameters of effects that hardly change the data, compared with the others."""
+        free = fitted.free(self.bench.scene)
+        information = np.diag(fit.information.sum(axis=0))[: len(free)]
+        size = np.maximum(np.abs(fit.values[: len(free)]), 1e-3)
+        change = np.sqrt(np.maximum(information, 0.0)) * size
+        weak = change < max(_WEAK * change.max(initial=0.0), 1e-3)
+        if weak.all():
+            return []
+        return [name for name, w in zip(free, weak, strict=True) if w]
+
+    def _reset(
+        self, before: Hypothesis, fitted: Hypothesis, weak: Sequence[tuple[int, str]]
+    ) -> Hypothesis:
+        """The fitted hypothesis with undetermined parameters as they were, and held."""
+        declared = self.bench.scene
+        names = [*fitted.free(declared), *(None for _ in fitted.factors)]
+        old, new = before.values(declared), fitted.values(declared)
+        values = np.array([o if n in weak else v for n, o, v in zip(names, old, new, strict=True)])
+        held = fitted.at(declared, values)
+        return dataclasses.replace(held, frozen=held.frozen | set(weak))
+
+    def _cost(self, hypothesis: Hypothesis, fit: Fit) -> float:
+        """Information criterion: neighbouring residuals of a wrong scene are not independent.
+
+        Each effect's parameter counts in full, each factor only if it has clearly moved from 1.
+        """
+        windows, measured = len(fit.per_window), self.fitted.target.shape[2]
+        independent = int(min(fit.count, max(windows * measured * _PER_WINDOW, 8)))
+        effects = len(hypothesis.free(self.bench.scene))
+        spread = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))[effects:]
+        moved = np.abs(fit.values[effects:] - 1) > np.maximum(3 * spread, 2e-3)
+        size = effects + int(moved.sum()) + len(hypothesis.effects)
+        typical = self._typical(_means(self.fitted, fit))
+        misfit = independent * np.log(max(typical, 1e-12))
+        return float(misfit + fit.penalty + size * np.log(independent))
 
     def _polish(self, hypothesis: Hypothesis, fit: Fit) -> tuple[Hypothesis, Fit]:
         """Searches parameters that act in steps (delays) on their grid."""
         declared = self.bench.scene
         for index, (number, name) in enumerate(hypothesis.free(declared)):
-            effect = find(hypothesis.effects[number].effect)
-            grid = effect.resolution(declared.model, name)
+            grid = find(hypothesis.effects[number].effect).resolution(declared.model, name)
             if not grid:
                 continue
-            middle = round(fit.values[index] / grid)
-            for k in range(middle - 3, middle + 4):
-                if k < 0:
-                    continue
+            here = round(fit.values[index] / grid)
+            tried: dict[int, tuple[Hypothesis, Fit]] = {}
+            here = self._descend(hypothesis, fit, (number, name), index, grid, here, tried)
+            if here in tried and tried[here][1].square < fit.square:
+                held, other = tried[here]
+                held = held.at(declared, other.values)
+                hypothesis = dataclasses.replace(held, frozen=held.frozen - {(number, name)})
+                values = hypothesis.values(declared)
+                fit = dataclasses.replace(other, values=values, **_padded(other, index))
+        return hypothesis, fit
+
+    def _descend(
+        self,
+        hypothesis: Hypothesis,
+        fit: Fit,
+        which: tuple[int, str],
+        index: int,
+        grid: float,
+        here: int,
+        tried: dict[int, tuple[Hypothesis, Fit]],
+    ) -> int:
+        """Goes downhill on the grid from `here`."""
+
+        def square(k: int) -> float:
+            if k < 0:
+                return np.inf
+            if k not in tried:
                 values = fit.values.copy()
                 values[index] = k * grid
-                trial = hypothesis.at(declared, values)
-                held = dataclasses.replace(trial, frozen=trial.frozen | {(number, name)})
-                other = self._fit(held, 3)
-                if other.square < fit.square * (1 - 1e-9):
-                    hypothesis = held.at(declared, other.values)
-                    hypothesis = dataclasses.replace(
-                        hypothesis, frozen=hypothesis.frozen - {(number, name)}
-                    )
-                    best = hypothesis.values(declared)
-                    fit = dataclasses.replace(other, values=best, **_padded(other, index))
-        return hypothesis, fit
+                trial = hypothesis.at(self.bench.scene, values)
+                held = dataclasses.replace(trial, frozen=trial.frozen | {which})
+                tried[k] = (held, self._fit(held, 2))
+            return tried[k][1].square
+
+        for _ in range(_GRID_STEPS):
+            best = min((here - 1, here, here + 1), key=square)
+            if best == here:
+                break
+            here = best
+        return here
+
+
+def _means(shooter: Shooter, fit: Fit) -> Floats:
+    """Mean squared weighted residual of each window, its start's numbers counted."""
+    data = shooter.seen.reshape(len(shooter), -1).sum(axis=1)
+    return np.asarray(fit.per_window / np.maximum(data - 2 * shooter.nv, 1))
+
+
+_GRID_STEPS = 12
+_TRIMMED = 0.15
 
 
 def _padded(fit: Fit, index: int) -> dict[str, Floats]:
@@ -127,26 +239,12 @@ def _padded(fit: Fit, index: int) -> dict[str, Floats]:
     }
 
 
-def _undetermined(fit: Fit) -> npt.NDArray[np.bool_]:
-    """Parameters that hardly change the data, compared with the others."""
-    strength = np.sqrt(np.maximum(np.diag(fit.information.sum(axis=0)), 0.0))
-    size = np.maximum(np.abs(fit.values), 1e-3)
-    change = strength * size
-    return np.asarray(change < max(_WEAK * change.max(initial=0.0), 1e-3))
-
-
-def _kept(
-    hypothesis: Hypothesis, declared: object, fit: Fit, weak: npt.NDArray[np.bool_]
-) -> Floats:
-    before = hypothesis.values(declared)  # type: ignore[arg-type]
-    return np.where(weak, before, fit.values)
-
-
-def _thinned(keep: npt.NDArray[np.bool_], most: int | None) -> npt.NDArray[np.bool_]:
+def thinned(keep: Bools, most: int | None) -> Bools:
+    """At most so many of the chosen windows, spread evenly."""
     chosen = np.flatnonzero(keep)
     if most is None or len(chosen) <= most:
         return keep
     chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, most).round().astype(int))]
-    thinned = np.zeros_like(keep)
-    thinned[chosen] = True
-    return thinned
+    kept = np.zeros_like(keep)
+    kept[chosen] = True
+    return kept

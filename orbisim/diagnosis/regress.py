@@ -29,62 +29,62 @@ class Windows:
 
     Attributes:
       first: [W] number of the first interval. length: number of intervals of every window.
-      recording: [W].
+      recording: [W]. horizon: [W] samples after the start that can be predicted; all if None.
     """
 
     first: Ints
     length: int
     recording: Ints
+    horizon: Ints | None = None
 
     def __len__(self) -> int:
         return len(self.first)
 
-    def of(self, recordings: Sequence[int]) -> Windows:
-        """The windows of some recordings."""
-        keep = np.isin(self.recording, list(recordings))
-        return Windows(self.first[keep], self.length, self.recording[keep])
-
     def some(self, keep: npt.NDArray[np.bool_]) -> Windows:
         """The chosen windows."""
-        return Windows(self.first[keep], self.length, self.recording[keep])
+        horizon = None if self.horizon is None else self.horizon[keep]
+        return Windows(self.first[keep], self.length, self.recording[keep], horizon)
+
+    def predictable(self) -> npt.NDArray[np.bool_]:
+        """[W, length + 1]: samples that lie within the horizon."""
+        steps = np.arange(self.length + 1)
+        if self.horizon is None:
+            return np.ones((len(self), self.length + 1), bool)
+        return np.asarray(steps <= self.horizon[:, None])
 
 
-def cut_windows(intervals: Intervals, length: int) -> Windows:
-    """Cuts runs of usable, consecutive intervals into windows of the same length.
+def cut_windows(
+    recording: Ints, row: Ints, length: int, avoid: npt.NDArray[np.bool_] | None = None
+) -> Windows:
+    """Cuts runs of consecutive intervals into windows of the same length.
 
     A run that is no multiple of it gives a last window that overlaps the one before.
+
+    Args:
+      recording, row: [N] of the intervals. avoid: [N] where no window should start.
     """
     firsts: list[int] = []
-    for start, stop in _runs(intervals):
-        if stop - start < length:
-            continue
-        begins = list(range(start, stop - length + 1, length))
-        if begins[-1] + length < stop - length // 2:
-            begins.append(stop - length)
-        firsts += begins
+    for start, stop in _runs(recording, row):
+        begin = start
+        while begin + length <= stop:
+            while avoid is not None and avoid[begin] and begin + length < stop:
+                begin += 1
+            firsts.append(begin)
+            begin += length
+        left = stop - begin
+        if firsts and left > length // 2 and stop - length > firsts[-1]:
+            firsts.append(stop - length)
     first = np.array(firsts, np.int64)
-    return Windows(first, length, intervals.recording[first] if len(first) else first)
+    return Windows(first, length, recording[first] if len(first) else first)
 
 
-def _runs(intervals: Intervals) -> Iterator[tuple[int, int]]:
-    start = None
-    for k in range(len(intervals.row) + 1):
-        joined = (
-            k < len(intervals.row)
-            and intervals.usable[k]
-            and (
-                start is None
-                or (
-                    intervals.recording[k] == intervals.recording[k - 1]
-                    and intervals.row[k] == intervals.row[k - 1] + 1
-                )
-            )
-        )
-        if start is not None and not joined:
-            yield start, k
-            start = None
-        if start is None and k < len(intervals.row) and intervals.usable[k]:
-            start = k
+def _runs(recording: Ints, row: Ints) -> Iterator[tuple[int, int]]:
+    """Ranges of intervals that follow one another."""
+    if not len(row):
+        return
+    joined = (np.diff(recording) == 0) & (np.diff(row) == 1)
+    breaks = np.flatnonzero(~joined) + 1
+    yield from zip([0, *breaks], [*breaks, len(row)], strict=True)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -116,17 +116,19 @@ def normal_equations(
     windows: Windows,
     columns: Sequence[Column],
     noise: tuple[Floats, Floats],
+    known: Sequence[Floats] | None = None,
 ) -> list[Normal]:
     """Normal equations of each window.
 
     Args:
       noise: standard deviations of positions and velocities, each [nv]; NaN where not measured.
+      known: for each recording what measurement effects add to it, [T, 2 nv].
     """
     if not len(windows):
         return []
     nv = intervals.B.shape[2]
     inputs, signals = _stack(intervals, columns)
-    data = _Data(samples, intervals, noise)
+    data = _Data(samples, intervals, noise, known)
     width = 2 * nv + 1 + len(columns)
     chunk = max(1, int(_CHUNK_BYTES / (8 * (windows.length + 1) * 2 * nv * width)))
     result: list[Normal] = []
@@ -158,10 +160,16 @@ class _Data:
     """Measured deviations and their weights at the ends of the intervals."""
 
     def __init__(
-        self, samples: Sequence[Samples], intervals: Intervals, noise: tuple[Floats, Floats]
+        self,
+        samples: Sequence[Samples],
+        intervals: Intervals,
+        noise: tuple[Floats, Floats],
+        known: Sequence[Floats] | None,
     ) -> None:
         sigma = np.concatenate(noise)
         both = [np.concatenate([s.dq, s.dv], axis=1) for s in samples]
+        if known is not None:
+            both = [seen - added for seen, added in zip(both, known, strict=True)]
         pairs = list(zip(intervals.recording, intervals.row, strict=True))
         self.starts = np.array([both[i][r] for i, r in pairs])
         self.ends = np.array([both[i][r + 1] for i, r in pairs])
@@ -204,6 +212,7 @@ def _chunk(
             x = np.einsum("wij,wjc->wic", intervals.A[at], x)
             x[:, :, n2:-1] += inputs[at]
             x[:, :, -1] -= intervals.defect[at]
+    seen &= windows.predictable()[:, :, None]
     design *= seen[..., None]
     target *= seen
     flat = design.reshape(w, -1, n2 + c)
@@ -248,3 +257,26 @@ def fit(normal: Normal, chosen: Sequence[int], ridge: Floats | None = None) -> t
     x = np.linalg.lstsq(scaled, moment / scale, rcond=1e-11)[0] / scale
     left = normal.square - 2 * x @ moment + x @ gram @ x
     return x, float(max(left, 0.0))
+
+
+def profiled(normal: Normal, nuisance: Sequence[int], ridge: Floats) -> Normal:
+    """Normal equations after some columns, with priors about zero, have been fitted away.
+
+    Args:
+      nuisance: the columns, which stay in place but no longer explain anything.
+      ridge: [len(nuisance)] inverse prior variances.
+    """
+    index = list(nuisance)
+    if not index:
+        return normal
+    inner = normal.gram[np.ix_(index, index)] + np.diag(ridge)
+    scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    inverse = np.linalg.pinv(inner / np.outer(scale, scale), rcond=1e-11) / np.outer(scale, scale)
+    across = normal.gram[:, index]
+    moment = normal.moment[index]
+    return Normal(
+        normal.gram - across @ inverse @ across.T,
+        normal.moment - across @ inverse @ moment,
+        float(max(normal.square - moment @ inverse @ moment, 0.0)),
+        normal.count,
+    )

@@ -9,6 +9,7 @@ to second order.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import mujoco
@@ -18,7 +19,7 @@ import numpy.typing as npt
 from orbisim.errors import RecordingError
 from orbisim.recording import Bound, Recording, estimate_motion, noise_std
 from orbisim.recording.initial import activations, histories, starts
-from orbisim.recording.joints import joints
+from orbisim.recording.joints import Kind, joints
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
@@ -61,6 +62,19 @@ class Samples:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    @functools.cached_property
+    def absolute(self) -> Floats:
+        """[T, 2 nv]: reference positions and velocities of hinges, slides and the translations of
+        free joints, each at its degree of freedom; zero for rotations."""
+        model = self.bound.model
+        out = np.zeros((len(self), 2 * model.nv))
+        for joint in joints(model):
+            width = 1 if joint.scalar else 3 if joint.kind == Kind.FREE else 0
+            q, v = joint.q.start, joint.v.start
+            out[:, v : v + width] = self.qpos[:, q : q + width]
+            out[:, model.nv + v : model.nv + v + width] = self.qvel[:, v : v + width]
+        return out
 
     @property
     def source(self) -> str:

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import functools
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, Hypothesis, clean, completed
-from orbisim.diagnosis.linear import IntervalMap, Intervals, linearize
-from orbisim.diagnosis.regress import Normal, fit, normal_equations, total
+from orbisim.diagnosis.linear import IntervalMap, Intervals
+from orbisim.diagnosis.regress import Normal, fit, normal_equations, profiled, total
+from orbisim.diagnosis.retune import SPREAD, Tunable, retuned
 from orbisim.diagnosis.view import MotionView
 from orbisim.effects import EffectInstance, add_effects, effect_names, find
-from orbisim.effects.screening import Candidate, Column
+from orbisim.effects.screening import Candidate, Column, Solve
 from orbisim.errors import OrbiSimError
 
 Floats = npt.NDArray[np.float64]
 
 _SMOOTH = 7
+_TUNE_STEP = 1e-3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -45,6 +48,7 @@ class Screening:
       shares: [nv] share of the residual that a missing force at each degree of freedom explains.
       force: [N, nv] missing generalized force over every sampling interval.
       intervals: the linear system along the scene that was screened.
+      tuned: suspects when declared parameters may be retuned too. tuned_ratio: likewise.
     """
 
     suspects: tuple[Suspect, ...]
@@ -52,33 +56,59 @@ class Screening:
     shares: Floats
     force: Floats
     intervals: Intervals
+    tuned: tuple[Suspect, ...] = ()
+    tuned_ratio: float = 1.0
 
 
-def screen(bench: Bench, hypothesis: Hypothesis, only: Sequence[str] | None = None) -> Screening:
+def screen(
+    bench: Bench,
+    hypothesis: Hypothesis,
+    intervals: Intervals,
+    only: Sequence[str] | None = None,
+    factors: Floats | None = None,
+) -> Screening:
     """Looks for effects that would explain what a hypothesis leaves.
 
     Args:
+      intervals: the linear system along the hypothesis.
       only: names of the effects to consider; all if None.
+      factors: [N, 2 nv, F] change of every interval's end by factors of declared parameters.
     """
-    scene = hypothesis.scene(bench.scene)
-    flow = bench.flow(scene)
-    intervals = linearize(flow)
+    flow = bench.flow(hypothesis)
     view = MotionView(flow, bench.samples)
     view.missing_force = missing_force(intervals)
     found = list(_candidates(view, bench, hypothesis, flow, only))
     columns = [column for candidate in found for column in candidate.columns]
-    by_dof = _force_columns(view.missing_force, flow)
+    first = len(columns)
+    columns += _force_columns(view.missing_force, flow)
+    nuisance = [] if factors is None else [Column("state", f) for f in np.moveaxis(factors, 2, 0)]
     windows = bench.windows.some(bench.fit)
-    normals = normal_equations(bench.samples, intervals, windows, [*columns, *by_dof], bench.noise)
-    normal = total(normals)
-    suspects = _rank(found, normal, bench)
+    known = bench.known_signal(hypothesis)
+    both = [*columns, *nuisance]
+    normal = total(normal_equations(bench.samples, intervals, windows, both, bench.noise, known))
+    index = list(range(len(columns), len(both)))
+    tuned = profiled(normal, index, np.full(len(index), 1 / SPREAD**2))
     return Screening(
-        suspects=tuple(suspects),
+        suspects=tuple(_rank(found, normal, bench)),
         ratio=float(np.sqrt(normal.square / max(normal.count, 1))),
-        shares=_shares(normal, len(columns), len(by_dof)),
+        shares=_shares(normal, first, len(columns) - first),
         force=view.missing_force,
         intervals=intervals,
+        tuned=tuple(_rank(found, tuned, bench)) if index else (),
+        tuned_ratio=float(np.sqrt(tuned.square / max(tuned.count, 1))),
     )
+
+
+def factor_columns(bench: Bench, chosen: Sequence[Tunable]) -> Floats:
+    """Change of every interval's end for each unit of a factor, [N, 2 nv, F], by simulation."""
+    flow = bench.flow(Hypothesis())
+    base = flow.advance()
+    out = np.zeros((len(flow), 2 * flow.model.nv, len(chosen)))
+    for f, one in enumerate(chosen):
+        moved = flow.advance(scene=retuned(bench.scene, {one: 1 + _TUNE_STEP}))
+        change = flow.tangent(*base, *moved) / _TUNE_STEP
+        out[:, :, f] = np.nan_to_num(change, posinf=0.0, neginf=0.0)
+    return out
 
 
 def missing_force(intervals: Intervals) -> Floats:
@@ -140,10 +170,13 @@ def _by_difference(
         column = Column("state", np.nan_to_num(difference, posinf=0.0, neginf=0.0))
         if np.abs(column.values).max() > 0:
             kept = dict(values)
-            found.append(
-                Candidate(name, target, (column,), lambda c, v=kept: v, fixed=True, shape=1)
-            )
+            solve: Solve = functools.partial(_constant, kept)
+            found.append(Candidate(name, target, (column,), solve, fixed=True, shape=1))
     return found
+
+
+def _constant(values: Mapping[str, float], _: Floats) -> Mapping[str, float]:
+    return values
 
 
 def _rank(found: Sequence[Candidate], normal: Normal, bench: Bench) -> list[Suspect]:
@@ -166,7 +199,11 @@ def _rank(found: Sequence[Candidate], normal: Normal, bench: Bench) -> list[Susp
 
 def _solve(candidate: Candidate, normal: Normal, index: list[int]) -> tuple[Floats, float]:
     if not candidate.fixed:
-        return fit(normal, index)
+        strength = np.diag(normal.gram)[index]
+        felt = strength > 1e-12 * strength.max(initial=0.0)
+        coefficients = np.zeros(len(index))
+        coefficients[felt], left = fit(normal, [i for i, f in zip(index, felt, strict=True) if f])
+        return coefficients, left
     i = index[0]
     left = normal.square - 2 * normal.moment[i] + normal.gram[i, i]
     return np.ones(1), float(max(left, 0.0))

@@ -6,6 +6,7 @@ with the parameters, instead of at one noisy sample.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 
@@ -17,6 +18,7 @@ from orbisim_mujoco.stepping import step_batch
 
 from orbisim.diagnosis.hidden import Layout, carried_along
 from orbisim.diagnosis.linear import Intervals
+from orbisim.diagnosis.measurement import TRUE, Measurement
 from orbisim.diagnosis.regress import Windows
 from orbisim.diagnosis.samples import Samples
 from orbisim.effects.carry import hooks_of
@@ -24,6 +26,14 @@ from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Variant:
+    """A scene to simulate, and how it is measured."""
+
+    scene: Scene
+    measurement: Measurement = TRUE
 
 
 class Shooter:
@@ -45,6 +55,7 @@ class Shooter:
     ) -> None:
         self.declared, self.samples, self.windows = declared, samples, windows
         self.nv = declared.model.nv
+        self.horizon = windows.length
         rows = [
             (samples[i], int(intervals.row[f]))
             for i, f in zip(windows.recording, windows.first, strict=True)
@@ -63,8 +74,9 @@ class Shooter:
         self.measured = np.flatnonzero(np.isfinite(sigma))
         self.weight = 1.0 / sigma[self.measured]
         picked = deviation[:, :, self.measured]
-        self.seen = np.isfinite(picked)
+        self.seen = np.isfinite(picked) & windows.predictable()[:, :, None]
         self.target = np.where(self.seen, picked, 0.0) * self.weight
+        self.absolute = np.array([s.absolute[r : r + k + 1] for s, r in rows])
         step = float(declared.model.opt.timestep)
         lengths = np.diff(self.time, axis=1)
         self.substeps = np.maximum(1, np.ceil(np.median(lengths) / step - 1e-6)).astype(int)
@@ -72,18 +84,27 @@ class Shooter:
     def __len__(self) -> int:
         return len(self.windows)
 
+    def first(self, samples: int) -> Shooter:
+        """The same windows, of which only so many samples are looked at."""
+        part = copy.copy(self)
+        part.horizon = min(samples, self.windows.length)
+        part.seen = self.seen & (np.arange(self.windows.length + 1) <= part.horizon)[:, None]
+        part.target = np.where(part.seen, self.target, 0.0)
+        return part
+
     @property
     def count(self) -> int:
         """Number of data."""
         return int(self.seen.sum())
 
-    def simulate(self, variant: Scene, start: Floats) -> Floats:
-        """Deviations from the reference [W, K + 1, 2 nv] of free runs from the starts.
+    def simulate(self, variant: Variant, start: Floats) -> Floats:
+        """Measured deviations from the reference [W, K + 1, 2 nv] of free runs from the starts.
 
         Args:
-          variant: the scene to simulate. start: [W, 2 nv] deviation at each window's start.
+          variant: the scene to simulate and how it is measured.
+          start: [W, 2 nv] true deviation at each window's start.
         """
-        model = variant.model
+        model, measurement = variant.scene.model, variant.measurement
         place = Layout(self.declared.model, model)
         batch = mujoco.batch.Batch(model, len(self), 0)
         qpos, qvel = self._moved(start)
@@ -97,17 +118,48 @@ class Shooter:
             batch.bind("act")[:], batch.bind("history")[:] = act, history
         timestep = batch.expand("opt.timestep")
         hooks = hooks_of(model)
-        out = np.empty((len(self), self.windows.length + 1, 2 * self.nv))
+        out = np.zeros((len(self), self.windows.length + 1, 2 * self.nv))
         out[:, 0] = start
         applied = batch.bind("qfrc_applied")
-        for k in range(self.windows.length):
-            length = self.time[:, k + 1] - self.time[:, k]
+        for k in range(self.horizon):
+            length = (self.time[:, k + 1] - self.time[:, k]) / measurement.clock
             timestep[:] = (length / self.substeps).reshape(timestep.shape)
             applied[:, place.v] = self.force[:, k]
             step_batch(model, batch, hooks, self.ctrl[:, k], int(self.substeps))
             here_q, here_v = batch.bind("qpos")[:, place.q], batch.bind("qvel")[:, place.v]
             out[:, k + 1] = self._deviation(k + 1, here_q, here_v)
-        return out
+        return measurement.of(self.absolute, out, self.time) if measurement else out
+
+    def chained(self, intervals: Intervals) -> Floats:
+        """Derivatives of the weighted data by the window starts in linear approximation,
+        [W, data, 2 nv]."""
+        n2 = 2 * self.nv
+        x = np.tile(np.eye(n2), (len(self), 1, 1))
+        out = np.empty((len(self), self.windows.length + 1, n2, n2))
+        for k in range(self.windows.length + 1):
+            out[:, k] = x
+            if k < self.windows.length:
+                x = np.einsum("wij,wjc->wic", intervals.A[self.windows.first + k], x)
+        return self.scaled(out)
+
+    def respond(self, intervals: Intervals, inputs: Floats) -> Floats:
+        """Linear response of the weighted data to inputs [N, 2 nv, C], [W, data, C]."""
+        n2, width = 2 * self.nv, inputs.shape[2]
+        x = np.zeros((len(self), n2, width))
+        out = np.zeros((len(self), self.windows.length + 1, n2, width))
+        for k in range(self.windows.length):
+            at = self.windows.first + k
+            x = np.einsum("wij,wjc->wic", intervals.A[at], x) + inputs[at]
+            out[:, k + 1] = x
+        return self.scaled(out)
+
+    def scaled(self, values: Floats) -> Floats:
+        """Deviations [W, K + 1, 2 nv, ...] as weighted data [W, data, ...]; zero where unseen."""
+        extra = (1,) * (values.ndim - 3)
+        picked = values[:, :, self.measured] * self.weight.reshape(-1, *extra)
+        picked = np.where(self.seen.reshape(*self.seen.shape, *extra), picked, 0.0)
+        picked = np.clip(np.nan_to_num(picked), -1e12, 1e12)
+        return np.asarray(picked.reshape(len(self), -1, *values.shape[3:]))
 
     def residual(self, simulated: Floats) -> Floats:
         """Weighted measured minus simulated deviations [W, data]; zero where not measured."""
@@ -159,7 +211,8 @@ class Fit:
 
     Attributes:
       values: the parameters. start: [W, 2 nv] deviations at the windows' starts.
-      square: sum of squared weighted residuals. count: data minus fitted numbers.
+      square: sum of squared weighted residuals. penalty: what the priors charge on top.
+      count: data minus fitted numbers.
       covariance: [P, P] of the parameters, by the Jacobian.
       residual: [W, data] weighted. per_window: [W] sums of squares.
       information: [W, P, P] and score [W, P]: each window's share, for the bootstrap.
@@ -168,6 +221,7 @@ class Fit:
     values: Floats
     start: Floats
     square: float
+    penalty: float
     count: int
     covariance: Floats
     residual: Floats
@@ -187,6 +241,7 @@ class Unknown:
 
     Attributes:
       name: for messages. start: where to begin. low, high: bounds. step: for differences.
+      centre, precision: of a Gaussian prior; precision 0 for none.
     """
 
     name: str
@@ -194,85 +249,157 @@ class Unknown:
     low: float
     high: float
     step: float
+    centre: float = 0.0
+    precision: float = 0.0
 
 
 def gauss_newton(
     shooter: Shooter,
-    build: Callable[[Floats], Scene],
+    build: Callable[[Floats], Variant],
     unknowns: Sequence[Unknown],
     *,
     start: Floats | None = None,
-    prior: Floats | None = None,
+    hints: Hints | None = None,
     iterations: int = 6,
     tolerance: float = 1e-3,
     robust: float | None = None,
-    starts_free: bool = True,
 ) -> Fit:
     """Fits parameters and window starts.
 
     Args:
-      shooter: the windows. build: makes the scene for parameter values.
+      shooter: the windows. build: makes what is simulated from parameter values.
       unknowns: what to fit; may be empty.
       start: initial window starts; zero if None.
-      prior: [P] standard deviations about the starting values; None for none.
+      hints: derivatives that are known in advance; finite differences where there are none.
       robust: residuals beyond this many standard deviations count linearly (Huber).
-      starts_free: whether window starts are fitted.
     """
-    problem = _Problem(shooter, build, unknowns, prior, robust, starts_free)
+    hints = hints or Hints()
+    if hints.exact and start is None:
+        start = _approached(shooter, build, unknowns, robust)
+    problem = _Problem(shooter, build, unknowns, hints, robust)
     return problem.solve(start, iterations, tolerance)
+
+
+def _approached(
+    shooter: Shooter,
+    build: Callable[[Floats], Variant],
+    unknowns: Sequence[Unknown],
+    robust: float | None,
+) -> Floats:
+    """Window starts for the parameters' first values, from ever longer parts of the windows: the
+    errors of a long window with impacts have many minima."""
+    values = np.array([u.start for u in unknowns])
+    variant = build(values)
+    start = None
+    for samples in _APPROACH:
+        if samples < shooter.windows.length:
+            problem = _Problem(
+                shooter.first(samples), lambda _: variant, [], Hints(exact=True), robust
+            )
+            start = problem.solve(start, 4, 1e-2).start
+    return np.zeros((len(shooter), 2 * shooter.nv)) if start is None else start
+
+
+_APPROACH = (6, 15, 30)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Hints:
+    """Approximate derivatives of the weighted data.
+
+    Attributes:
+      free: [W, data, 2 nv] by the window starts, or None.
+      slopes: [W, data] by the unknown of that number.
+      exact: whether derivatives by the starts are taken anew in every iteration (contacts).
+    """
+
+    free: Floats | None = None
+    slopes: Mapping[int, Floats] = dataclasses.field(default_factory=dict)
+    exact: bool = False
 
 
 class _Problem:
     def __init__(
         self,
         shooter: Shooter,
-        build: Callable[[Floats], Scene],
+        build: Callable[[Floats], Variant],
         unknowns: Sequence[Unknown],
-        prior: Floats | None,
+        hints: Hints,
         robust: float | None,
-        starts_free: bool,
     ) -> None:
         self.shooter, self.build, self.unknowns = shooter, build, list(unknowns)
         self.begin = np.array([u.start for u in unknowns])
         self.low = np.array([u.low for u in unknowns])
         self.high = np.array([u.high for u in unknowns])
-        self.prior, self.robust, self.starts_free = prior, robust, starts_free
+        self.centre = np.array([u.centre for u in unknowns])
+        self.precision = np.array([u.precision for u in unknowns])
+        self.hints, self.robust = hints, robust
 
     def solve(self, start: Floats | None, iterations: int, tolerance: float) -> Fit:
         shooter = self.shooter
         values = np.clip(self.begin, self.low, self.high)
         xi = np.zeros((len(shooter), 2 * shooter.nv)) if start is None else start.copy()
-        simulated = shooter.simulate(self.build(values), xi)
-        residual = shooter.residual(simulated)
-        cost = self._cost(residual, values)
-        damping = 1e-4
-        free = self._start_jacobian(values, xi, simulated)
-        for iteration in range(iterations):
-            if iteration == 2 and self.starts_free:
-                free = self._start_jacobian(values, xi, simulated)
-            slopes = self._slopes(values, xi, simulated)
-            improved = False
-            for _ in range(5):
-                step, moves = self._step(residual, slopes, free, values, damping)
-                trial = np.clip(values + step, self.low, self.high)
-                trial_xi = xi + moves
-                trial_sim = shooter.simulate(self.build(trial), trial_xi)
-                trial_residual = shooter.residual(trial_sim)
-                trial_cost = self._cost(trial_residual, trial)
-                if trial_cost < cost:
-                    improved = True
+        here = self._trial(values, xi)
+        damping, brakes = 1e-4, np.full(len(shooter), 1e-9)
+        free = self.hints.free
+        if free is None:
+            free = self._start_jacobian(here)
+        hinted = self.hints.free is not None
+        iteration = 0
+        while iteration < iterations:
+            slopes = self._slopes(here)
+            found = self._search(here, slopes, free, damping, brakes)
+            if found is None:
+                if not hinted or iteration:
                     break
-                damping = max(damping * 10, 1e-3)
-            if not improved:
-                break
-            gain = (cost - trial_cost) / max(cost, 1e-300)
-            values, xi, simulated, residual, cost = (
-                trial, trial_xi, trial_sim, trial_residual, trial_cost,
-            )  # fmt: skip
-            damping = max(damping / 10, 1e-9)
+                hinted, free = False, self._start_jacobian(here)  # the hint was no good
+                continue
+            gain = (here.total - found.total) / max(here.total, 1e-300)
+            here, damping = found, max(damping / 10, 1e-9)
+            iteration += 1
             if gain < tolerance:
                 break
-        return self._result(values, xi, simulated, residual, free)
+            if not hinted and (self.hints.exact or iteration == 2):
+                free = self._start_jacobian(here)
+        return self._result(here, free)
+
+    def _trial(self, values: Floats, xi: Floats) -> _Trial:
+        """Simulates parameters and starts."""
+        simulated = self.shooter.simulate(self.build(values), xi)
+        residual = self.shooter.residual(simulated)
+        cost = self._window_costs(residual)
+        return _Trial(values, xi, simulated, residual, cost, self.penalty(values))
+
+    def _search(
+        self, here: _Trial, slopes: Floats, free: Floats, damping: float, brakes: Floats
+    ) -> _Trial | None:
+        """The first step, ever shorter, that lowers the cost; windows it worsens stay behind."""
+        for _ in range(5):
+            step, moves = self._step(here, slopes, free, damping, brakes)
+            values = np.clip(here.values + step, self.low, self.high)
+            trial = self._trial(values, here.xi + moves)
+            worse = trial.cost > here.cost
+            brakes[worse] = np.maximum(brakes[worse] * 100, 1e-3)
+            brakes[~worse] = np.maximum(brakes[~worse] / 10, 1e-12)
+            if worse.any() and (trial.total >= here.total or self.hints.exact):
+                trial = self._better(trial, self._trial(values, here.xi))
+            if trial.total < here.total:
+                return trial
+            damping = max(damping * 10, 1e-3)
+        return None
+
+    def _better(self, one: _Trial, other: _Trial) -> _Trial:
+        """Window by window the better of two trials of the same parameters."""
+        keep = one.cost <= other.cost
+        pick = keep.reshape(-1, 1)
+        return _Trial(
+            one.values,
+            np.where(pick, one.xi, other.xi),
+            np.where(pick[..., None], one.simulated, other.simulated),
+            np.where(pick, one.residual, other.residual),
+            np.where(keep, one.cost, other.cost),
+            one.penalty,
+        )
 
     def _weights(self, residual: Floats) -> Floats:
         if self.robust is None:
@@ -280,107 +407,94 @@ class _Problem:
         size = np.abs(residual)
         return np.where(size > self.robust, self.robust / np.maximum(size, 1e-300), 1.0)
 
-    def _cost(self, residual: Floats, values: Floats) -> float:
+    def _window_costs(self, residual: Floats) -> Floats:
+        """[W]: what each window's residual costs."""
         if self.robust is None:
-            cost = float((residual**2).sum())
-        else:
-            size, k = np.abs(residual), self.robust
-            cost = float(np.where(size <= k, size**2, 2 * k * size - k**2).sum())
-        if self.prior is not None:
-            cost += float((((values - self.begin) / self.prior) ** 2).sum())
-        return cost
+            return np.asarray((residual**2).sum(axis=1))
+        size, k = np.abs(residual), self.robust
+        return np.asarray(np.where(size <= k, size**2, 2 * k * size - k**2).sum(axis=1))
 
-    def _slopes(self, values: Floats, xi: Floats, simulated: Floats) -> Floats:
+    def penalty(self, values: Floats) -> float:
+        """What the priors charge."""
+        return float((self.precision * (values - self.centre) ** 2).sum())
+
+    def _slopes(self, here: _Trial) -> Floats:
         """Derivatives of the weighted simulated data by the parameters, [W, data, P]."""
-        base = self._scaled(simulated)
+        values, xi = here.values, here.xi
+        base = self.shooter.scaled(here.simulated)
         slopes = np.zeros((*base.shape, len(values)))
         for p, unknown in enumerate(self.unknowns):
+            if p in self.hints.slopes:
+                slopes[..., p] = self.hints.slopes[p]
+                continue
             step = unknown.step
             if values[p] + step > unknown.high:
                 step = -step
             moved = values.copy()
             moved[p] += step
-            after = self._scaled(self.shooter.simulate(self.build(moved), xi))
-            slopes[..., p] = np.nan_to_num((after - base) / step)
+            after = self.shooter.scaled(self.shooter.simulate(self.build(moved), xi))
+            slopes[..., p] = (after - base) / step
         return slopes
 
-    def _start_jacobian(self, values: Floats, xi: Floats, simulated: Floats) -> Floats:
+    def _start_jacobian(self, here: _Trial) -> Floats:
         """Derivatives of the weighted simulated data by the window starts, [W, data, 2 nv]."""
-        base = self._scaled(simulated)
-        columns = 2 * self.shooter.nv if self.starts_free else 0
+        base = self.shooter.scaled(here.simulated)
+        columns = 2 * self.shooter.nv
         jacobian = np.zeros((*base.shape, columns))
-        scene = self.build(values)
+        variant = self.build(here.values)
         for j in range(columns):
-            moved = xi.copy()
+            moved = here.xi.copy()
             moved[:, j] += _START_STEP
-            after = self._scaled(self.shooter.simulate(scene, moved))
-            jacobian[..., j] = np.nan_to_num((after - base) / _START_STEP)
+            after = self.shooter.scaled(self.shooter.simulate(variant, moved))
+            jacobian[..., j] = (after - base) / _START_STEP
         return np.clip(jacobian, -1e12, 1e12)
 
-    def _scaled(self, simulated: Floats) -> Floats:
-        shooter = self.shooter
-        values = simulated[:, :, shooter.measured] * shooter.weight
-        return np.asarray(np.where(shooter.seen, values, 0.0).reshape(len(shooter), -1))
-
-    def _projected(
-        self, residual: Floats, slopes: Floats, free: Floats
-    ) -> tuple[Floats, Floats, Floats]:
-        """Residuals and slopes without what the starts explain; and the starts' bases."""
+    def _projected(self, residual: Floats, slopes: Floats, free: Floats) -> tuple[Floats, Floats]:
+        """Residuals and slopes without what the starts explain."""
         root = np.sqrt(self._weights(residual))[..., None]
-        weighted_free, weighted = free * root, slopes * root
+        weighted = slopes * root
         left = residual * root[..., 0]
-        if not free.shape[2]:
-            return left, weighted, weighted_free
-        basis = np.linalg.qr(weighted_free + 0.0)[0]
+        basis = np.linalg.qr(free * root)[0]
         left = left - np.einsum("wdf,wf->wd", basis, np.einsum("wdf,wd->wf", basis, left))
         inner = np.einsum("wdf,wdp->wfp", basis, weighted)
-        weighted = weighted - np.einsum("wdf,wfp->wdp", basis, inner)
-        return left, weighted, weighted_free
+        return left, weighted - np.einsum("wdf,wfp->wdp", basis, inner)
 
     def _step(
-        self, residual: Floats, slopes: Floats, free: Floats, values: Floats, damping: float
+        self, here: _Trial, slopes: Floats, free: Floats, damping: float, brakes: Floats
     ) -> tuple[Floats, Floats]:
-        left, weighted, _ = self._projected(residual, slopes, free)
+        values, residual = here.values, here.residual
+        left, weighted = self._projected(residual, slopes, free)
         count = len(values)
         step = np.zeros(count)
         if count:
-            gram = np.einsum("wdp,wdq->pq", weighted, weighted)
+            gram = np.einsum("wdp,wdq->pq", weighted, weighted) + np.diag(self.precision)
             moment = np.einsum("wdp,wd->p", weighted, left)
-            if self.prior is not None:
-                gram = gram + np.diag(1 / self.prior**2)
-                moment = moment - (values - self.begin) / self.prior**2
+            moment = moment - self.precision * (values - self.centre)
             scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
             scaled = gram / np.outer(scale, scale) + damping * np.eye(count)
             step = np.linalg.lstsq(scaled, moment / scale, rcond=1e-10)[0] / scale
             blocked = ((values >= self.high) & (step > 0)) | ((values <= self.low) & (step < 0))
             step[blocked] = 0.0
-        moves = np.zeros((len(residual), 2 * self.shooter.nv))
-        if free.shape[2]:
-            root = np.sqrt(self._weights(residual))
-            wanted = (residual - slopes @ step) * root
-            for w in range(len(residual)):
-                matrix = free[w] * root[w][:, None]
-                moves[w] = np.linalg.lstsq(matrix, wanted[w], rcond=1e-8)[0]
-        return step, moves
+        root = np.sqrt(self._weights(residual))
+        wanted = (residual - slopes @ step) * root
+        return step, _least_squares(free * root[..., None], wanted, brakes)
 
-    def _result(
-        self, values: Floats, xi: Floats, simulated: Floats, residual: Floats, free: Floats
-    ) -> Fit:
-        slopes = self._slopes(values, xi, simulated)
-        left, weighted, _ = self._projected(residual, slopes, free)
+    def _result(self, here: _Trial, free: Floats) -> Fit:
+        values, xi, residual = here.values, here.xi, here.residual
+        slopes = self._slopes(here)
+        left, weighted = self._projected(residual, slopes, free)
         information = np.einsum("wdp,wdq->wpq", weighted, weighted)
         score = np.einsum("wdp,wd->wp", weighted, left)
-        gram = information.sum(axis=0)
-        if self.prior is not None:
-            gram = gram + np.diag(1 / self.prior**2)
+        gram = information.sum(axis=0) + np.diag(self.precision)
         square = float((residual**2).sum())
-        fitted = len(values) + (free.shape[2] * len(residual) if free.shape[2] else 0)
+        fitted = len(values) + free.shape[2] * len(residual)
         count = max(self.shooter.count - fitted, 1)
         covariance = np.linalg.pinv(gram, rcond=1e-12) if len(values) else np.zeros((0, 0))
         return Fit(
             values=values,
             start=xi,
             square=square,
+            penalty=self.penalty(values),
             count=count,
             covariance=covariance * max(square / count, 1.0),
             residual=residual,
@@ -390,18 +504,30 @@ class _Problem:
         )
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Trial:
+    """Parameters and starts, simulated. cost: [W] of each window. penalty: of the priors."""
+
+    values: Floats
+    xi: Floats
+    simulated: Floats
+    residual: Floats
+    cost: Floats
+    penalty: float
+
+    @property
+    def total(self) -> float:
+        """Cost of all windows and of the priors."""
+        return float(self.cost.sum()) + self.penalty
+
+
+def _least_squares(matrix: Floats, wanted: Floats, brakes: Floats) -> Floats:
+    """Window by window, with columns scaled and damped; what changes nothing stays put."""
+    scale = np.maximum(np.linalg.norm(matrix, axis=1), 1e-300)
+    u, s, vt = np.linalg.svd(matrix / scale[:, None, :], full_matrices=False)
+    inverse = np.where(s > 1e-8 * s[:, :1], s / (s**2 + brakes[:, None]), 0.0)
+    inner = np.einsum("wdk,wd->wk", u, wanted) * inverse
+    return np.asarray(np.einsum("wkf,wk->wf", vt, inner) / scale)
+
+
 _START_STEP = 1e-6
-
-
-def unknowns_of(
-    names: Sequence[str], values: Mapping[str, float], bounds: Mapping[str, tuple[float, float]],
-    scales: Mapping[str, float],
-) -> list[Unknown]:  # fmt: skip
-    """Fitted numbers with difference steps that fit their size."""
-    found: list[Unknown] = []
-    for name in names:
-        value = float(values[name])
-        low, high = bounds[name]
-        size = max(abs(value), 0.05 * abs(scales[name]), 1e-12)
-        found.append(Unknown(name, value, low, high, 1e-4 * size))
-    return found

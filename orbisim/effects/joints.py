@@ -19,6 +19,7 @@ from orbisim.effects.base import (
     joint_unit,
     spec_element,
 )
+from orbisim.effects.hidden import hide_joint
 from orbisim.effects.screening import (
     Candidate,
     Column,
@@ -548,6 +549,7 @@ def _second_joint(spec: mujoco.MjSpec, joint: Any, name: str) -> Any:
     body = joint.parent
     if not joint.armature:
         joint.armature = _MOTOR_ARMATURE
+    hide_joint(spec, name)
     return body.add_joint(name=name, type=joint.type, axis=list(joint.axis), pos=list(joint.pos))
 
 

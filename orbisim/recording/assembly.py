@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.effects.hidden import hidden_joints
 from orbisim.errors import RecordingError, UnknownNameError
 from orbisim.recording import names
 from orbisim.recording.quaternions import continuous
@@ -69,8 +70,10 @@ class Assembly:
         signals = self.recording.signals
         full = np.full((self.count, width), np.nan)
         if kind in signals:
-            self.check_width(kind, signals[kind], width, f"scene {self.scene.name!r}")
-            full[:] = signals[kind]
+            columns = self.shown(width, signals[kind].shape[1], places)
+            wanted = len(columns) if columns is not None else width
+            self.check_width(kind, signals[kind], wanted, f"scene {self.scene.name!r}")
+            full[:, slice(None) if columns is None else columns] = signals[kind]
         for name, values in signals.items():
             of, target = names.split(name)
             if of != kind or not target:
@@ -81,6 +84,15 @@ class Assembly:
             self.check_once(kind, name, full[:, place], columns)
             full[:, place] = columns
         return full
+
+    def shown(self, width: int, given: int, places: Mapping[str, slice]) -> list[int] | None:
+        """Columns that a whole array of the declared scene fills, where effects added joints."""
+        hidden = {
+            c for n in hidden_joints(self.model) if n in places for c in range(width)[places[n]]
+        }
+        if not hidden or given != width - len(hidden):
+            return None
+        return [c for c in range(width) if c not in hidden]
 
     def check_width(self, name: str, values: Floats, width: int, what: str) -> None:
         """Raises `RecordingError` if a signal has another number of columns."""

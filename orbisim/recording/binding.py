@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.effects.hidden import hidden_joints
 from orbisim.errors import RecordingError
 from orbisim.recording import inference, inverse
 from orbisim.recording.actuators import Actuator, actuators
@@ -105,6 +106,7 @@ class _Binder(Assembly):
         for joint in self.joints:
             if joint.quat is not None:
                 qpos[:, joint.quat] = self.unit(qpos[:, joint.quat], f"qpos/{joint.label}")
+        self.rest(qpos, qvel)
         measured, unseen = self.infer(qpos, xpos, xquat)
         applied, switched_off = self.forces(torque, ctrl)
         return Bound(
@@ -125,6 +127,15 @@ class _Binder(Assembly):
             notes=tuple(dict.fromkeys(self.notes)),
         )
 
+    def rest(self, qpos: Floats, qvel: Floats) -> None:
+        """Joints that effects have added, which nothing reads, start at rest."""
+        hidden = hidden_joints(self.model)
+        for joint in self.joints:
+            if joint.name in hidden and not np.isfinite(qpos[:, joint.q]).any():
+                qpos[:, joint.q] = self.model.qpos0[joint.q]
+                qvel[:, joint.v] = 0.0
+                self.notes.append(f"joint {joint.name!r}, which an effect added, starts at rest")
+
     # -- what is not recorded ----------------------------------------------------------------------
 
     def infer(
@@ -132,6 +143,7 @@ class _Binder(Assembly):
     ) -> tuple[frozenset[int], frozenset[int]]:
         """Fills the joints that are not recorded; measured joints, and those turning unseen."""
         known = {j.id for j in self.joints if np.isfinite(qpos[:, j.q]).all(axis=1).any()}
+        hidden = {j.id for j in self.joints if j.name in hidden_joints(self.model)}
         unseen = set()
         for joint in self.joints:
             if joint.id not in known:
@@ -140,7 +152,7 @@ class _Binder(Assembly):
                     known.add(joint.id)
                     self.notes.extend([note] if note else [])
                     unseen |= {joint.id} if note else set()
-        measured = set(known)
+        measured = known - hidden
         self.couple(qpos, known)
         unknown = [j for j in self.joints if j.id not in known]
         if unknown:

@@ -1,0 +1,127 @@
+"""`orbisim diagnose`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from orbisim.cli.common import emit_json, engine_command, json_option, note, print_table
+
+
+@click.command(
+    "diagnose",
+    epilog="Example: orbisim diagnose arm.xml run1.npz run2.npz run3.npz run4.npz --out diagnosis",
+)
+@click.argument("scene")
+@click.argument("recordings", nargs=-1, required=True, metavar="RECORDING...")
+@click.option(
+    "--held-out",
+    "held_out",
+    multiple=True,
+    metavar="RECORDING",
+    help="A recording that nothing may be fitted to (repeatable). Default: some are kept back.",
+)
+@click.option("--window", default=0.5, show_default=True, help="Duration of a free run, s.")
+@click.option(
+    "--backend",
+    default="mujoco",
+    show_default=True,
+    help="Engine of the declared scene's error; the search simulates with C MuJoCo.",
+)
+@click.option(
+    "--effect",
+    "effects",
+    multiple=True,
+    metavar="NAME",
+    help="Consider only this effect of the catalogue (repeatable).",
+)
+@click.option("--most-effects", default=4, show_default=True, help="At most so many are added.")
+@click.option(
+    "--retune/--no-retune",
+    default=True,
+    help="Whether declared masses, dampings and gains may be off by a few percent.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Folder for report.html, report.json and augmented/scene.xml.",
+)
+@json_option
+@engine_command
+def command(
+    scene: str,
+    recordings: tuple[str, ...],
+    held_out: tuple[str, ...],
+    window: float,
+    backend: str,
+    effects: tuple[str, ...],
+    most_effects: int,
+    retune: bool,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Find the physical effect that SCENE lacks, from measurements of the real thing.
+
+    Computes the residual, traces it to effects of the catalogue, adds them to the scene, and
+    reports the free-running error before and after on data that nothing was fitted to.
+    """
+    from orbisim.diagnosis import Settings, diagnose
+    from orbisim.effects import find
+
+    for name in effects:
+        find(name)
+    settings = Settings(effects=tuple(effects) or None, most_effects=most_effects, retune=retune)
+    result = diagnose(
+        scene, list(recordings), list(held_out) or None, window=window, backend=backend,
+        settings=settings, out=out,
+    )  # fmt: skip
+    if out is not None:
+        note(f"report: {out / 'report.html'}")
+    if as_json:
+        emit_json(result.to_json())
+        return
+    _print(result)
+
+
+def _print(result: Any) -> None:
+    click.echo(result.sentence)
+    if result.effects:
+        rows = [
+            (
+                effect.effect,
+                effect.target,
+                name,
+                estimate.value,
+                f"{estimate.ci95[0]:.4g} to {estimate.ci95[1]:.4g}",
+                estimate.unit,
+            )
+            for effect in result.effects
+            for name, estimate in effect.parameters.items()
+        ]
+        print_table(
+            "\nEffects",
+            ("effect", "target", "parameter", "value", "95 % interval", "unit"),
+            rows,
+        )
+    if result.retuned:
+        rows = [(r.label, r.factor, f"{r.ci95[0]:.4f} to {r.ci95[1]:.4f}") for r in result.retuned]
+        print_table("\nDeclared parameters", ("parameter", "factor", "95 % interval"), rows)
+    error = result.error
+    print_table(
+        f"\nFree-running error over {error['window_s']:g} s ({error['unit']}), "
+        f"noise {error['noise_floor']:.3g}",
+        ("data", "before", "after"),
+        [(kind, error[key]["before"], error[key]["after"])
+         for kind, key in (("fitted", "fit"), ("held out", "held_out"))],
+    )  # fmt: skip
+    if result.alternatives:
+        print_table(
+            "\nAlternatives",
+            ("effect", "target", "reason"),
+            [(a.effect, a.target, a.reason) for a in result.alternatives],
+        )
+    for text in result.notes:
+        note(f"note: {text}")

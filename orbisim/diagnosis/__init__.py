@@ -1,0 +1,15 @@
+"""Closing the loop: the residual, the effect behind it, and the scene with that effect."""
+
+from orbisim.diagnosis.attribution import Settings
+from orbisim.diagnosis.result import Alternative, Diagnosis, Estimate, FoundEffect, Retuned
+from orbisim.diagnosis.run import diagnose
+
+__all__ = [
+    "Alternative",
+    "Diagnosis",
+    "Estimate",
+    "FoundEffect",
+    "Retuned",
+    "Settings",
+    "diagnose",
+]

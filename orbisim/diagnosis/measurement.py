@@ -1,0 +1,113 @@
+"""How true states appear in a recording: offsets, scales, delays and the clock.
+
+A signal reads s x(t - d) + b at each degree of freedom (see `orbisim.effects.sensors`), and recorded
+durations are `clock` times the true ones. Rotations of ball and free joints are read as they are.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.effects import EffectInstance
+from orbisim.effects.base import names_of_kind
+from orbisim.recording.joints import Kind, joints
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Measurement:
+    """A map from true to measured coordinates, [2 nv] numbers each; None for the identity.
+
+    Attributes:
+      clock: recorded over true durations.
+      bias, scale: of positions and velocities. delay: s, of the same.
+    """
+
+    clock: float = 1.0
+    bias: Floats | None = None
+    scale: Floats | None = None
+    delay: Floats | None = None
+
+    def __bool__(self) -> bool:
+        return self.bias is not None
+
+    def of(self, reference: Floats, deviation: Floats, time: Floats) -> Floats:
+        """Measured minus reference coordinates.
+
+        Args:
+          reference: [W, K, 2 nv] absolute coordinates (zero where there are none).
+          deviation: [W, K, 2 nv] true minus reference. time: [W, K], s.
+        """
+        if self.bias is None or self.scale is None or self.delay is None:
+            return deviation
+        truth = reference + deviation
+        late = np.flatnonzero(self.delay)
+        if late.size:
+            truth = self._delayed(truth, late, time)
+        return np.asarray(self.scale * truth + self.bias - reference)
+
+    def _delayed(self, truth: Floats, late: npt.NDArray[np.int64], time: Floats) -> Floats:
+        """Cubic in positions, linear in velocities; extrapolated at a window's ends."""
+        assert self.delay is not None
+        out, nv = truth.copy(), truth.shape[2] // 2
+        for w in range(len(truth)):
+            t = time[w]
+            for c in late:
+                at = t - self.delay[c]
+                k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
+                h, u = t[k + 1] - t[k], (at - t[k]) / (t[k + 1] - t[k])
+                y = truth[w, :, c]
+                if c >= nv:
+                    out[w, :, c] = y[k] + u * (y[k + 1] - y[k])
+                    continue
+                v = truth[w, :, nv + c]
+                inside = np.clip(u, 0.0, 1.0)
+                cubic = _hermite(inside, y[k], y[k + 1], h * v[k], h * v[k + 1])
+                edge = np.where(u < 0, v[k], v[k + 1])
+                out[w, :, c] = cubic + (u - inside) * h * edge
+        return out
+
+
+def _hermite(u: Floats, y0: Floats, y1: Floats, d0: Floats, d1: Floats) -> Floats:
+    """The cubic with values y0, y1 and slopes d0, d1 at u = 0 and 1."""
+    return np.asarray(
+        (1 + 2 * u) * (1 - u) ** 2 * y0
+        + u * (1 - u) ** 2 * d0
+        + u**2 * (3 - 2 * u) * y1
+        + u**2 * (u - 1) * d1
+    )
+
+
+TRUE = Measurement()
+
+
+def measurement_of(model: mujoco.MjModel, effects: Iterable[EffectInstance]) -> Measurement:
+    """The map of some measurement effects; others are ignored."""
+    nv, clock, changed = model.nv, 1.0, False
+    bias, scale, delay = np.zeros(2 * nv), np.ones(2 * nv), np.zeros(2 * nv)
+    places = dict(zip(names_of_kind(model, "joint"), joints(model), strict=True))
+    for effect in effects:
+        if effect.effect == "clock_skew":
+            clock *= effect.values["factor"]
+            continue
+        if effect.effect not in ("sensor_bias", "sensor_scale", "sensor_delay"):
+            continue
+        joint = places.get(effect.target)
+        if joint is None:
+            continue
+        changed = True
+        width = 3 if joint.kind == Kind.FREE else 1
+        q = np.arange(joint.v.start, joint.v.start + width)
+        if effect.effect == "sensor_bias":
+            bias[q] += effect.values["offset"]
+        elif effect.effect == "sensor_scale":
+            scale[[*q, *(nv + q)]] *= effect.values["factor"]
+        else:
+            delay[[*q, *(nv + q)]] += effect.values["delay"]
+    return Measurement(clock, bias, scale, delay) if changed else Measurement(clock)

@@ -1,0 +1,62 @@
+"""Which recordings, or stretches of them, no choice and no fit may see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from orbisim.recording import Recording
+
+_SHARE = 0.25
+_MOST_ROWS = 60_000
+
+
+def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
+    """Recordings to fit, and recordings to hold back.
+
+    Of four recordings or more, about every fourth is held back; of fewer, the last quarter of each.
+    """
+    every = list(recordings)
+    if len(every) >= 4:
+        count = round(_SHARE * len(every))
+        chosen = {round((i + 1) * len(every) / count) - 1 for i in range(count)}
+        return (
+            [one for i, one in enumerate(every) if i not in chosen],
+            [one for i, one in enumerate(every) if i in chosen],
+        )
+    fit, held = [], []
+    for one in every:
+        border = int(round((1 - _SHARE) * len(one)))
+        if border < 8 or len(one) - border < 4:
+            fit.append(one)
+            continue
+        fit.append(_stretch(one, slice(0, border)))
+        held.append(_stretch(one, slice(border, len(one))))
+    return fit, held or fit
+
+
+def bounded(recordings: Sequence[Recording], notes: list[str]) -> list[Recording]:
+    """At most so many rows in all: stretches spread evenly over long recordings."""
+    total = sum(len(one) for one in recordings)
+    if total <= _MOST_ROWS:
+        return list(recordings)
+    notes.append(
+        f"of {total} rows, {_MOST_ROWS} are used, in stretches spread evenly over the recordings"
+    )
+    found: list[Recording] = []
+    for one in recordings:
+        rows = max(8, int(_MOST_ROWS * len(one) / total))
+        pieces = max(1, rows // _STRETCH)
+        each = max(8, rows // pieces)
+        for start in np.linspace(0, len(one) - each, pieces).astype(int):
+            found.append(_stretch(one, slice(int(start), int(start) + each)))
+    return found
+
+
+_STRETCH = 2_000
+
+
+def _stretch(one: Recording, rows: slice) -> Recording:
+    part = one.rows(rows)
+    return part.replace(source=f"{one.source}[{part.time[0]:.6g} s to {part.time[-1]:.6g} s]")
