@@ -61,6 +61,7 @@ class Wish:
       noise: rad or m. velocities: whether they are recorded.
       wrong: which declared parameters are off: mass, damping, gains; or right.
       seed: of sizes, excitation and noise.
+      short: whether a few short recordings must do.
     """
 
     kind: str
@@ -71,6 +72,7 @@ class Wish:
     velocities: bool = True
     wrong: str = "right"
     seed: int = 0
+    short: bool = False
 
 
 def every(motions: dict[str, Motion], seed: int) -> list[Wish]:
@@ -166,7 +168,7 @@ def _one(effect: str, scene: str, target: str, **more: object) -> Wish:
     return Wish("single", scene, ((effect, target),), **more)  # type: ignore[arg-type]
 
 
-SAMPLE: tuple[Wish, ...] = (
+_SAMPLE = (
     Wish("none", "arm2", noise=5e-4, seed=101),
     Wish("none", "servo_pendulum", velocities=False, seed=102),
     _one("coulomb_friction", "arm2", "elbow", velocities=False, seed=103),
@@ -185,4 +187,6 @@ SAMPLE: tuple[Wish, ...] = (
     ),
     Wish("outside", "servo_pendulum", outside=("UnevenFriction", "servo"), seed=112),
 )
+
+SAMPLE: tuple[Wish, ...] = tuple(dataclasses.replace(wish, short=True) for wish in _SAMPLE)
 """A fixed few that run with the tests."""

@@ -32,9 +32,9 @@ SCALES = (1.0, 1.6, 2.6, 0.5)
 
 
 @functools.cache
-def motion_of(name: str) -> Motion:
-    """What a scene does without effects."""
-    rig = RIGS[name]
+def motion_of(name: str, short: bool = False) -> Motion:
+    """What a scene does without effects; in a few short recordings."""
+    rig = RIGS[name].shorter() if short else RIGS[name]
     return observe(rig, rig.scene(), _record(rig, rig.scene(), [], None, 0.0, 7))
 
 
@@ -73,7 +73,7 @@ class Made:
 def size_up(wish: Wish) -> Made | None:
     """Chooses sizes at which every effect shows; at less noise if it must be; None if never."""
     rng = np.random.default_rng(wish.seed)
-    motion = motion_of(wish.scene)
+    motion = motion_of(wish.scene, wish.short)
     if wish.kind == "none":
         return Made((), None, (), wish.noise)
     for noise in sorted((n for n in NOISES if n <= wish.noise), reverse=True):
@@ -150,7 +150,7 @@ def make(wish: Wish, name: str, out: Path) -> dict[str, Any]:
         return entry | {"skipped": str(error)}
     if made is None:
         return entry | {"skipped": "not visible"}
-    rig = RIGS[wish.scene]
+    rig = motion_of(wish.scene, wish.short).rig
     recordings = _record(
         rig, rig.scene(), made.effects, made.other, made.noise, wish.seed, wish.velocities
     )
