@@ -18,15 +18,17 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from orbisim.errors import InputError
+from orbisim.errors import DivergedError, InputError, OrbiSimError
 from orbisim.progress import track
 from orbisim.tasks import storage
 from orbisim.tasks.base import Task
+from orbisim.tasks.episode import Episode
 from orbisim.tasks.frames import Camera, check_camera, with_frames
 from orbisim.tasks.registry import make
 from orbisim.tasks.sampling import episode_seed
 
 _CHUNK = 16
+_ATTEMPTS = 5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -181,14 +183,25 @@ def make_chunk(order: Order, numbers: Sequence[int], path: Path) -> None:
 
     def produce() -> Iterator[tuple[int, Any]]:
         for number in numbers:
-            subtask, index = order.entries[number]
-            seed = episode_seed(order.seed, order.task, subtask, index)
-            episode = task.episode(subtask, seed)
+            episode = _episode(task, order, *order.entries[number])
             if order.camera is not None:
-                episode = with_frames(episode, task.scene(subtask, seed), order.camera)
+                scene = task.scene(episode.subtask, episode.seed)
+                episode = with_frames(episode, scene, order.camera)
             yield number, episode
 
     storage.write_chunk(path, produce())
+
+
+def _episode(task: Task, order: Order, subtask: str, index: int) -> Episode:
+    """An episode of the collection; one whose simulation is unstable is drawn again."""
+    for attempt in range(_ATTEMPTS):
+        label = subtask if attempt == 0 else f"{subtask}#{attempt}"
+        seed = episode_seed(order.seed, order.task, label, index)
+        try:
+            return task.episode(subtask, seed)
+        except DivergedError as error:
+            last = error
+    raise OrbiSimError(f"{order.task}, {subtask}, episode {index}: {last}, {_ATTEMPTS} times over")
 
 
 Spread = Callable[[Order, Path, Sequence[range], int], Iterable[None]]

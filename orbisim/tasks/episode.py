@@ -6,8 +6,17 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import mujoco
 import numpy as np
 import numpy.typing as npt
+
+from orbisim.errors import DivergedError
+
+_UNSTABLE = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+)
 
 Floats = npt.NDArray[np.float64]
 
@@ -15,6 +24,16 @@ Floats = npt.NDArray[np.float64]
 def clock(steps: int, control_timestep: float) -> Floats:
     """Times of `steps` control steps and their end [steps+1], s."""
     return np.arange(steps + 1, dtype=np.float64) * np.float64(control_timestep)
+
+
+def check_stable(data: mujoco.MjData) -> None:
+    """Raises `DivergedError` if MuJoCo met a state that it could not use and reset it.
+
+    Args:
+      data: of a simulation that ran from its reset.
+    """
+    if any(int(data.warning[kind].number) for kind in _UNSTABLE):
+        raise DivergedError(f"the simulation became unstable before t = {data.time:g} s")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

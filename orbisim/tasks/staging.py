@@ -12,7 +12,7 @@ import numpy.typing as npt
 from orbisim.physics import read_state
 from orbisim.state import State
 from orbisim.tasks.arm import ArmController
-from orbisim.tasks.episode import Rollout, clock
+from orbisim.tasks.episode import Rollout, check_stable, clock
 from orbisim.tasks.motion import Director, Plan
 from orbisim.tasks.tabletop import Pose
 
@@ -92,6 +92,7 @@ def perform(
         ctrl.append(data.ctrl.copy())
         qpos.append(data.qpos.copy())
         qvel.append(data.qvel.copy())
+    check_stable(data)
     rollout = Rollout(
         time=clock(steps, control_timestep),
         qpos=np.array(qpos),

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from orbisim.episodes import Episodes
 from orbisim.scene import Scene
 from orbisim.tasks.base import Scripted, Task
-from orbisim.tasks.episode import Episode, Rollout, clock
+from orbisim.tasks.episode import Episode, Rollout, check_stable, clock
 from orbisim.tasks.sampling import stream
 from orbisim.tasks.suite_feedback import feedback, has_feedback
 from orbisim.tasks.suite_policies import Policy, held, noisy, reach, rhythm, smooth
@@ -149,6 +149,7 @@ def simulate(
         ctrl[t] = data.ctrl[:] = policy(data)
         mujoco.mj_step(model, data, substeps)
         states.append((data.qpos.copy(), data.qvel.copy(), data.act.copy()))
+    check_stable(data)
     qpos, qvel, act = (np.array(part) for part in zip(*states, strict=True))
     time = clock(steps, control_timestep)
     return Rollout(time, qpos, qvel, act, ctrl, ctrl)

@@ -13,7 +13,7 @@ from orbisim.episodes import Episodes
 from orbisim.scene import Scene
 from orbisim.tasks import assets
 from orbisim.tasks.base import Task
-from orbisim.tasks.episode import Episode, Floats, Rollout, clock
+from orbisim.tasks.episode import Episode, Floats, Rollout, check_stable, clock
 from orbisim.tasks.sampling import Range, stream
 from orbisim.tasks.single import passive_rollout, passive_trials
 from orbisim.tasks.views import Cast, make_episode
@@ -121,5 +121,6 @@ class Toss(Task):
             mujoco.mj_step(model, data, _SUBSTEPS)
             positions.append(data.qpos.copy())
             velocities.append(data.qvel.copy())
+        check_stable(data)
         time = clock(steps, self.control_timestep)
         return passive_rollout(time, np.array(positions), np.array(velocities))

@@ -230,3 +230,49 @@ def test_ray_gives_the_same_bytes(file: Path, tmp_path: Path) -> None:
     finally:
         ray.shutdown()
     assert (tmp_path / "ray.h5").read_bytes() == file.read_bytes()
+
+
+def test_an_unstable_episode_is_drawn_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from orbisim.errors import DivergedError, OrbiSimError
+    from orbisim.tasks.ball import Ball
+
+    made = Ball.episode
+    seeds: list[int] = []
+
+    def fails_first(self: Ball, subtask: str, seed: int) -> object:
+        seeds.append(seed)
+        if len(seeds) == 1:
+            raise DivergedError("unstable")
+        return made(self, subtask, seed)
+
+    monkeypatch.setattr(Ball, "episode", fails_first)
+    collect("ball", tmp_path / "ball.h5", episodes=1, workers=1)
+    with EpisodeFile(tmp_path / "ball.h5") as episodes:
+        assert episodes.attributes(0)["seed"] == seeds[1] != seeds[0]
+
+    def fails(self: Ball, subtask: str, seed: int) -> object:
+        raise DivergedError("unstable")
+
+    monkeypatch.setattr(Ball, "episode", fails)
+    with pytest.raises(OrbiSimError, match="throw, episode 0: unstable, 5 times"):
+        collect("ball", tmp_path / "never.h5", episodes=1, workers=1)
+
+
+def test_mujocos_resets_are_noticed() -> None:
+    import mujoco
+
+    from orbisim.errors import DivergedError
+    from orbisim.tasks.episode import check_stable
+
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data)
+    check_stable(data)
+    data.qvel[0] = 1e12
+    mujoco.mj_step(model, data)
+    with pytest.raises(DivergedError, match="unstable"):
+        check_stable(data)
