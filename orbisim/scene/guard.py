@@ -52,7 +52,7 @@ class Limits:
     """Bounds on reading one scene.
 
     Attributes:
-      seconds: wall-clock time.
+      seconds: time on the clock, less what the child waited for a processor on a busy machine.
       memory: bytes that may become resident on top of what the process holds already. (Address
         space is bounded far above it: MuJoCo reserves more than it touches.)
     """
@@ -242,7 +242,7 @@ class _Watch:
         return None
 
     def _check(self) -> None:
-        if time.monotonic() - self._start > self._limits.seconds:
+        if time.monotonic() - self._start - starved(self._pid) > self._limits.seconds:
             self.excess = f"reading it took more than {self._limits.seconds:.3g} s"
         elif _resident(self._pid) > self._held + self._limits.memory:
             self.excess = _too_large(self._limits)
@@ -263,6 +263,15 @@ def _resident(pid: int, field: int = 1) -> int:
             return int(statm.read().split()[field]) * os.sysconf("SC_PAGE_SIZE")
     except (OSError, ValueError, IndexError):
         return 0
+
+
+def starved(pid: int) -> float:
+    """Seconds that a process was ready to run and had no processor; 0 if unknown."""
+    try:
+        with open(f"/proc/{pid}/schedstat") as schedstat:  # noqa: PTH123 (as above)
+            return int(schedstat.read().split()[1]) * 1e-9
+    except (OSError, ValueError, IndexError):
+        return 0.0
 
 
 def _too_large(limits: Limits) -> str:

@@ -16,7 +16,7 @@ from typing import IO
 
 from orbisim.errors import MissingDependencyError, SceneError
 from orbisim.scene.confine import confinement
-from orbisim.scene.guard import Limits
+from orbisim.scene.guard import Limits, starved
 from orbisim.scene.usd.flat import FlatStage
 from orbisim.scene.usd.wire import decode
 
@@ -96,10 +96,12 @@ class _Conversation:
         self._input = own_size
         self._deadline = time.monotonic() + limits.seconds
         self._buffer = bytearray()
+        self._pid = 0
 
     def follow(
         self, child: subprocess.Popen[bytes], stream: IO[bytes], errors: IO[bytes]
     ) -> FlatStage:
+        self._pid = child.pid
         while True:
             kind, payload = self._message(stream)
             if kind == b"B":
@@ -140,7 +142,9 @@ class _Conversation:
 
     def _read(self, stream: IO[bytes], size: int) -> bytes:
         while len(self._buffer) < size:
-            ready, _, _ = select.select([stream], [], [], max(self._deadline - _now(), 0.0))
+            ready, _, _ = select.select([stream], [], [], max(self._left(), 0.0))
+            if not ready and self._left() > 0:
+                continue
             if not ready:
                 raise SceneError(
                     self._path,
@@ -155,9 +159,13 @@ class _Conversation:
         del self._buffer[:size]
         return taken
 
+    def _left(self) -> float:
+        """Seconds until it is over; what the child waits for a processor does not count."""
+        return self._deadline + starved(self._pid) - time.monotonic()
+
     def _crash(self, child: subprocess.Popen[bytes], errors: IO[bytes]) -> SceneError:
         """What to say about a process that ended without an answer."""
-        code = child.wait(timeout=max(self._deadline - _now(), 0.1))
+        code = child.wait(timeout=max(self._left(), 0.1))
         errors.seek(0)
         said = errors.read(_MEGABYTE).decode(errors="replace")
         if "bad_alloc" in said or "MemoryError" in said or "length_error" in said:
@@ -172,7 +180,3 @@ class _Conversation:
             )
         last = said.strip().splitlines()[-1:] or [f"exit status {code}"]
         return SceneError(self._path, f"OpenUSD's parser gave up on it ({last[0]})")
-
-
-def _now() -> float:
-    return time.monotonic()
