@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.errors import UnknownNameError
+from orbisim.tasks.suite_gaits import GAITS, gait_policy
 from orbisim.tasks.suite_policies import Policy, limits
 
 Floats = npt.NDArray[np.float64]
@@ -107,25 +108,39 @@ def _cartpole(model: mujoco.MjModel, step: float) -> Policy:
 
 
 def _acrobot(model: mujoco.MjModel, step: float) -> Policy:
-    """Pumps by moving the lower arm with the upper arm's swing (Spong 1995), then a regulator."""
+    """Pumps energy through the elbow while it pulls the arm straight, then a regulator."""
     gain = lqr(model, step, np.array([10.0, 10.0, 1.0, 1.0]), 1.0)[0]
+    scratch = mujoco.MjData(model)
+    top = energy(model, scratch, np.zeros(2), np.zeros(2))
 
     def policy(data: mujoco.MjData) -> Floats:
         q = np.array([wrap(float(a)) for a in data.qpos])
         v = np.array(data.qvel)
-        if abs(q[0]) < 0.2 and abs(q[1]) < 0.3 and np.abs(v).max() < 2.0:
-            return -(gain @ np.concatenate([q, v]))[None]
-        wanted = 1.2 * np.arctan(2.0 * v[0])
-        return np.array([4.0 * (wanted - q[1]) - 0.5 * v[1]])
+        wanted = -float(gain @ np.concatenate([q, v]))
+        if np.abs(q).max() < 0.45 and abs(wanted) < 15.0:
+            return np.array([wanted])
+        missing = top - energy(model, scratch, q, v)
+        return np.array([-0.73 * q[1] - 0.1 * v[1] + 0.5 * missing * v[1]])
 
     return policy
+
+
+def energy(model: mujoco.MjModel, scratch: mujoco.MjData, qpos: Floats, qvel: Floats) -> float:
+    """Potential and kinetic energy of a state, J."""
+    scratch.qpos[:], scratch.qvel[:] = qpos, qvel
+    mujoco.mj_kinematics(model, scratch)
+    mujoco.mj_comPos(model, scratch)
+    mujoco.mj_crb(model, scratch)
+    mujoco.mj_energyPos(model, scratch)
+    mujoco.mj_energyVel(model, scratch)
+    return float(scratch.energy.sum())
 
 
 def _point_mass(model: mujoco.MjModel, step: float) -> Policy:
     """Drives the mass to the middle."""
 
     def policy(data: mujoco.MjData) -> Floats:
-        force = -4.0 * np.array(data.qpos) - 1.5 * np.array(data.qvel)
+        force = -20.0 * np.array(data.qpos) - 5.0 * np.array(data.qvel)
         axes = np.array([_tendon_row(model, i) for i in range(model.nu)])
         return np.linalg.solve(axes, force)
 
@@ -159,19 +174,8 @@ def _reacher(model: mujoco.MjModel, step: float) -> Policy:
     return policy
 
 
-def _gait(
-    frequency: float, amplitude: tuple[float, ...], phase: tuple[float, ...], damping: float
-) -> Maker:
-    def make(model: mujoco.MjModel, step: float) -> Policy:
-        size, shift = np.array(amplitude), np.array(phase)
-
-        def policy(data: mujoco.MjData) -> Floats:
-            wave = size * np.sin(2 * np.pi * frequency * data.time + shift)
-            return wave - damping * np.array(data.qvel[-model.nu :])
-
-        return policy
-
-    return make
+def _gait(domain: str) -> Maker:
+    return lambda model, step: gait_policy(GAITS[domain], model)
 
 
 _MAKERS: dict[str, Maker] = {
@@ -180,8 +184,5 @@ _MAKERS: dict[str, Maker] = {
     "acrobot": _acrobot,
     "point_mass": _point_mass,
     "reacher": _reacher,
-    "finger": _gait(1.5, (1.0, 1.0), (0.0, 1.3), 0.02),
-    "cheetah": _gait(2.5, (1.0, 0.8, 0.6, 0.9, 0.8, 0.6), (0, 0.8, 1.6, 3.0, 3.8, 4.6), 0.02),
-    "hopper": _gait(1.5, (0.2, 0.5, 0.9, 0.5), (0.0, 0.6, 1.9, 2.6), 0.02),
-    "walker": _gait(1.2, (0.8, 0.6, 0.4, 0.8, 0.6, 0.4), (0, 1.2, 2.0, 3.14, 4.34, 5.14), 0.02),
+    **{domain: _gait(domain) for domain in GAITS},
 }
