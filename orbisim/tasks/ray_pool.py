@@ -62,7 +62,7 @@ def _spread(
 
 def chunk_bytes(order: Any, numbers: Sequence[int]) -> bytes:
     """A chunk as the bytes of its file."""
-    from orbisim.tasks.collect import make_chunk
+    from orbisim.tasks.orders import make_chunk
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "chunk.h5"
