@@ -14,7 +14,7 @@ from orbisim.tasks.armtask import ArmTask
 from orbisim.tasks.motion import Hold, Move, nearest_turn, wander
 from orbisim.tasks.sampling import Range
 from orbisim.tasks.staging import Script
-from orbisim.tasks.tabletop import Pose, Setting, TabletopConfig, on_table, scatter
+from orbisim.tasks.tabletop import SETTLED, Pose, Setting, TabletopConfig, on_table, scatter
 
 Floats = npt.NDArray[np.float64]
 
@@ -173,7 +173,7 @@ def draw_hit(
 
 
 def _at(spot: Floats, half: float, yaw: float) -> Pose:
-    return Pose((float(spot[0]), float(spot[1]), half), yaw)
+    return Pose((float(spot[0]), float(spot[1]), half - SETTLED), yaw)
 
 
 def slide(speed: float) -> float:

@@ -18,6 +18,10 @@ TABLE_LOW, TABLE_HIGH = np.array([0.15, -0.4]), np.array([0.95, 0.4])
 """Corners of the table top at z = 0, m; the arm's base is at the origin."""
 
 
+SETTLED = 1.08e-4
+"""How far a cube sinks into the table's soft contact, whatever its mass, m."""
+
+
 @dataclasses.dataclass(frozen=True)
 class TabletopConfig:
     """What a table-top scene is drawn from.
@@ -128,7 +132,7 @@ def scatter(
         spot = np.array([rng.uniform(*config.x), rng.uniform(*config.y)])
         yaw = rng.uniform(-np.pi, np.pi)
         if all(_apart(spot, half, p, setting.cubes[i].half, gap) for i, p in enumerate(poses)):
-            poses.append(Pose((float(spot[0]), float(spot[1]), half), yaw))
+            poses.append(Pose((float(spot[0]), float(spot[1]), half - SETTLED), yaw))
     return poses
 
 
@@ -137,12 +141,12 @@ def tower(
 ) -> list[Pose]:
     """The first `height` cubes on top of one another, not quite straight; the others beside."""
     poses = scatter(setting, config, rng, gap=0.06)
-    x, y, top = poses[0].pos[0], poses[0].pos[1], 0.0
+    x, y, top = poses[0].pos[0], poses[0].pos[1], -SETTLED
     for i, cube in enumerate(setting.cubes[:height]):
         dx, dy = rng.uniform(-0.15, 0.15, 2) * cube.half if i else (0.0, 0.0)
         yaw = poses[0].yaw + rng.uniform(-0.3, 0.3)
         poses[i] = Pose((float(x + dx), float(y + dy), top + cube.half), yaw)
-        top += 2 * cube.half
+        top += 2 * cube.half - SETTLED
     return poses
 
 

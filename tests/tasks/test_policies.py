@@ -80,3 +80,8 @@ def test_settings_are_within_their_ranges() -> None:
             half = model.geom(name).size[0]
             assert 0.021 <= half <= 0.022
             assert model.body(name).mass[0] == pytest.approx(400.0 * (2 * half) ** 3)
+
+
+def test_cubes_rest_from_the_start() -> None:
+    episode = tasks.make("push").episode("to_hit", 1)
+    assert np.abs(episode.arrays["objects/linvel"][:5]).max() < 1e-4
