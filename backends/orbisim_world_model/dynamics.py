@@ -117,7 +117,7 @@ class Dynamics(nn.Module):
             return self._advanced(x, out, base)
 
     def _advanced(self, x: Entities, out: Outputs, base: Entities | None) -> Step:
-        raw = Raw(self.robot_scale.undo(out.robot.float()), self._undo_objects(out.objects))
+        raw = Raw(*self._unscaled(out, x.pos.dtype))
         if base is None:
             state = advance(x, raw, self.layout.timestep, self.config)
         else:
@@ -186,8 +186,11 @@ class Dynamics(nn.Module):
         if self.config.residual:
             _share(self.object_scale.std, ((0, 3), (3, 7), (7, 10), (10, 13)))
 
-    def _undo_objects(self, objects: Tensor) -> Tensor:
-        return self.object_scale.undo(objects.float())
+    def _unscaled(self, out: Outputs, dtype: Any) -> tuple[Tensor, Tensor]:
+        """The decoder's numbers in SI units."""
+        return self.robot_scale.undo(out.robot.to(dtype)), self.object_scale.undo(
+            out.objects.to(dtype)
+        )
 
     def _cast(self, inputs: Inputs) -> Inputs:
         """To the network's own type, where it was converted to half precision."""

@@ -70,6 +70,10 @@ def smooth(a: Tensor, b: Tensor) -> Tensor:
     return smooth_l1_loss(a, b, reduction="none").mean(-1)
 
 
+_FLOORS = [1e-5, 1e-4, 1e-4, 1e-3]
+"""Least scales of position (m), rotation (rad), velocity (m/s) and angular velocity (rad/s)."""
+
+
 class Scales(NamedTuple):
     """The typical change over one step, by which errors are divided.
 
@@ -143,4 +147,6 @@ def measure_scales(x: Entities, after: Entities, mask: Tensor, layout: Layout) -
         turn = logarithm(multiply(after.quat, conjugate(x.quat)))
         changes = (after.pos - x.pos, turn, after.vel - x.vel, after.ang - x.ang)
         objects = torch.stack([rms(change, mask) for change in changes])
+    floors = torch.tensor(_FLOORS, device=x.pos.device)
+    hand, objects = torch.maximum(hand, floors), torch.maximum(objects, floors)
     return Scales(each(after.q - x.q), each(after.v - x.v), each(after.act - x.act), hand, objects)

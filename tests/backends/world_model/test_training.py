@@ -1,0 +1,204 @@
+"""Training: resuming, many processes, learning something."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from orbisim.errors import InputError
+from orbisim_world_model.checkpoint import load_checkpoint
+from orbisim_world_model.config import Config, replaced
+from orbisim_world_model.evaluate import constant_velocity, evaluate
+from orbisim_world_model.pack import Pack, joined
+from orbisim_world_model.presets import PRESETS, preset
+from orbisim_world_model.run import Run, train
+from orbisim_world_model.schedule import Clock, learning_rate, stage_at
+from orbisim_world_model.trainer import Trainer
+from tests.backends.world_model.conftest import toy
+from tests.backends.world_model.synthetic import BOX, PENDULUM, TABLE, simulate
+
+ROOT = Path(__file__).parents[3]
+STAGES = "0.5x2x16,0.5x3x8ar"
+
+
+def _weights(folder: Path) -> dict[str, torch.Tensor]:
+    found: dict[str, torch.Tensor] = load_file(str(folder / "training.safetensors"))
+    return found
+
+
+@pytest.mark.parametrize("name", ["default", "paper", "dreamer"])
+def test_a_killed_training_goes_on_exactly_where_it_was(name: str, tmp_path: Path) -> None:
+    pack = simulate(TABLE, 4, 20, 4)
+    config = toy(name, STAGES)
+    train(pack, config, Run(out=tmp_path / "whole", steps=12, log_every=4))
+
+    class Killed(Exception):
+        pass
+
+    def kill(line: dict[str, float]) -> None:
+        if line["step"] == 8:
+            raise Killed
+
+    run = Run(out=tmp_path / "parts", steps=12, log_every=4, save_every=0.0)
+    with pytest.raises(Killed):
+        train(pack, config, run, kill)
+    train(pack, config, Run(out=tmp_path / "parts", steps=12, log_every=4, resume=True))
+    whole, parts = _weights(tmp_path / "whole"), _weights(tmp_path / "parts")
+    assert whole.keys() == parts.keys()
+    for tensor_name, tensor in whole.items():
+        assert torch.equal(tensor, parts[tensor_name]), tensor_name
+
+
+def test_a_training_is_not_resumed_with_other_settings(tmp_path: Path) -> None:
+    pack = simulate(PENDULUM, 4, 20, 2)
+    train(pack, toy(), Run(out=tmp_path, steps=2))
+    with pytest.raises(InputError, match="another configuration"):
+        train(pack, toy("no_noise"), Run(out=tmp_path, steps=4, resume=True))
+    with pytest.raises(InputError, match="--seed 0, not 1"):
+        train(pack, toy(), Run(out=tmp_path, steps=4, resume=True, seed=1))
+    with pytest.raises(InputError, match="budget"):
+        train(pack, toy(), Run(out=tmp_path))
+
+
+_WORKER = """
+import sys
+from pathlib import Path
+import torch
+torch.set_num_threads(1)
+from orbisim_world_model.pack import Pack
+from orbisim_world_model.run import Run, train
+from tests.backends.world_model.conftest import toy
+pack = Pack.load(sys.argv[1])
+train(pack, toy("default", "1x2x16"), Run(out=Path(sys.argv[2]), steps=5))
+"""
+
+
+def test_two_processes_train_as_one(tmp_path: Path) -> None:
+    simulate(TABLE, 4, 20, 4).save(tmp_path / "data.pack")
+    script = tmp_path / "worker.py"
+    script.write_text(_WORKER)
+    paths = f"{ROOT}{os.pathsep}{ROOT / 'backends'}"
+    environment = {**os.environ, "PYTHONPATH": paths, "OMP_NUM_THREADS": "1"}
+    alone = [sys.executable, str(script)]
+    pair = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node=2", "--standalone"]
+    for command, out in ((alone, "one"), ([*pair, str(script)], "two")):
+        arguments = [*command, str(tmp_path / "data.pack"), str(tmp_path / out)]
+        done = subprocess.run(arguments, env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr[-2000:]
+    one, two = _weights(tmp_path / "one"), _weights(tmp_path / "two")
+    for name, tensor in one.items():
+        torch.testing.assert_close(two[name], tensor, atol=2e-5, rtol=1e-3, msg=name)
+    manifest = json.loads((tmp_path / "two" / "manifest.json").read_text())
+    assert manifest["training"]["processes"] == 2
+
+
+@pytest.mark.parametrize("xml", [PENDULUM, BOX])
+def test_a_toy_model_beats_constant_velocity(xml: str, tmp_path: Path) -> None:
+    pack = simulate(xml, 24, 40, 2)
+    config = toy("default", "0.8x1x256,0.2x4x32ar", train__rate="3e-3")
+    train(pack, config, Run(out=tmp_path, steps=150, horizons=(10,)))
+    held = simulate(xml, 8, 40, 2, seed=9)
+    model = load_checkpoint(tmp_path).model
+    ours = evaluate(model, held, (10,))["10"]
+    theirs = evaluate(constant_velocity(held, config.model), held, (10,))["10"]
+    assert ours["trajerr"]["median"] < 0.5 * theirs["trajerr"]["median"]
+
+
+def test_a_time_limit_ends_with_the_whole_schedule(tmp_path: Path) -> None:
+    pack = simulate(PENDULUM, 4, 20, 2)
+    train(pack, toy("default", STAGES), Run(out=tmp_path, limit=2.0, log_every=1))
+    lines = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
+    assert lines[-1]["rate"] < 0.1 * max(line["rate"] for line in lines)
+    assert lines[-1]["ratio"] > 0.8
+    manifest = json.loads((tmp_path / "manifest.json").read_text())
+    assert manifest["training"]["finished"]
+    assert 2.0 <= manifest["training"]["seconds"] < 10.0
+
+
+@pytest.mark.parametrize("name", sorted(PRESETS))
+def test_every_configuration_trains(name: str) -> None:
+    if name == "constant_velocity":
+        return
+    pack = simulate(TABLE, 3, 12, 4)
+    if name == "hybrid":
+        pack = _with_predictions(pack)
+    config = toy(name, "1x1x8" if name == "hybrid" else "1x2x8ar")
+    trainer = Trainer(pack, config, Clock(2, None))
+    before = trainer.optimizer.values.clone()
+    for _ in range(2):
+        trainer.step()
+    losses = trainer.losses()
+    assert losses["skipped"] == 0
+    assert losses["state_loss"] > 0
+    assert not torch.equal(before, trainer.optimizer.values)
+    assert Config.from_dict(json.loads(json.dumps(config.to_dict()))) == config
+
+
+def _with_predictions(pack: Pack) -> Pack:
+    import dataclasses
+
+    return dataclasses.replace(pack, base=torch.cat([pack.qpos, pack.qvel, pack.act], dim=1))
+
+
+def test_a_gradient_that_is_not_finite_changes_nothing() -> None:
+    trainer = Trainer(simulate(PENDULUM, 3, 12, 2), toy(), Clock(2, None))
+    before = trainer.optimizer.values.clone()
+    trainer.optimizer.rate.fill_(1e-3)
+    trainer.optimizer.gradient.fill_(float("nan"))
+    trainer.optimizer.step()
+    assert torch.equal(trainer.optimizer.values, before)
+    trainer.optimizer.gradient.fill_(1.0)
+    trainer.optimizer.step()
+    assert torch.isfinite(trainer.optimizer.values).all()
+    assert not torch.equal(trainer.optimizer.values, before)
+
+
+def test_the_optimizer_is_adamw() -> None:
+    trainer = Trainer(simulate(PENDULUM, 3, 12, 2), toy(), Clock(2, None))
+    ours = trainer.optimizer
+    reference = torch.nn.Parameter(ours.values.clone())
+    theirs = torch.optim.AdamW([reference], lr=1e-3, betas=(0.9, 0.98), eps=1e-9, weight_decay=0.0)
+    ours.decayed.zero_()
+    ours.rate.fill_(1e-3)
+    for seed in range(5):
+        gradient = torch.randn(len(reference), generator=torch.Generator().manual_seed(seed))
+        gradient /= 10 * gradient.norm()
+        ours.gradient.copy_(gradient)
+        reference.grad = gradient.clone()
+        ours.step()
+        theirs.step()
+    torch.testing.assert_close(ours.values, reference.data, atol=1e-6, rtol=1e-5)
+
+
+def test_the_schedule() -> None:
+    config = replaced(preset("default"), {"train.stages": "0.5x1x8,0.5x2x4ar"}).train
+    assert stage_at(config, 0.0) == (0, 0.0)
+    assert stage_at(config, 0.75) == (1, 0.5)
+    assert stage_at(config, 1.0) == (1, 1.0)
+    rates = [learning_rate(config, p / 100) for p in range(101)]
+    assert max(rates) == pytest.approx(config.rate, rel=1e-3)
+    assert rates[-1] == pytest.approx(config.final_rate)
+    assert rates[0] < 0.1 * config.rate
+
+
+def test_packs_of_scenes_with_fewer_objects_are_joined(tmp_path: Path) -> None:
+    large = simulate(TABLE, 2, 10, 4)
+    start = TABLE.index('<body name="two"')
+    small = simulate(TABLE[:start] + TABLE[TABLE.index("</worldbody>") :], 2, 10, 4)
+    both = joined([small, large])
+    assert both.mask.tolist() == [[1, 0], [1, 0], [1, 1], [1, 1]]
+    x = both.states(torch.arange(5))
+    expected = small.states(torch.arange(5))
+    torch.testing.assert_close(x.pos[:, :1], expected.pos)
+    torch.testing.assert_close(x.q, expected.q)
+    both.save(tmp_path / "both.pack")
+    again = Pack.load(tmp_path / "both.pack")
+    torch.testing.assert_close(again.hand, both.hand, atol=1e-6, rtol=0)
+    assert again.layout == both.layout
