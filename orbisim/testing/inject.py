@@ -81,7 +81,8 @@ def inject_effect(
     planned = _excitation(scene, controls, starts, duration + extra / rate, rate, episodes, seed)
     simulated = [one for one in wanted if not find(one.effect).measurement]
     try:
-        run = _simulate(scene, add_effects(scene, simulated), planned, nstep, hooks)
+        true = add_effects(scene, simulated)
+        run = _simulate(scene, true, planned, (nstep, 1 if extra else nstep), hooks)
     except DivergedError as error:
         names = ", ".join(map(str, wanted)) or "no effect"
         raise DivergedError(f"injecting {names}: {error}", error.worlds) from None
@@ -186,10 +187,11 @@ def _simulate(
     scene: Scene,
     true: Scene,
     planned: Excitation,
-    nstep: int,
+    steps: tuple[int, int],
     hooks: Callable[[mujoco.MjModel], Sequence[Hook]] | None,
 ) -> _Run:
-    """Runs the true scene, recording the declared state at every timestep."""
+    """Runs the true scene; `steps`: timesteps of a control, and between recorded states."""
+    nstep, stride = steps
     count, worlds = planned.reference.shape[1], len(planned.qpos)
     engine = _HookedBackend(hooks, worlds)
     engine.load(true)
@@ -200,16 +202,15 @@ def _simulate(
     qpos, qvel, held = [planned.qpos], [planned.qvel], []
     for k in range(count):
         ctrl = np.clip(planned.control(k, qpos[-1], qvel[-1]), *limits)
-        part = engine.rollout(
-            state, ctrl[:, None].repeat(nstep, axis=1), sensors=False, raise_on_divergence=True
-        )
+        same = ctrl[:, None].repeat(nstep // stride, axis=1)
+        part = engine.rollout(state, same, nstep=stride, sensors=False, raise_on_divergence=True)
         state = part.final
-        for i in range(nstep):
+        for i in range(nstep // stride):
             qpos.append(part.qpos[:, i][:, layout.q])
             qvel.append(part.qvel[:, i][:, layout.v])
             held.append(ctrl)
     held.append(ctrl)
-    time = np.arange(count * nstep + 1) * float(scene.model.opt.timestep)
+    time = np.asarray(np.arange(len(held)) * stride * scene.model.opt.timestep, np.float64)
     return _Run(time, np.stack(qpos, 1), np.stack(qvel, 1), np.stack(held, 1))
 
 

@@ -175,9 +175,9 @@ _SAMPLE = (
     _one("viscous_damping", "cart_pole", "cart", noise=5e-4, wrong="mass", seed=104),
     _one("torque_gain", "arm2", "shoulder", noise=5e-4, seed=105),
     _one("actuator_lag", "servo_pendulum", "servo", seed=106),
-    _one("quadratic_drag", "bouncing_ball", "ball", seed=107),
+    _one("quadratic_damping", "cart_pole", "pole", seed=107),
     _one("sliding_friction", "puck", "puck", seed=108),
-    _one("payload", "servo_pendulum", "rod", noise=5e-4, velocities=False, seed=109),
+    _one("payload", "servo_pendulum", "rod", velocities=False, seed=109),
     _one("clock_skew", "cart_pole", "recording", seed=110),
     Wish(
         "pair",

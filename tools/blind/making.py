@@ -27,8 +27,8 @@ WINDOW = 0.5
 """Duration of the windows in which an effect must show, s."""
 VISIBLE = 10.0
 """Shift over noise from which an effect counts as visible."""
-SCALES = (1.0, 1.6, 2.6, 0.5)
-"""Sizes that are tried in turn, over the usual one."""
+TRIES, LARGER, SMALLER = 6, 1.7, 0.4
+"""How often another size is tried: larger if nothing shows, smaller if the scene breaks."""
 
 
 @functools.cache
@@ -78,44 +78,46 @@ def size_up(wish: Wish) -> Made | None:
         return Made((), None, (), wish.noise)
     for noise in sorted((n for n in NOISES if n <= wish.noise), reverse=True):
         if wish.outside is not None:
-            kind, target = wish.outside
-            for scale in SCALES:
-                other = outside(kind, motion, target, rng, scale)
-                shift = _shift(wish, motion, (), other)
-                if shift is not None and shift >= VISIBLE * noise:
-                    return Made((), other, (shift / noise,), noise)
+            one = _visible(wish, motion, wish.outside, rng, noise)
+            if one is not None and isinstance(one[0], Outside):
+                return Made((), one[0], (one[1] / noise,), noise)
             continue
-        found = [_visible(wish, motion, *one, rng, noise) for one in wish.effects]
-        if all(one is not None for one in found):
-            chosen = tuple(one[0] for one in found if one is not None)
-            if _shift(wish, motion, chosen, None) is not None:
-                shifts = tuple(one[1] / noise for one in found if one is not None)
-                return Made(chosen, None, shifts, noise)
+        found = [_visible(wish, motion, one, rng, noise) for one in wish.effects]
+        chosen = tuple(one[0] for one in found if one and isinstance(one[0], EffectInstance))
+        if len(chosen) == len(found) and _shift(wish, motion, chosen) is not None:
+            return Made(chosen, None, tuple(one[1] / noise for one in found if one), noise)
     return None
 
 
 def _visible(
     wish: Wish,
     motion: Motion,
-    effect: str,
-    target: str,
+    what: tuple[str, str],
     rng: np.random.Generator,
     noise: float,
-) -> tuple[EffectInstance, float] | None:
-    for scale in SCALES:
-        instance = sized(effect, motion, target, rng, scale)
-        shift = _shift(wish, motion, (instance,), None)
+) -> tuple[EffectInstance | Outside, float] | None:
+    """An effect of a size that shows, and how far it shifts the motion."""
+    scale = 1.0
+    for _ in range(TRIES):
+        if wish.outside is None:
+            one: EffectInstance | Outside = sized(what[0], motion, what[1], rng, scale)
+        else:
+            one = outside(what[0], motion, what[1], rng, scale)
+        shift = _shift(wish, motion, one)
         if shift is not None and shift >= VISIBLE * noise:
-            return instance, shift
+            return one, shift
+        scale *= SMALLER if shift is None else LARGER
     return None
 
 
 def _shift(
-    wish: Wish, motion: Motion, effects: Sequence[EffectInstance], other: Outside | None
+    wish: Wish, motion: Motion, what: EffectInstance | Outside | Sequence[EffectInstance]
 ) -> float | None:
     """How far the declared scene misses noise-free recordings within windows (RMS of the signal
     that is worst), rad or m; None if the scene no longer works with the effect.
     """
+    other = what if isinstance(what, Outside) else None
+    effects = () if other else [what] if isinstance(what, EffectInstance) else list(what)
     try:
         clean = _record(motion.rig, motion.scene, effects, other, 0.0, wish.seed)
     except OrbiSimError:
