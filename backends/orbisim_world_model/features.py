@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from orbisim_world_model.config import ModelConfig
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.layout import Layout
-from orbisim_world_model.rotation import rotate_back, to_matrix
+from orbisim_world_model.rotation import product, rotate_back, to_matrix
 
 _LINEAR, _ANGULAR, _HEIGHT, _NEAR = 0.02, 0.2, 0.005, 0.05
 """Scales below which velocities (m/s, rad/s), heights and distances (m) are seen finely."""
@@ -46,8 +46,8 @@ class Features(nn.Module):
         """[B, F]: joint coordinates and the hand; the paper's state has the hand alone."""
         if not self.config.extended:
             return x.hand[:, :15]  # position, rotation matrix, linear velocity
-        angles = x.q[:, self.turning]
-        parts = [x.q[:, self.plain], angles.sin(), angles.cos(), x.v, x.act, x.hand]
+        angles = x.q.index_select(1, self.turning)
+        parts = [x.q.index_select(1, self.plain), angles.sin(), angles.cos(), x.v, x.act, x.hand]
         return torch.cat(parts, dim=-1)
 
     def objects(self, x: Entities, context: Context) -> Tensor:
@@ -67,8 +67,11 @@ class Features(nn.Module):
 
     def corner_heights(self, x: Entities, up: Tensor, context: Context) -> Tensor:
         """[B, N, 16]: heights of a box's corners over the ground, as they are and finely."""
-        half = context.attributes[..., self.sizes]
-        height = x.pos[..., 2:] - self.layout.ground + (up * half) @ self.corners  # [B, N, 8]
+        half = context.attributes.index_select(2, self.sizes)
+        # [B, N, 8]
+        height = (
+            x.pos[..., 2:] - self.layout.ground + ((up * half)[..., None] * self.corners).sum(-2)
+        )
         return torch.cat([height, fine(height, _HEIGHT)], dim=-1)
 
     def edges(self, x: Entities) -> Tensor:
@@ -84,7 +87,7 @@ class Features(nn.Module):
             return rotate_back(seen, vector[:, None, :] - vector[:, :, None])
 
         offset = from_i(pos)
-        turn = seen.transpose(-1, -2) @ rot[:, None]  # [B, K, K, 3, 3]
+        turn = product(seen.transpose(-1, -2), rot[:, None])  # [B, K, K, 3, 3]
         parts = [offset, fine(offset, _NEAR), turn[..., :2].flatten(-2), from_i(vel), from_i(ang)]
         return torch.cat(parts, dim=-1)
 
@@ -110,7 +113,8 @@ class Features(nn.Module):
         """[B, U + servos]: the control, and how far the joints are from where it wants them."""
         if not len(self.servos):
             return control
-        return torch.cat([control, control[:, self.servos] - x.q[:, self.served]], dim=1)
+        distance = control.index_select(1, self.servos) - x.q.index_select(1, self.served)
+        return torch.cat([control, distance], dim=1)
 
     def _index(self, name: str, values: Sequence[int]) -> None:
         self.register_buffer(name, torch.tensor(values, dtype=torch.long), persistent=False)

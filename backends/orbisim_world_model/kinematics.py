@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from orbisim_world_model.layout import Layout
+from orbisim_world_model.rotation import product
 
 
 class Kinematics(nn.Module):
@@ -30,13 +31,13 @@ class Kinematics(nn.Module):
 
     def forward(self, q: Tensor, v: Tensor) -> Tensor:
         """The hand [B, 18] of joint positions and velocities [B, J] (see `Entities.hand`)."""
-        q, v = q[:, self.joints], v[:, self.joints]  # [B, C]
+        q, v = q.index_select(1, self.joints), v.index_select(1, self.joints)  # [B, C]
         terms = torch.stack([torch.ones_like(q), q.sin(), q.cos(), q], dim=-1)  # [B, C, 4]
-        local = torch.einsum("bck,ckmn->bcmn", terms, self.basis.to(q.dtype))  # [B, C, 4, 4]
+        local = (terms[..., None, None] * self.basis).sum(2)  # [B, C, 4, 4]
         frames = [local[:, 0]]
         for joint in range(1, local.shape[1]):
-            frames.append(frames[-1] @ local[:, joint])
-        hand = frames[-1] @ self.tip.to(q.dtype)
+            frames.append(product(frames[-1], local[:, joint]))
+        hand = product(frames[-1], self.tip)
         stacked = torch.stack(frames, dim=1)  # [B, C, 4, 4]
         axis, anchor = stacked[..., :3, 2], stacked[..., :3, 3]  # [B, C, 3]
         turning = axis * (v * self.turns)[..., None]

@@ -21,8 +21,9 @@ def start(device: str) -> torch.device:
 
 
 def stop() -> None:
-    """Leaves the group."""
-    if distributed.is_available() and distributed.is_initialized():
+    """Waits for the others and leaves the group."""
+    if _on():
+        distributed.barrier()
         distributed.destroy_process_group()
 
 

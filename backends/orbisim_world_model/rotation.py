@@ -73,6 +73,14 @@ def quaternion_distance(a: Tensor, b: Tensor) -> Tensor:
     return 1.0 - (normalized(a) * normalized(b)).sum(-1).square()
 
 
+def product(a: Tensor, b: Tensor) -> Tensor:
+    """Matrix product of small matrices [..., n, n].
+
+    By multiplication and summation, since a GPU's matrix units may round to ten bits.
+    """
+    return (a[..., :, :, None] * b[..., None, :, :]).sum(-2)
+
+
 def rotate(matrix: Tensor, vector: Tensor) -> Tensor:
     """Matrix [..., 3, 3] times vector [..., 3]."""
     return (matrix * vector[..., None, :]).sum(-1)

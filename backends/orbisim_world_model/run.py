@@ -104,6 +104,7 @@ def train(
         manifest = _save(trainer, run, spare)
         draw_curves(run.out / METRICS, run.out / "curves.png")
         write_card(run.out, manifest)
+    parallel.stop()
     return manifest
 
 

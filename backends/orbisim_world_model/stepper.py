@@ -42,10 +42,11 @@ class Stepper:
             if not self.on_gpu:
                 step = self.model(x, memory, control, context)
                 return step.state, step.memory
-            slot = self._slot(x, memory, control, context)
-            slot.load(x, memory, control, context)
-            state, h = slot.run()
-            return Entities(*(field.clone() for field in state)), h.clone()
+            with torch.cuda.device(self.device):
+                slot = self._slot(x, memory, control, context)
+                slot.load(x, memory, control, context)
+                state, h = slot.run()
+                return Entities(*(field.clone() for field in state)), h.clone()
 
     def completed(self, x: Entities) -> Entities:
         """The state with the hand that follows from the joints."""

@@ -70,6 +70,8 @@ class Trainer:
         self.ratio.fill_(autoregressive_ratio(stage, within))
         self.optimizer.rate.fill_(learning_rate(config, progress))
         self._load(stage)
+        if self.config.model.kind == "dreamer":  # draws its latents from torch's own generator
+            torch.manual_seed(self.seed * 1_000_003 + clock.done)
         self._losses.append(self._run().clone())
         clock.done += 1
         if clock.done % 16 == 0 and self.graph:

@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-
-from orbisim import Physics, load_scene, make_backend
-from orbisim.errors import InputError, UnsupportedSceneError
-from orbisim.state import State
-from orbisim.testing import scenes
 from orbisim_world_model.backend import LearnedBackend, OutsideTrainingWarning
 from orbisim_world_model.baseline import with_baseline
 from orbisim_world_model.checkpoint import load_checkpoint
 from orbisim_world_model.engine import MEMORY
 from orbisim_world_model.pack import Pack
 from orbisim_world_model.run import Run, train
+
+from orbisim import Physics, load_scene, make_backend
+from orbisim.errors import InputError, UnsupportedSceneError
+from orbisim.state import State
+from orbisim.testing import scenes
 from tests.backends.world_model.conftest import toy
 from tests.backends.world_model.synthetic import BOX, PENDULUM, TABLE, simulate
 
@@ -187,7 +187,9 @@ def test_a_correction_closes_the_gap(corrected: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", OutsideTrainingWarning)
         hybrid = make_backend(f"hybrid:{corrected}", load_scene(PENDULUM))
-        start = State(np.zeros(4), np.linspace(-1, 1, 4)[:, None], np.zeros((4, 1)), np.zeros((4, 0)))
+        start = State(
+            np.zeros(4), np.linspace(-1, 1, 4)[:, None], np.zeros((4, 1)), np.zeros((4, 0))
+        )
         controls = np.full((25, 1), 0.3)
         expected = truth.rollout(start, controls, nstep=2).qpos
         before = np.abs(declared.rollout(start, controls, nstep=2).qpos - expected).mean()

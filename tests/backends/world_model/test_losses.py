@@ -6,19 +6,19 @@ import math
 
 import pytest
 import torch
-
 from orbisim_world_model.config import Stage
 from orbisim_world_model.losses import (
     encoding_loss,
+    measure_scales,
     object_loss,
     robot_loss,
     scaled_state_loss,
-    measure_scales,
     state_loss,
     transition_loss,
 )
 from orbisim_world_model.rotation import exponential, geodesic_distance, multiply, to_matrix
 from orbisim_world_model.unroll import autoregressive_ratio
+
 from tests.backends.world_model.synthetic import TABLE, simulate
 
 
@@ -57,7 +57,9 @@ def test_robot_and_object_parts() -> None:
     moved = x._replace(pos=x.pos + torch.tensor([0.1, 0.0, 0.0]))
     assert torch.allclose(object_loss(moved, x, mask), torch.tensor(0.5 * 0.01 / 3), atol=1e-6)
     assert float(robot_loss(moved, x, pack.layout).max()) < 1e-5
-    turned = x._replace(quat=multiply(exponential(torch.tensor([0.0, 0.0, 0.4]).expand(6, 2, 3)), x.quat))
+    turned = x._replace(
+        quat=multiply(exponential(torch.tensor([0.0, 0.0, 0.4]).expand(6, 2, 3)), x.quat)
+    )
     assert torch.allclose(
         object_loss(turned, x, mask), torch.tensor(1 - math.cos(0.2) ** 2), atol=1e-5
     )

@@ -8,13 +8,13 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.integrate import advance, required
 from orbisim_world_model.packing import check_kinematics
 from orbisim_world_model.reading import read_layout
 from orbisim_world_model.rotation import exponential, logarithm, multiply
 from orbisim_world_model.trainer import new_model
+
 from tests.backends.world_model.conftest import toy
 from tests.backends.world_model.synthetic import BOX, PENDULUM, TABLE, simulate
 

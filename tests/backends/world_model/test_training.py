@@ -10,9 +10,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from safetensors.torch import load_file
-
-from orbisim.errors import InputError
 from orbisim_world_model.checkpoint import load_checkpoint
 from orbisim_world_model.config import Config, replaced
 from orbisim_world_model.evaluate import constant_velocity, evaluate
@@ -21,6 +18,9 @@ from orbisim_world_model.presets import PRESETS, preset
 from orbisim_world_model.run import Run, train
 from orbisim_world_model.schedule import Clock, learning_rate, stage_at
 from orbisim_world_model.trainer import Trainer
+from safetensors.torch import load_file
+
+from orbisim.errors import InputError
 from tests.backends.world_model.conftest import toy
 from tests.backends.world_model.synthetic import BOX, PENDULUM, TABLE, simulate
 

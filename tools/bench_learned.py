@@ -1,0 +1,279 @@
+"""Speed of the learned step, as ratios within one run.
+
+    python tools/bench_learned.py --checkpoint zoo/push [--device cuda] [--json FILE]
+        [--only batch,latency,gradient,cpu,memory]
+
+- batch: control steps/s at 1, 256, 4,096, 8,192, 65,536 worlds, and the share of the peak of
+  matrix products in half precision.
+- latency: one world, one control step.
+- gradient: policy-gradient training steps/s (a two-layer policy, a window of 32 control steps).
+- cpu: one world on one core, against C MuJoCo's control step of the same scene (needs MuJoCo).
+- memory: of a training step against the number of objects, 2 to 8 (GPU).
+
+Without --checkpoint, weights are random: speed does not depend on them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path[:0] = [str(ROOT), str(ROOT / "backends")]
+
+BATCHES = (1, 256, 4096, 8192, 65536)
+PEAK = 989e12
+"""Dense half-precision products of an H100 or H200 by its datasheet, FLOP/s."""
+PAPER = 29.41
+"""Training steps/s of the paper's policy optimisation."""
+
+
+def main() -> int:
+    """Runs the chosen benchmarks."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--checkpoint", type=Path)
+    parser.add_argument("--data", type=Path, help="episodes or a pack: the layout without one")
+    parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
+    parser.add_argument("--only", default="batch,latency,gradient,cpu,memory")
+    parser.add_argument("--seconds", type=float, default=2.0, help="of each measurement")
+    parser.add_argument("--largest", type=int, default=BATCHES[-1], help="number of worlds")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    model = _model(options)
+    found: dict[str, Any] = {
+        "device": _device_name(options.device),
+        "parameters": sum(p.numel() for p in model.parameters()),
+        "tokens": model.layout.tokens,
+        "control_timestep": model.layout.timestep,
+    }
+    for name in options.only.split(","):
+        found[name] = BENCHMARKS[name](model, options)
+        print(name, json.dumps(found[name]), flush=True)
+        if options.json:
+            options.json.write_text(json.dumps(found, indent=1))
+    return 0
+
+
+def _model(options: Any) -> Any:
+    from orbisim_world_model.checkpoint import load_checkpoint
+    from orbisim_world_model.pack import Pack
+    from orbisim_world_model.presets import preset
+    from orbisim_world_model.trainer import new_model
+
+    if options.checkpoint:
+        return load_checkpoint(options.checkpoint).model
+    if options.data and options.data.suffix == ".pack":
+        return new_model(Pack.load(options.data), preset("default"), 0).eval()
+    from orbisim_world_model.packing import read_data
+
+    return new_model(read_data([options.data]), preset("default"), 0).eval()
+
+
+def batch(model: Any, options: Any) -> list[dict[str, float]]:
+    """Control steps/s by number of worlds."""
+    from orbisim_world_model.stepper import Stepper
+
+    rows = []
+    stepper = Stepper(model, torch.device(options.device), True)
+    for worlds in (n for n in BATCHES if n <= options.largest):
+        x, memory, control, context = _inputs(stepper, worlds)
+        seconds = _median(lambda: _replay(stepper, x, memory, control, context), options)
+        rate = worlds / seconds
+        flops = 2.0 * _weights_used(model) * rate
+        rows.append({"worlds": worlds, "control_steps_per_s": rate, "of_peak": flops / PEAK})
+    return rows
+
+
+def latency(model: Any, options: Any) -> dict[str, float]:
+    """One world, states handed over and back on the device."""
+    from orbisim_world_model.stepper import Stepper
+
+    stepper = Stepper(model, torch.device(options.device), True)
+    x, memory, control, context = _inputs(stepper, 1)
+    whole = _median(lambda: stepper(x, memory, control, context), options)
+    graph = _median(lambda: _replay(stepper, x, memory, control, context), options)
+    return {"step_ms": whole * 1e3, "graph_ms": graph * 1e3}
+
+
+def gradient(model: Any, options: Any) -> list[dict[str, float]]:
+    """Training steps/s of a policy by the gradient through 32 control steps."""
+    from orbisim_world_model.graphs import Graphed
+    from orbisim_world_model.optimizer import FlatAdamW
+    from orbisim_world_model.stepper import Stepper
+
+    device = torch.device(options.device)
+    stepper = Stepper(model, device, False)
+    rows = []
+    for worlds, window in ((1, 32), (16, 32), (256, 32), (1024, 32)):
+        x, memory, _, context = _inputs(stepper, worlds)
+        width = x.q.shape[1] + x.v.shape[1] + 7 * x.pos.shape[1]
+        policy = torch.nn.Sequential(
+            torch.nn.Linear(width, 256),
+            torch.nn.SiLU(),
+            torch.nn.Linear(256, 256),
+            torch.nn.SiLU(),
+            torch.nn.Linear(256, max(model.controls, 1)),
+        ).to(device)
+        optimizer = FlatAdamW(policy, 0.0, 1.0)
+        optimizer.rate.fill_(1e-3)
+
+        def step(
+            x: Any = x,
+            memory: Any = memory,
+            context: Any = context,
+            policy: Any = policy,
+            optimizer: Any = optimizer,
+            window: int = window,
+        ) -> None:
+            optimizer.zero_grad()
+            state, h = x, memory
+            for _ in range(window):
+                seen = [state.q, state.v, state.pos.flatten(1), state.quat.flatten(1)]
+                control = torch.tanh(policy(torch.cat(seen, dim=1)))[:, : model.controls]
+                after = stepper.model(state, h, control, context)
+                state, h = after.state, after.memory
+            target = state.pos.square().sum() if state.pos.numel() else state.q.square().sum()
+            (target / len(x.pos)).backward()
+            optimizer.step()
+
+        run = Graphed(step, lambda: None, device.type == "cuda")
+        seconds = _median(run, options)
+        rate = 1.0 / seconds
+        row = {"worlds": worlds, "window": window, "training_steps_per_s": rate}
+        rows.append({**row, "sequences_per_s": rate * worlds, "times_the_paper": rate / PAPER})
+        if seconds > options.seconds:
+            break
+    return rows
+
+
+def cpu(model: Any, options: Any) -> dict[str, float]:
+    """One world on one core: the learned control step against C MuJoCo's, alternating."""
+    import warnings
+
+    from orbisim import load_scene, make_backend
+
+    if not options.checkpoint:
+        return {}
+    warnings.simplefilter("ignore")
+    torch.set_num_threads(1)
+    manifest = json.loads((options.checkpoint / "manifest.json").read_text())
+    scene = load_scene(manifest["data"]["sources"][0]["task"])
+    learned = make_backend(f"learned:{options.checkpoint}", scene, device="cpu")
+    classical = make_backend("mujoco", scene, nthread=1)
+    nstep = round(learned.timestep / classical.timestep)
+    state = classical.reset(1)
+    mid = classical.step(state, None, 10 * nstep)
+    learned.step(mid)
+    pairs = []
+    for _ in range(60):
+        begun = time.perf_counter()
+        learned.step(mid)
+        between = time.perf_counter()
+        classical.step(mid, None, nstep)
+        pairs.append((between - begun, time.perf_counter() - between))
+    ours, theirs = (statistics.median(values) for values in zip(*pairs, strict=True))
+    return {"learned_ms": ours * 1e3, "mujoco_ms": theirs * 1e3, "ratio": ours / theirs}
+
+
+def memory(model: Any, options: Any) -> list[dict[str, float]]:
+    """Peak memory of a training step by number of objects, MB."""
+    import dataclasses
+
+    from orbisim_world_model.dynamics import Dynamics, example
+
+    if not options.device.startswith("cuda") or not model.layout.objects:
+        return []
+    rows = []
+    for objects in range(2, 9):
+        names = tuple(f"object{i}" for i in range(objects))
+        layout = dataclasses.replace(model.layout, objects=names)
+        larger = Dynamics(layout, model.config).build(model.controls)
+        larger.load_state_dict(model.state_dict())
+        larger.to(options.device).train()
+        x, context = example(layout, 512)
+        x, context = x.to(options.device), type(context)(*(c.to(options.device) for c in context))
+        control = torch.zeros(512, model.controls, device=options.device)
+        torch.cuda.reset_peak_memory_stats()
+        state, h = x, larger.initial_memory(512)
+        for _ in range(8):
+            step = larger(state, h, control, context)
+            state, h = step.state, step.memory
+        state.pos.sum().backward()
+        rows.append({"objects": objects, "peak_mb": torch.cuda.max_memory_allocated() / 1e6})
+        del larger, state, h, step
+        torch.cuda.empty_cache()
+    return rows
+
+
+BENCHMARKS: dict[str, Callable[[Any, Any], Any]] = {
+    "batch": batch,
+    "latency": latency,
+    "gradient": gradient,
+    "cpu": cpu,
+    "memory": memory,
+}
+
+
+def _inputs(stepper: Any, worlds: int) -> Any:
+    from orbisim_world_model.dynamics import example
+
+    x, context = example(stepper.model.layout, worlds)
+    device = stepper.device
+    x = stepper.completed(x.to(device))
+    context = context._replace(
+        attributes=context.attributes.to(device), world=context.world.to(device), mask=None
+    )
+    control = torch.zeros(worlds, stepper.model.controls, device=device)
+    return x, stepper.initial_memory(worlds), control, context
+
+
+def _replay(stepper: Any, x: Any, memory: Any, control: Any, context: Any) -> None:
+    """The step alone, without copies in and out, where there is a graph."""
+    if not stepper.on_gpu:
+        stepper(x, memory, control, context)
+        return
+    stepper._slot(x, memory, control, context).run()
+
+
+def _weights_used(model: Any) -> float:
+    """Multiplications a world and step: each weight of a token's layers once a token."""
+    matrices = [p.numel() for p in model.network.parameters() if p.dim() > 1]
+    return float(sum(matrices) * model.layout.tokens)
+
+
+def _median(function: Callable[[], Any], options: Any) -> float:
+    """Median seconds of a call; GPU work is waited for over several calls at once."""
+    gpu = options.device.startswith("cuda")
+    function()
+    function()
+    times: list[float] = []
+    began = time.perf_counter()
+    while time.perf_counter() - began < options.seconds or len(times) < 3:
+        repeats = 20 if gpu else 1
+        if gpu:
+            torch.cuda.synchronize()
+        start = time.perf_counter()
+        for _ in range(repeats):
+            function()
+        if gpu:
+            torch.cuda.synchronize()
+        times.append((time.perf_counter() - start) / repeats)
+    return statistics.median(times)
+
+
+def _device_name(device: str) -> str:
+    return torch.cuda.get_device_name(device) if device.startswith("cuda") else "cpu"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
