@@ -24,7 +24,7 @@ def main() -> int:
     options = parser.parse_args()
     from orbisim_world_model.packing import read_data
 
-    pack = read_data(options.data, options.baseline)
+    pack = read_data(options.data, baseline=options.baseline)
     pack.save(options.out)
     size = options.out.stat().st_size / 1e6
     print(f"{options.out}: {pack.episodes} episodes, {int(pack.length.sum())} steps, {size:.1f} MB")

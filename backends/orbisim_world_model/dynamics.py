@@ -75,8 +75,8 @@ class Dynamics(nn.Module):
         self.see_attributes, self.see_world = Normalizer(sizes.attributes), Normalizer(sizes.world)
         self.see_control = Normalizer(sizes.control)
         centered = not config.residual
-        self.robot_scale = Normalizer(sizes.robot_out, centered)
-        self.object_scale = Normalizer(sizes.objects_out, centered)
+        self.robot_scale = Normalizer(sizes.robot_out, centered=centered, output=True)
+        self.object_scale = Normalizer(sizes.objects_out, centered=centered, output=True)
         corrects = config.baseline != "none"
         self.base_robot = Normalizer(sizes.robot_out if corrects else 0)
         self.base_objects = Normalizer(sizes.objects_out if corrects else 0)

@@ -12,11 +12,12 @@ class Normalizer(nn.Module):
     Args:
       size: number of features.
       centered: whether the mean is subtracted.
+      output: what does not vary in the data is never predicted to vary.
     """
 
-    def __init__(self, size: int, centered: bool = True) -> None:
+    def __init__(self, size: int, *, centered: bool = True, output: bool = False) -> None:
         super().__init__()
-        self.centered = centered
+        self.centered, self.output = centered, output
         self.register_buffer("mean", torch.zeros(size))
         self.register_buffer("std", torch.ones(size))
 
@@ -35,7 +36,8 @@ class Normalizer(nn.Module):
             return
         mean = rows.mean(0) if self.centered else torch.zeros_like(rows[0])
         std = (rows - mean).square().mean(0).sqrt()
-        std = torch.where(std > 1e-6 * (1.0 + mean.abs()), std, torch.ones_like(std))
+        varies = std > 1e-5 * rows.abs().amax(0) + 1e-9  # more than rounding
+        std = torch.where(varies, std, torch.full_like(std, 0.0 if self.output else 1.0))
         self.mean.copy_(mean)
         self.std.copy_(std)
 
