@@ -148,8 +148,8 @@ def make(wish: Wish, name: str, out: Path) -> dict[str, Any]:
     entry: dict[str, Any] = {"trial": name, "wish": dataclasses.asdict(wish)}
     try:
         made = size_up(wish)
-    except OrbiSimError as error:
-        return entry | {"skipped": str(error)}
+    except Exception as error:  # one trial that cannot be made must not end all others
+        return entry | {"skipped": repr(error)}
     if made is None:
         return entry | {"skipped": "not visible"}
     rig = motion_of(wish.scene, wish.short).rig
