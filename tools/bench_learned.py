@@ -16,6 +16,7 @@ Without --checkpoint, weights are random: speed does not depend on them.
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import statistics
 import sys
@@ -86,8 +87,8 @@ def batch(model: Any, options: Any) -> list[dict[str, float]]:
     rows = []
     stepper = Stepper(model, torch.device(options.device), True)
     for worlds in (n for n in BATCHES if n <= options.largest):
-        x, memory, control, context = _inputs(stepper, worlds)
-        seconds = _median(lambda: _replay(stepper, x, memory, control, context), options)
+        replay = functools.partial(_replay, stepper, *_inputs(stepper, worlds))
+        seconds = _median(replay, options)
         rate = worlds / seconds
         flops = 2.0 * _weights_used(model) * rate
         rows.append({"worlds": worlds, "control_steps_per_s": rate, "of_peak": flops / PEAK})

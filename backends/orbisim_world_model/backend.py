@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from orbisim.backend import Backend, Capability
-from orbisim.errors import DivergedError, InputError
+from orbisim.errors import DivergedError, InputError, MissingDependencyError
 from orbisim.scene import Scene
 from orbisim.state import Array, State
 from orbisim.trajectory import Trajectory
@@ -20,6 +20,7 @@ from orbisim_world_model.checkpoint import Checkpoint, load_checkpoint, read_man
 from orbisim_world_model.engine import ATTRIBUTES, MEMORY, SETTINGS, Engine, Steps
 from orbisim_world_model.fitting import Fit, fit
 from orbisim_world_model.guard import blanked
+from orbisim_world_model.native.translate import UntranslatableError
 
 
 class OutsideTrainingWarning(UserWarning):
@@ -37,6 +38,9 @@ class LearnedBackend(Backend):
       device: `cpu`, `cuda`, `cuda:1`; None for the GPU, if there is one.
       argument: folder of a checkpoint (`learned:PATH`); the zoo's that fits the scene if None.
       half: on a GPU, compute the network in half precision.
+      native: on a CPU, step single worlds by compiled C (see `native`); needs a C compiler, takes
+        seconds the first time, and is many times faster afterwards. None: for one world, if there
+        is a compiler.
     """
 
     name = "learned"
@@ -50,11 +54,12 @@ class LearnedBackend(Backend):
         device: str | None = None,
         argument: str | None = None,
         half: bool = True,
+        native: bool | None = None,
     ) -> None:
         super().__init__(nworld=nworld, device=device)
         self._on = _device(device)
         self._folder = Path(argument) if argument else None
-        self._half = half
+        self._half, self._native = half, native
         self._engine: Engine | None = None
 
     @property
@@ -95,6 +100,7 @@ class LearnedBackend(Backend):
             self._engine = Engine(checkpoint, self._on, self._half)
         assert self._engine is not None
         self._engine.describe(scene)
+        self._compile(self._engine)
         self._scene = scene
         self._warn(f"scene {scene.name!r}", found.concerns)
 
@@ -114,9 +120,14 @@ class LearnedBackend(Backend):
         control = self.check_control(state, control)
         if nstep < 1:
             raise InputError(f"nstep must be at least 1; got {nstep}")
+        seconds = nstep * self.timestep
+        if self.engine.suits_native(state, control):
+            after = self.engine.native_step(state, control, nstep, seconds)
+            if after is not None:
+                return after
         path = self.engine.run(state, control[:, None], nstep)
         self._raise_if_lost(path)
-        return self.engine.state(state, path, nstep * self.timestep)
+        return self.engine.state(state, path, seconds)
 
     def rollout(
         self,
@@ -185,6 +196,17 @@ class LearnedBackend(Backend):
         if self._folder is None:
             return zoo.find(scene, self.baseline)
         return self._folder, fit(read_manifest(self._folder), scene)
+
+    def _compile(self, engine: Engine) -> None:
+        """Prepares the native step, where it was asked for or one world makes it worthwhile."""
+        if engine.native is not None or self._native is False or self.baseline != "none":
+            return
+        if self._native or self.nworld == 1:
+            try:
+                engine.prepare_native()
+            except (MissingDependencyError, UntranslatableError):
+                if self._native:
+                    raise
 
     def _check(self, checkpoint: Checkpoint) -> None:
         """Refuses checkpoints whose predictions are not a state of the scene."""

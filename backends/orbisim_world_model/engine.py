@@ -46,6 +46,8 @@ class Engine:
         self.stepper = Stepper(checkpoint.model, device, half)
         self.guard = Guard(checkpoint.manifest, checkpoint.layout)
         self._exact: Any = None
+        self.native: Any = None
+        self._fresh = self.stepper.initial_memory(1).float().cpu().numpy()
 
     def describe(self, scene: Scene) -> None:
         """Takes the descriptors of the scene."""
@@ -54,6 +56,8 @@ class Engine:
             for read in (read_attributes, read_settings)
         )
         self._attributes, self._settings = attributes[None], settings[None]
+        if self.native is not None:
+            self.prepare_native()
 
     def entities(self, state: State) -> Entities:
         """The state as the model sees it."""
@@ -76,6 +80,43 @@ class Engine:
                 found.append(x)
             stacked = Entities(*(torch.stack(field) for field in zip(*found, strict=True)))
         return Steps(stacked, memory)
+
+    def prepare_native(self) -> None:
+        """Compiles the step of one world (see `native`).
+
+        Raises:
+          MissingDependencyError: there is no C compiler.
+        """
+        from orbisim_world_model.native import NativeStep
+
+        if self.device.type == "cpu":
+            context = Context(self._attributes, self._settings, None)
+            self.native = NativeStep(self.stepper.model, context)
+
+    def suits_native(self, state: State, control: Array) -> bool:
+        """Whether the compiled step can take this state: one world, NumPy, the scene's own."""
+        return (
+            self.native is not None
+            and state.nworld == 1
+            and isinstance(state.qpos, np.ndarray)
+            and isinstance(control, np.ndarray)
+            and ATTRIBUTES not in state.memory
+            and SETTINGS not in state.memory
+        )
+
+    def native_step(self, state: State, control: Array, nstep: int, seconds: float) -> State | None:
+        """The state after `nstep` steps; None if it diverged."""
+        arrays = [state.qpos, state.qvel, state.act]
+        memory = state.memory.get(MEMORY, self._fresh)
+        if memory.shape != self._fresh.shape:
+            memory = self._fresh
+        for _ in range(nstep):
+            *arrays, memory = self.native(*arrays, control, memory)
+        qpos, qvel, act, memory = (a.astype(np.float64) for a in (*arrays, memory))
+        if self.guard.lost(qpos, qvel):
+            return None
+        kept = {name: value for name, value in state.memory.items() if name not in _STALE}
+        return State(state.time + seconds, qpos, qvel, act, {**kept, MEMORY: memory})
 
     def corrected(self, state: State, predicted: State, control: Array) -> Steps:
         """The classical prediction [B] for the next state, corrected by the model."""

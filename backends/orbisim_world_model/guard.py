@@ -41,6 +41,11 @@ class Guard:
             at = torch.where(good.all(0), -1, good.to(torch.int8).argmin(0))
         return np.asarray(at.cpu().numpy(), np.int64)
 
+    def lost(self, qpos: Any, qvel: Any) -> bool:
+        """Whether one world's coordinates [1, nq], [1, nv] are not usable."""
+        fast = max(self.limits)
+        return not (np.abs(qpos).max(initial=0) < _FAR and np.abs(qvel).max(initial=0) < fast)
+
     def concerns(self, x: Entities) -> list[str]:
         """What of the states [B, ...] lies outside the training data, one line each."""
         found = []

@@ -42,7 +42,7 @@ def test_a_checkpoint_of_another_scene_is_refused(table: Path) -> None:
     with pytest.raises(UnsupportedSceneError, match="joints"):
         make_backend(f"learned:{table}", load_scene(PENDULUM))
     odd = TABLE.replace('timestep="0.005"', 'timestep="0.003"')
-    with pytest.raises(UnsupportedSceneError, match="control step is 0.02 s"):
+    with pytest.raises(UnsupportedSceneError, match=r"control step is 0\.02 s"):
         make_backend(f"learned:{table}", load_scene(odd))
     with pytest.raises(InputError, match="not a checkpoint"):
         make_backend("learned:/nowhere", load_scene(TABLE))

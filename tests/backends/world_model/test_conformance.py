@@ -11,4 +11,5 @@ from orbisim.testing import BackendConformance
 @pytest.mark.filterwarnings("ignore::orbisim_world_model.backend.OutsideTrainingWarning")
 class TestLearned(BackendConformance):
     backend = "learned"
+    config = {"native": False}  # noqa: RUF012
     tolerance = 2e-5  # products in float32 depend on the size of the batch

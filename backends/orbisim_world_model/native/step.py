@@ -1,0 +1,87 @@
+"""`NativeStep`: one control step of one world, from and to MuJoCo's coordinates."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from orbisim_world_model.dynamics import Dynamics
+from orbisim_world_model.entities import Context
+from orbisim_world_model.native.compiler import compiled
+from orbisim_world_model.native.translate import Translator
+
+Floats = npt.NDArray[np.float32]
+_Pointer = ctypes.POINTER(ctypes.c_float)
+
+
+class NativeStep:
+    """Steps (qpos, qvel, act, memory) of one world under a control.
+
+    Args:
+      model: in evaluation mode, float32, on the CPU.
+      context: descriptors of the scene, for one world.
+
+    Raises:
+      MissingDependencyError: there is no C compiler.
+      UntranslatableError: the model has an operation that is not known.
+    """
+
+    def __init__(self, model: Dynamics, context: Context) -> None:
+        layout = model.layout
+        memory = model.initial_memory(1).detach().clone()
+        example = [torch.zeros(1, n) for n in (layout.nq, layout.nv, layout.na, layout.nu)]
+        for adr in layout.object_q:
+            example[0][0, adr + 3] = 1.0
+        translator = Translator(_traced(model, context, [*example, memory]))
+        outputs = translator.run()
+        writer = translator.writer
+        results = [writer.elementwise(out.shape, "{0}", [out]) for out in outputs]
+        self._function = compiled(writer.source())
+        self._constants = np.ascontiguousarray(torch.cat(writer.constants).numpy())
+        self._workspace = np.zeros(max(writer.workspace, 1), np.float32)
+        self._inputs = [np.zeros(tuple(t.shape), np.float32) for t in (*example, memory)]
+        pointers = [array.ctypes.data_as(_Pointer) for array in self._inputs]
+        self._arguments: tuple[Any, ...] = (
+            self._constants.ctypes.data_as(_Pointer),
+            self._workspace.ctypes.data_as(_Pointer),
+            (_Pointer * len(pointers))(*pointers),
+        )
+        self._results = [self._workspace[_span(r.index)].reshape(r.shape) for r in results]
+
+    def __call__(self, *inputs: Any) -> list[Floats]:
+        """qpos, qvel, act and memory after one step.
+
+        Args:
+          *inputs: qpos [1, nq], qvel [1, nv], act [1, na], control [1, nu], memory [1, ...].
+        """
+        for mine, given in zip(self._inputs, inputs, strict=True):
+            mine[...] = given
+        self._function(*self._arguments)
+        return [result.copy() for result in self._results]
+
+
+def _traced(model: Dynamics, context: Context, example: list[Tensor]) -> Any:
+    from torch._decomp import core_aten_decompositions
+    from torch.fx.experimental.proxy_tensor import make_fx
+
+    layout = model.layout
+
+    def step(qpos: Tensor, qvel: Tensor, act: Tensor, control: Tensor, memory: Tensor) -> Any:
+        x = model.completed(layout.split(qpos, qvel, act))
+        after = model(x, memory, control, context)
+        return (*layout.join(after.state), after.memory)
+
+    with torch.no_grad():
+        traced = make_fx(step, decomposition_table=core_aten_decompositions())(*example)
+    traced.graph.eliminate_dead_code()
+    return traced
+
+
+def _span(index: Tensor) -> slice:
+    first = int(index.reshape(-1)[0]) if index.numel() else 0
+    return slice(first, first + index.numel())

@@ -1,0 +1,203 @@
+"""From a traced graph of torch operations to C."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from orbisim.errors import OrbiSimError
+from orbisim_world_model.native.values import Value, contiguous
+from orbisim_world_model.native.writer import Writer
+
+aten = torch.ops.aten
+
+_MOVES = {
+    *(aten.view.default, aten.reshape.default, aten.unsqueeze.default, aten.permute.default),
+    *(aten.slice.Tensor, aten.select.int, aten.squeeze.dims, aten.squeeze.dim),
+    *(aten.expand.default, aten.index_select.default, aten.index.Tensor, aten.clone.default),
+    *(aten.split_with_sizes.default, aten.alias.default, aten.flip.default, aten.t.default),
+    *(aten.transpose.int, aten._to_copy.default, aten.detach.default),
+}
+_UNARY = {
+    aten.sigmoid.default: "sigmoid({0})",
+    aten.tanh.default: "squash({0})",
+    aten.exp.default: "expf(clampf({0}, -80.0f, 80.0f))",
+    aten.sin.default: "sinf({0})",
+    aten.cos.default: "cosf({0})",
+    aten.asinh.default: "copysignf(logf(fabsf({0}) + sqrtf({0} * {0} + 1.0f)), {0})",
+    aten.sqrt.default: "sqrtf({0})",
+    aten.rsqrt.default: "1.0f / sqrtf({0})",
+    aten.reciprocal.default: "1.0f / {0}",
+    aten.neg.default: "-{0}",
+    aten.abs.default: "fabsf({0})",
+}
+_BINARY = {
+    aten.add.Tensor: "{0} + {1}",
+    aten.sub.Tensor: "{0} - {1}",
+    aten.mul.Tensor: "{0} * {1}",
+    aten.div.Tensor: "{0} / {1}",
+    aten.rsub.Scalar: "{1} - {0}",
+}
+
+
+class UntranslatableError(OrbiSimError):
+    """The graph has an operation that is not known here."""
+
+
+class Translator:
+    """Walks a graph; what does not depend on its inputs is computed, the rest is written.
+
+    Args:
+      module: a traced function of `inputs` tensors.
+    """
+
+    def __init__(self, module: Any) -> None:
+        self.module, self.writer = module, Writer()
+        self._values: dict[Any, Any] = {}
+
+    def run(self) -> list[Value]:
+        """Writes everything; returns the outputs."""
+        number = 0
+        for node in self.module.graph.nodes:
+            if node.op == "placeholder":
+                self._values[node] = contiguous(f"in[{number}]", 0, node.meta["val"].shape)
+                number += 1
+            elif node.op == "get_attr":
+                self._values[node] = getattr(self.module, node.target).detach()
+            elif node.op == "call_function":
+                self._values[node] = self._call(node)
+            elif node.op == "output":
+                return [self._written(self._values[item]) for item in node.args[0]]
+        raise UntranslatableError("a graph without output")
+
+    def _call(self, node: Any) -> Any:
+        args = torch.fx.node.map_arg(node.args, lambda item: self._values[item])
+        flat = _leaves(args)
+        if not any(isinstance(leaf, Value) for leaf in flat):
+            return node.target(*args, **node.kwargs)
+        if node.target is operator.getitem:
+            return args[0][args[1]]
+        if node.target in _MOVES:
+            return _moved(node.target, args, node.kwargs)
+        shape = _shape(node)
+        if node.target in _UNARY:
+            return self.writer.elementwise(shape, _UNARY[node.target], [args[0]])
+        if node.target in _BINARY:
+            return self._binary(_BINARY[node.target], shape, args, node.kwargs)
+        special: Callable[..., Any] | None = getattr(self, _special(node.target), None)
+        if special is None:
+            raise UntranslatableError(str(node.target))
+        return special(shape, *args, **node.kwargs)
+
+    def _binary(self, formula: str, shape: Any, args: Any, kwargs: Any) -> Value:
+        scale = float(kwargs.get("alpha", 1))
+        a, b = args[:2]
+        inputs = [item for item in (a, b) if isinstance(item, (Value, Tensor))]
+        names, slots = iter(("{0}", "{1}")), []
+        for item in (a, b):
+            known = isinstance(item, (Value, Tensor))
+            slots.append(next(names) if known else f"({float(item)!r}f)")
+        if scale != 1.0:
+            slots[1] = f"({scale!r}f) * {slots[1]}"
+        text = formula.replace("{0}", "<0>").replace("{1}", "<1>")
+        text = text.replace("<0>", slots[0]).replace("<1>", slots[1])
+        return self.writer.elementwise(shape, text, [self._written(item) for item in inputs])
+
+    # -- operations with a method of their own -------------------------------------------------
+
+    def _op_pow(self, shape: Any, x: Value, exponent: float) -> Value:
+        if float(exponent) == 2.0:
+            return self.writer.elementwise(shape, "{0} * {0}", [x])
+        return self.writer.elementwise(shape, f"powf({{0}}, {float(exponent)!r}f)", [x])
+
+    def _op_clamp(
+        self, shape: Any, x: Value, low: float | None = None, high: float | None = None
+    ) -> Value:
+        bounds = (-3e38 if low is None else low, 3e38 if high is None else high)
+        text = f"clampf({{0}}, {float(bounds[0])!r}f, {float(bounds[1])!r}f)"
+        return self.writer.elementwise(shape, text, [x])
+
+    _op_clamp_min = _op_clamp
+
+    def _op_full_like(self, shape: Any, x: Value, fill: float, **_: Any) -> Tensor:
+        return torch.full(shape, fill)
+
+    def _op_cat(self, shape: Any, parts: list[Any], axis: int = 0) -> Value:
+        filled = [self._written(part) for part in parts if _filled(part)]
+        return self.writer.concatenated(filled, axis) if filled else self.writer.room(shape)
+
+    def _op_sum(self, shape: Any, x: Value, axes: list[int], keep: bool = False, **_: Any) -> Value:
+        return self.writer.summed(x, list(axes), keep)
+
+    def _op_mean(
+        self, shape: Any, x: Value, axes: list[int], keep: bool = False, **_: Any
+    ) -> Value:
+        total = self.writer.summed(x, list(axes), keep)
+        count = x.index.numel() // max(total.index.numel(), 1)
+        return self.writer.elementwise(total.shape, f"{{0}} * {1.0 / count!r}f", [total])
+
+    def _op__softmax(self, shape: Any, x: Value, axis: int, half: bool) -> Value:
+        # scores are bounded by the layer normalisation before them: no need to subtract the largest
+        e = self.writer.elementwise(shape, "expf(clampf({0}, -80.0f, 80.0f))", [x])
+        total = self.writer.summed(e, [axis], True)
+        return self.writer.elementwise(shape, "{0} / {1}", [e, total])
+
+    def _op_native_layer_norm(
+        self, shape: Any, x: Value, size: Any, weight: Any, bias: Any, eps: float
+    ) -> tuple[Value]:
+        writer, count = self.writer, int(size[0])
+        x = writer.elementwise(x.shape, "{0}", [x])
+        out, rows = writer.room(x.shape), x.index.numel() // count
+        source, target = int(x.index.reshape(-1)[0]), int(out.index.reshape(-1)[0])
+        writer.lines.append(
+            f"normalize(w + {source}, w + {target}, {rows}, {count}, {float(eps)!r}f);"
+        )
+        if weight is None:
+            return (out,)
+        scaled = "{0} * {1} + {2}"
+        given = [out, self._written(weight), self._written(bias)]
+        return (writer.elementwise(shape, scaled, given),)
+
+    def _op_addmm(self, shape: Any, bias: Tensor, x: Value, weight: Tensor) -> Value:
+        if isinstance(weight, Value) or isinstance(bias, Value):
+            raise UntranslatableError("a product of two inputs")
+        return self.writer.product(x, weight, bias)
+
+    def _op_mm(self, shape: Any, x: Value, weight: Tensor) -> Value:
+        return self._op_addmm(shape, torch.zeros(shape[1]), x, weight)
+
+    def _written(self, item: Any) -> Value:
+        return item if isinstance(item, Value) else self.writer.constant(item)
+
+
+def _moved(target: Any, args: Any, kwargs: Any) -> Any:
+    """An operation that moves numbers, done to their indices."""
+    value, rest = args[0], args[1:]
+    kept = {name: v for name, v in kwargs.items() if name not in ("dtype", "device", "layout")}
+    found = target(value.index, *rest, **kept)
+    if isinstance(found, Tensor):
+        return value.moved(found)
+    return tuple(value.moved(part) for part in found)
+
+
+def _shape(node: Any) -> tuple[int, ...]:
+    meta = node.meta["val"]
+    return tuple(int(size) for size in (meta[0] if isinstance(meta, (tuple, list)) else meta).shape)
+
+
+def _special(target: Any) -> str:
+    return "_op_" + str(target).removeprefix("aten.").split(".")[0]
+
+
+def _filled(part: Any) -> bool:
+    return bool(part.index.numel() if isinstance(part, Value) else part.numel())
+
+
+def _leaves(args: Any) -> list[Any]:
+    if isinstance(args, (list, tuple)):
+        return [leaf for item in args for leaf in _leaves(item)]
+    return [args]

@@ -1,0 +1,187 @@
+"""Writes C for the operations of a traced step."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from orbisim_world_model.native.values import Access, Value, accesses, contiguous
+
+PANEL = 32
+"""Columns of a weight matrix that stand together: four vector registers."""
+_ROWS = 3
+"""Rows that are multiplied at once, so that the sums stay in registers."""
+
+HEADER = """
+#include <math.h>
+static inline float clampf(float x, float low, float high) {
+  return x < low ? low : x > high ? high : x;
+}
+static inline float sigmoid(float x) { return 1.0f / (1.0f + expf(-clampf(x, -80.0f, 80.0f))); }
+static inline float squash(float x) { return 1.0f - 2.0f * sigmoid(-2.0f * x); }
+static void normalize(const float *restrict x, float *restrict y, int rows, int n, float eps) {
+  for (int r = 0; r < rows; r++) {
+    float mean = 0, spread = 0;
+    for (int i = 0; i < n; i++) mean += x[r * n + i];
+    mean /= n;
+    for (int i = 0; i < n; i++) spread += (x[r * n + i] - mean) * (x[r * n + i] - mean);
+    float scale = 1.0f / sqrtf(spread / n + eps);
+    for (int i = 0; i < n; i++) y[r * n + i] = (x[r * n + i] - mean) * scale;
+  }
+}
+"""
+
+
+class Writer:
+    """Collects statements, constants and the size of the workspace.
+
+    In the code, `c` are the constants, `w` is the workspace.
+    """
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.constants: list[Tensor] = []
+        self.tables: list[str] = []
+        self._constants, self.workspace = 0, 0
+
+    def constant(self, values: Tensor) -> Value:
+        """A value known when the scene is loaded."""
+        found = contiguous("c", self._constants, values.shape)
+        self._store(values.reshape(-1))
+        return found
+
+    def _store(self, flat: Tensor) -> int:
+        start = self._constants
+        padding = -len(flat) % 16
+        self.constants.append(torch.cat([flat.float(), torch.zeros(padding)]))
+        self._constants += len(flat) + padding
+        return start
+
+    def room(self, shape: Any) -> Value:
+        """A new value in the workspace."""
+        value = contiguous("w", self.workspace, shape)
+        self.workspace += value.index.numel() + -value.index.numel() % 16
+        return value
+
+    # -- operations ----------------------------------------------------------------------------
+
+    def elementwise(self, shape: Any, formula: str, inputs: list[Value]) -> Value:
+        """A formula of `{0}`, `{1}` ... for each element."""
+        out = self.room(shape)
+        self.assign(out, formula, inputs)
+        return out
+
+    def assign(self, out: Value, formula: str, inputs: list[Value]) -> None:
+        """The same, into a value that exists."""
+        if not out.index.numel():
+            return
+        sizes, found = accesses(out.shape, [out, *inputs])
+        terms = [self._element(access, len(sizes)) for access in found]
+        self._loops(sizes, f"{terms[0]} = {formula.format(*terms[1:])};")
+
+    def concatenated(self, parts: list[Value], axis: int) -> Value:
+        """Values after one another."""
+        shape = list(parts[0].shape)
+        shape[axis] = sum(part.shape[axis] for part in parts)
+        out, start = self.room(shape), 0
+        for part in parts:
+            end = start + part.shape[axis]
+            self.assign(out.moved(out.index.narrow(axis, start, end - start)), "{0}", [part])
+            start = end
+        return out
+
+    def summed(self, value: Value, axes: list[int], keep: bool) -> Value:
+        """Sums over axes."""
+        axes = [axis % len(value.shape) for axis in axes]
+        kept = [axis for axis in range(len(value.shape)) if axis not in axes]
+        index = value.index.permute(*kept, *axes)
+        rows = index.flatten(len(kept)) if axes else index[..., None]
+        total = self.room([value.shape[axis] for axis in kept])
+        self.assign(total, "{0}", [value.moved(rows[..., 0])])
+        for column in range(1, rows.shape[-1]):
+            self.assign(total, "{0} + {1}", [total, value.moved(rows[..., column])])
+        if not keep:
+            return total
+        shape = [1 if axis in axes else size for axis, size in enumerate(value.shape)]
+        return total.moved(total.index.reshape(shape))
+
+    def product(self, x: Value, weight: Tensor, bias: Tensor | None) -> Value:
+        """x [M, K] times a constant [K, N], plus a constant [N]."""
+        rows, inner = x.shape
+        columns = weight.shape[1]
+        panels = -(-columns // PANEL)
+        padded = torch.zeros(inner, panels * PANEL)
+        padded[:, :columns] = weight
+        packed = padded.reshape(inner, panels, PANEL).transpose(0, 1)
+        shift = torch.zeros(panels * PANEL)
+        if bias is not None:
+            shift[:columns] = bias
+        at_weight, at_bias = self._store(packed.reshape(-1)), self._store(shift)
+        x = self.elementwise(x.shape, "{0}", [x])
+        out = self.room((rows, panels * PANEL))
+        source, target = int(x.index[0, 0]), int(out.index[0, 0])
+        for first in range(0, rows, _ROWS):
+            many = min(_ROWS, rows - first)
+            self.lines.append(
+                f"product{many}(c + {at_weight}, c + {at_bias}, w + {source + first * inner}, "
+                f"w + {target + first * panels * PANEL}, {inner}, {panels});"
+            )
+        return out.moved(out.index[:, :columns])
+
+    # -- loops ---------------------------------------------------------------------------------
+
+    def _element(self, access: Access, depth: int) -> str:
+        if access.table:
+            name = f"t{len(self.tables)}"
+            numbers = ",".join(map(str, access.table))
+            self.tables.append(f"static const int {name}[] = {{{numbers}}};")
+            return f"{access.buffer}[{name}[i0]]"
+        terms = [str(access.offset)]
+        for level in range(depth):
+            stride = access.strides[level]
+            if stride:
+                terms.append(f"i{level}" if stride == 1 else f"i{level} * {stride}")
+        return f"{access.buffer}[{' + '.join(terms)}]"
+
+    def _loops(self, sizes: tuple[int, ...], statement: str) -> None:
+        heads = [
+            f"for (int i{level} = 0; i{level} < {size}; i{level}++)"
+            for level, size in enumerate(sizes)
+        ]
+        if heads:
+            heads[-1] = '_Pragma("GCC ivdep")\n' + heads[-1]
+        self.lines.append("\n".join([*heads, f"  {statement}"]))
+
+    def source(self) -> str:
+        """The whole C file: `step(c, w, inputs)`."""
+        body = "\n".join(self.lines)
+        products = "".join(_product(rows) for rows in range(1, _ROWS + 1))
+        return (
+            f"{HEADER}{products}\n"
+            + "\n".join(self.tables)
+            + "\nvoid step(const float *restrict c,"
+            f" float *restrict w, const float *const *in) {{\n{body}\n}}\n"
+        )
+
+
+def _product(rows: int) -> str:
+    """The kernel for so many rows; a panel's sums stay in registers."""
+    return f"""
+static void product{rows}(const float *restrict weight, const float *restrict bias,
+                    const float *restrict x, float *restrict y, int inner, int panels) {{
+  for (int p = 0; p < panels; p++) {{
+    float sum[{rows}][{PANEL}];
+    for (int r = 0; r < {rows}; r++)
+      for (int n = 0; n < {PANEL}; n++) sum[r][n] = bias[p * {PANEL} + n];
+    for (int k = 0; k < inner; k++) {{
+      const float *restrict line = weight + ((long)p * inner + k) * {PANEL};
+      for (int r = 0; r < {rows}; r++)
+        for (int n = 0; n < {PANEL}; n++) sum[r][n] += x[r * inner + k] * line[n];
+    }}
+    for (int r = 0; r < {rows}; r++)
+      for (int n = 0; n < {PANEL}; n++) y[(r * panels + p) * {PANEL} + n] = sum[r][n];
+  }}
+}}
+"""
