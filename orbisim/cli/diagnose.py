@@ -37,7 +37,7 @@ from orbisim.cli.common import emit_json, engine_command, json_option, note, pri
     metavar="NAME",
     help="Consider only this effect of the catalogue (repeatable).",
 )
-@click.option("--most-effects", default=4, show_default=True, help="At most so many are added.")
+@click.option("--most-effects", default=3, show_default=True, help="At most so many are added.")
 @click.option(
     "--retune/--no-retune",
     default=True,

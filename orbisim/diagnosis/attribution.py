@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.bench import Bench, Hypothesis, clean
+from orbisim.diagnosis.bench import SAME, Bench, Hypothesis, clean
 from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.linear import Intervals, linearize
 from orbisim.diagnosis.refine import Judge, Judged
-from orbisim.diagnosis.retune import Tunable, tunables
+from orbisim.diagnosis.retune import REACH, Tunable, tunables
 from orbisim.diagnosis.screening import Screening, Suspect, cleaned, factor_columns, screen
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.errors import OrbiSimError
@@ -38,19 +39,21 @@ class Settings:
       most_left: share of the residual's amplitude that an explanation may leave at most.
       retune: whether declared parameters may be retuned.
       robust: Huber threshold, or None.
+      patience: s after which no further effect is looked for.
     """
 
     effects: tuple[str, ...] | None = None
-    most_effects: int = 4
+    most_effects: int = 3
     shortlist: int = 6
     windows: int = 48
     enough: float = 1.06
     gain: float = 0.02
     certainty: float = 2.0
     margin: float = 12.0
-    most_left: float = 0.6
+    most_left: float = 0.35
     retune: bool = True
     robust: float | None = None
+    patience: float = 180.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -113,6 +116,11 @@ class _Search:
         self.columns: Floats | None = None
         self.intervals = bench.intervals
         self.round = 0
+        self._started = time.monotonic()
+
+    @property
+    def _late(self) -> bool:
+        return time.monotonic() - self._started > self.settings.patience
 
     def run(self) -> Attribution:
         self.say("fitting the declared scene")
@@ -131,18 +139,21 @@ class _Search:
         single = self._round(nothing, first.suspects, first)
         if single is not None:
             single = self._renewed(single)
-            if self._done(single):
+            if self._done(single) and single.hypothesis.effects[0].effect not in SAME:
                 return single, None
         tuned = self._tuned(Hypothesis())
-        if tuned is not None and self._done(tuned):
-            return tuned, None
+        if tuned is not None and self._done(tuned) and not _strained(tuned):
+            if single is None or not self._done(single) or tuned.cost < single.cost:
+                return tuned, None
+        if single is not None and self._done(single):
+            return single, None
         start = single
         if single is not None and self.tunables:
             start = self._tuned(single.hypothesis) or single
         elif single is None:
             start = tuned or nothing
         assert start is not None
-        if self._done(start):
+        if self._done(start) and not _strained(start):
             return self._untuned(start), None
         return self._forward(start, tuned or nothing, first)
 
@@ -151,7 +162,8 @@ class _Search:
     ) -> tuple[Judged, Screening | None]:
         """Adds effects while they pay, from one start or, if that ends worse, from the other."""
         current, last = self._add_all(start)
-        if start.hypothesis.effects and not self._done(current) and self.tunables:
+        again = start.hypothesis.effects and not self._done(current) and not self._late
+        if again and self.tunables:
             self.say("looking again with declared parameters retuned")
             self._renew(base.hypothesis)
             winner = self._round(base, first.tuned, first)
@@ -163,8 +175,8 @@ class _Search:
 
     def _add_all(self, current: Judged) -> tuple[Judged, Screening | None]:
         last: Screening | None = None
-        while len(current.hypothesis.effects) < self.settings.most_effects:
-            if self._done(current):
+        while len(current.hypothesis.effects) < self.settings.most_effects and not self._late:
+            if self._done(current) and not _strained(current):
                 return current, None
             self.say(f"screening what is left ({current.ratio:.3g} times the noise)")
             last = self._screen(current.hypothesis)
@@ -250,7 +262,7 @@ class _Search:
         self.judge.start_from(current)
         fitted: list[Judged] = []
         for instance, bic in self._suspects(current.hypothesis, suspects, screening):
-            if fitted and self._settled(fitted, bic):
+            if fitted and (self._late or self._settled(fitted, bic)):
                 break
             self.say(f"round {self.round}: fitting {instance.effect} at {instance.target}")
             judged = self.judge.judge(current.hypothesis.plus(instance), self._iterations)
@@ -266,7 +278,8 @@ class _Search:
         for judged in fitted[:3]:
             if not self._pays(current, judged):
                 continue
-            problem = None if self._done(judged) else inconsistency(self.bench, judged)
+            last = len(judged.hypothesis.effects) - 1
+            problem = None if judged.ratio <= _NEAR else inconsistency(self.bench, judged, last)
             if problem is None:
                 return judged
             self.rejected.append((judged.hypothesis.effects[-1], problem))
@@ -384,10 +397,11 @@ class _Search:
         after = judge.judge(current.hypothesis, 8) or current
         if not current.hypothesis.effects and not current.hypothesis.factors:
             after = before
-        elif not self._believable(before, after):
-            for effect in after.hypothesis.effects:
-                self.rejected.append((effect, "most of the residual remains with it"))
-            after = before
+        else:
+            problem = self._doubt(whole, before, after)
+            if problem is not None:
+                self.rejected += [(effect, problem) for effect in after.hypothesis.effects]
+                after = before
         judge.start_from(after)
         evidence = []
         for index in range(len(after.hypothesis.effects)):
@@ -404,11 +418,23 @@ class _Search:
             tuple(self.rejected), self.intervals,
         )  # fmt: skip
 
-    def _believable(self, before: Judged, after: Judged) -> bool:
-        """An explanation that leaves most of the residual is none."""
-        if self._done(after):
-            return True
-        return _excess(after) <= self.settings.most_left * _excess(before)
+    def _doubt(self, whole: Bench, before: Judged, after: Judged) -> str | None:
+        """Why an explanation that does not reach the noise is none; None if it is one."""
+        if after.ratio <= _NEAR:
+            return None
+        left = _excess(after) / max(_excess(before), 1e-12)
+        if left > self.settings.most_left:
+            return f"{100 * left:.0f} % of the residual's amplitude remains"
+        for index in range(len(after.hypothesis.effects)):
+            problem = inconsistency(whole, after, index)
+            if problem is not None:
+                return problem
+        return None
+
+
+def _strained(judged: Judged) -> bool:
+    """Whether a declared parameter is as far off as it may be: that is an effect, then."""
+    return any(abs(factor - 1) > 0.9 * REACH for _, factor in judged.hypothesis.factors)
 
 
 def _excess(judged: Judged) -> float:
@@ -417,7 +443,8 @@ def _excess(judged: Judged) -> float:
 
 
 _SHARE = 0.08
-_MOST_WINDOWS = 240
+_NEAR = 1.5
+_MOST_WINDOWS = 96
 
 
 def confidence(

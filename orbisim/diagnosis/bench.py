@@ -105,7 +105,7 @@ def make_bench(
     windows = _without_lost(windows, intervals)
     if not len(windows):
         raise InputError("the recordings are too short, or too full of gaps, for a single window")
-    held = _last_windows(windows, len(samples), check)
+    held = _every_third(windows, len(samples), check)
     found = estimate_noise(samples, intervals, windows.some(~held))
     noise = _lower(found, samples)
     if contacts:
@@ -125,7 +125,7 @@ def touches(scene: Scene, samples: Sequence[Samples]) -> bool:
             mujoco.mj_fwdPosition(model, data)
             if data.ncon:
                 return True
-    return bool(any(one.jumps.any() for one in samples) and model.ngeom > 1)
+    return False
 
 
 def _budget(scene: Scene, contacts: bool) -> int | None:
@@ -205,14 +205,12 @@ def _without_lost(windows: Windows, intervals: Intervals) -> Windows:
     return windows.some(lost[windows.first + windows.length] == lost[windows.first])
 
 
-def _last_windows(windows: Windows, recordings: int, share: float) -> Bools:
-    """The last windows of every recording, about the given share."""
+def _every_third(windows: Windows, recordings: int, share: float) -> Bools:
+    """Windows spread over every recording, about the given share: rare events are seen by both."""
     held = np.zeros(len(windows), bool)
     for i in range(recordings):
         own = np.flatnonzero(windows.recording == i)
-        count = round(share * len(own))
-        if count and count < len(own):
-            held[own[-count:]] = True
+        held[own[round(1 / share) - 1 :: round(1 / share)]] = True
     if not held.any() and len(windows) > 1:
         held[-1] = True
     return held
@@ -249,7 +247,7 @@ class Hypothesis:
 
     def plus(self, instance: EffectInstance) -> Hypothesis:
         """With one effect more; a factor that means the same is dropped."""
-        same = _SAME.get(instance.effect)
+        same = SAME.get(instance.effect)
         kept = tuple(
             (one, factor)
             for one, factor in self.factors
@@ -265,7 +263,7 @@ class Hypothesis:
 
     def tuned(self, chosen: Iterable[Tunable]) -> Hypothesis:
         """With these declared parameters free."""
-        taken = {(_SAME.get(e.effect), e.target) for e in self.effects}
+        taken = {(SAME.get(e.effect), e.target) for e in self.effects}
         known = dict(self.factors)
         factors = tuple(
             (one, known.get(one, 1.0)) for one in chosen if (one.kind, one.target) not in taken
@@ -322,7 +320,7 @@ class Hypothesis:
         return found
 
 
-_SAME = {
+SAME = {
     "torque_gain": "gain",
     "viscous_damping": "damping",
     "coulomb_friction": "frictionloss",

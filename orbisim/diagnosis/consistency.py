@@ -12,60 +12,60 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench
 from orbisim.diagnosis.refine import Judged, thinned
-from orbisim.effects import find
 
 Floats = npt.NDArray[np.float64]
 
 _TOLERANCE = 0.35
-_SIGMAS = 4.0
+_SIGMAS = 3.0
 _FEWEST = 8
 
 
-def inconsistency(bench: Bench, judged: Judged) -> str | None:
-    """What the last effect's first parameter depends on, if it does; None if it is consistent."""
-    hypothesis, fit = judged.hypothesis, judged.fit
+def inconsistency(bench: Bench, judged: Judged, number: int) -> str | None:
+    """What the parameters of an effect depend on, if they do; None if they are the same everywhere.
+
+    The difference between what the windows of two regimes prefer is weighed by what it changes in
+    the data, against what the whole effect changes.
+
+    Args:
+      number: of the effect in the hypothesis.
+    """
+    fit = judged.fit
     windows = len(fit.per_window)
-    index = _first_parameter(bench, judged)
-    if index is None or windows < 2 * _FEWEST:
+    index = [k for k, (i, _) in enumerate(judged.hypothesis.free(bench.scene)) if i == number]
+    if not index or windows < 2 * _FEWEST:
         return None
-    value = _size(bench, judged, index)
     chosen = np.flatnonzero(thinned(bench.fit, windows))
     if len(chosen) != windows:
         return None
+    effect = judged.hypothesis.effects[number]
+    value = fit.values[index] - _neutral(effect.effect)
+    weight = fit.information.sum(axis=0)[np.ix_(index, index)]
+    whole = float(np.sqrt(max(value @ weight @ value, 1e-300)))
     for name, measure in _regimes(bench, chosen).items():
         halves = [measure <= np.median(measure), measure > np.median(measure)]
         if min(h.sum() for h in halves) < _FEWEST or np.ptp(measure) <= 0:
             continue
-        (low, low_std), (high, high_std) = (_prefers(judged, index, h) for h in halves)
-        gap, sure = abs(high - low), float(np.hypot(low_std, high_std))
-        if gap > _TOLERANCE * value and gap > _SIGMAS * sure:
-            effect = hypothesis.effects[-1]
-            label = find(effect.effect).parameters(bench.scene.model, effect.target)[0].name
+        (low, low_var), (high, high_var) = (_prefers(judged, index, h) for h in halves)
+        gap = high - low
+        change = float(np.sqrt(max(gap @ weight @ gap, 0.0)))
+        chance = float(np.sqrt(max(np.trace(weight @ (low_var + high_var)), 0.0)))
+        if change > _TOLERANCE * whole and change > _SIGMAS * chance:
             return (
-                f"its {label} would be {value + low:.3g} at low and {value + high:.3g} at high "
+                f"it would have to be {100 * change / whole:.0f} % different at low and at high "
                 f"{name}: something else is at work"
             )
     return None
 
 
-def _first_parameter(bench: Bench, judged: Judged) -> int | None:
-    """Number among the unknowns of the last effect's first free parameter."""
-    last = len(judged.hypothesis.effects) - 1
-    for index, (number, _) in enumerate(judged.hypothesis.free(bench.scene)):
-        if number == last:
-            return index
-    return None
+def _neutral(effect: str) -> float:
+    """The value of an effect's parameters that changes nothing."""
+    return 1.0 if effect in ("torque_gain", "sensor_scale", "clock_skew") else 0.0
 
 
-def _size(bench: Bench, judged: Judged, index: int) -> float:
-    """Size of the parameter's departure from what the scene declares."""
-    effect = judged.hypothesis.effects[-1]
-    neutral = 1.0 if effect.effect in ("torque_gain", "sensor_scale", "clock_skew") else 0.0
-    return abs(float(judged.fit.values[index]) - neutral)
-
-
-def _prefers(judged: Judged, index: int, half: npt.NDArray[np.bool_]) -> tuple[float, float]:
-    """Shift of the parameter that some windows prefer, and its standard error over windows."""
+def _prefers(
+    judged: Judged, index: list[int], half: npt.NDArray[np.bool_]
+) -> tuple[Floats, Floats]:
+    """Shift of the parameters that some windows prefer, and its covariance over windows."""
     information = judged.fit.information[half]
     score = judged.fit.score[half]
     gram = information.sum(axis=0)
@@ -74,7 +74,7 @@ def _prefers(judged: Judged, index: int, half: npt.NDArray[np.bool_]) -> tuple[f
     shift = inverse @ score.sum(axis=0)
     left = score - np.einsum("wpq,q->wp", information, shift)
     covariance = inverse @ (left.T @ left) @ inverse
-    return float(shift[index]), float(np.sqrt(max(covariance[index, index], 0.0)))
+    return shift[index], covariance[np.ix_(index, index)]
 
 
 def _regimes(bench: Bench, chosen: npt.NDArray[np.int64]) -> dict[str, Floats]:

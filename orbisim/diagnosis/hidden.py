@@ -22,6 +22,7 @@ class Layout:
 
     Attributes:
       q: [nq] addresses in the variant's qpos. v: [nv] addresses in its qvel.
+      hidden_q, hidden_v: addresses of the hinges and slides that effects have added.
     """
 
     def __init__(self, declared: mujoco.MjModel, variant: mujoco.MjModel) -> None:
@@ -31,6 +32,10 @@ class Layout:
             there = own[joint.label]
             self.q[joint.q] = np.arange(there.q.start, there.q.stop)
             self.v[joint.v] = np.arange(there.v.start, there.v.stop)
+        declared_names = {j.label for j in joints(declared)}
+        extra = [j for j in joints(variant) if j.label not in declared_names]
+        self.hidden_q = np.array([j.q.start for j in extra], int)
+        self.hidden_v = np.array([j.v.start for j in extra], int)
 
 
 def carried_along(

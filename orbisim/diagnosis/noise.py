@@ -19,8 +19,8 @@ from orbisim.diagnosis.samples import Samples
 Floats = npt.NDArray[np.float64]
 
 _KNOT = 4
-_ROUNDS = 4
-_MAX_WINDOWS = 40
+_ROUNDS = 3
+_MAX_WINDOWS = 24
 _BRACE = 1e-6
 
 

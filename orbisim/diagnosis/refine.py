@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from orbisim.diagnosis.bench import Bench, Hypothesis
 from orbisim.diagnosis.linear import Intervals
 from orbisim.diagnosis.retune import Tunable
-from orbisim.diagnosis.shooting import Fit, Hints, Shooter, gauss_newton
+from orbisim.diagnosis.shooting import Fit, Hints, Shooter, gauss_newton, start_derivatives
 from orbisim.effects import find
 from orbisim.errors import OrbiSimError
 
@@ -31,6 +31,7 @@ class Judged:
       checked: [windows] mean squared weighted residual of each check window, starts fitted.
       ratio: residual over noise on the check windows.
       cost: information criterion of the fit; lower is better.
+      check_fit: window starts on the check windows.
     """
 
     hypothesis: Hypothesis
@@ -38,6 +39,7 @@ class Judged:
     checked: Floats
     ratio: float
     cost: float
+    check_fit: Fit
 
 
 class Judge:
@@ -71,8 +73,7 @@ class Judge:
         if columns is not None:
             response = self.fitted.respond(intervals, columns)
             self._slopes = {one: response[..., f] for f, one in enumerate(tunables)}
-        self._warm: Fit | None = None
-        self._warm_check: Fit | None = None
+        self._warm: dict[int, Floats] = {}
 
     def judge(self, hypothesis: Hypothesis, iterations: int = 5) -> Judged | None:
         """Fits the hypothesis' free parameters; None if it cannot be simulated."""
@@ -82,28 +83,44 @@ class Judge:
         except (OrbiSimError, np.linalg.LinAlgError):
             return None
         means = _means(self.check, checked)
-        ratio = float(np.sqrt(self._typical(means)))
-        return Judged(fitted, fit, means, ratio, self._cost(fitted, fit))
+        ratio = float(np.sqrt(self._typical(self.check, means)))
+        return Judged(fitted, fit, means, ratio, self._cost(fitted, fit), checked)
 
-    def _typical(self, means: Floats) -> float:
-        """Mean over windows; with contacts, without the worst, whose starts may be lost."""
-        if not self.bench.contacts or len(means) < 6:
+    def _typical(self, shooter: Shooter, means: Floats) -> float:
+        """Mean over windows, without the worst of those whose starts impacts make uncertain."""
+        most = round(_TRIMMED * len(means))
+        fragile = shooter.windows.fragile()
+        if not most or not fragile.any():
             return float(means.mean())
-        kept = np.sort(means)[: max(1, round((1 - _TRIMMED) * len(means)))]
-        return float(kept.mean())
+        worst = np.argsort(np.where(fragile, -means, np.inf))[: min(most, int(fragile.sum()))]
+        return float(np.delete(means, worst).mean())
 
     def start_from(self, judged: Judged) -> None:
-        """Takes a hypothesis' window starts as first guesses of others'."""
-        if judged.fit.start.shape[0] == len(self.fitted):
-            self._warm = judged.fit
+        """Takes a hypothesis' window starts, and what they do, as first guesses for others."""
+        variant = judged.hypothesis.variant(self.bench.scene)
+        for shooter, fit in ((self.fitted, judged.fit), (self.check, judged.check_fit)):
+            if len(fit.start) != len(shooter):
+                continue
+            self._warm[id(shooter)] = fit.start
+            if self.bench.contacts:
+                self._free[id(shooter)] = start_derivatives(shooter, variant, fit.start)
 
     def score(self, hypothesis: Hypothesis, shooter: Shooter, iterations: int = 4) -> Fit:
         """Residuals of fixed parameters, window starts fitted."""
         variant = hypothesis.variant(self.bench.scene)
-        hints = Hints(free=self._free.get(id(shooter)), exact=self.bench.contacts)
         return gauss_newton(
-            shooter, lambda _: variant, [], hints=hints, iterations=iterations, robust=self.robust
+            shooter,
+            lambda _: variant,
+            [],
+            start=self._warm.get(id(shooter)),
+            hints=self._hints(shooter),
+            iterations=2 * iterations if _structural(hypothesis) else iterations,
+            robust=self.robust,
         )
+
+    def _hints(self, shooter: Shooter, slopes: Mapping[int, Floats] | None = None) -> Hints:
+        free = self._free.get(id(shooter))
+        return Hints(free, slopes or {}, exact=free is None, rough=self.bench.contacts)
 
     def _fitted(self, hypothesis: Hypothesis, iterations: int) -> tuple[Hypothesis, Fit]:
         declared = self.bench.scene
@@ -128,9 +145,9 @@ class Judge:
             self.fitted,
             lambda values: hypothesis.at(declared, values).variant(declared),
             hypothesis.unknowns(declared),
-            start=None if self._warm is None else self._warm.start,
-            hints=Hints(self._free.get(id(self.fitted)), slopes, self.bench.contacts),
-            iterations=iterations,
+            start=self._warm.get(id(self.fitted)),
+            hints=self._hints(self.fitted, slopes),
+            iterations=iterations + 3 if _structural(hypothesis) else iterations,
             robust=self.robust,
         )
 
@@ -167,7 +184,7 @@ class Judge:
         spread = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))[effects:]
         moved = np.abs(fit.values[effects:] - 1) > np.maximum(3 * spread, 2e-3)
         size = effects + int(moved.sum()) + len(hypothesis.effects)
-        typical = self._typical(_means(self.fitted, fit))
+        typical = self._typical(self.fitted, _means(self.fitted, fit))
         misfit = independent * np.log(max(typical, 1e-12))
         return float(misfit + fit.penalty + size * np.log(independent))
 
@@ -218,6 +235,11 @@ class Judge:
                 break
             here = best
         return here
+
+
+def _structural(hypothesis: Hypothesis) -> bool:
+    """Whether joints are added, whose state at a window's start nothing reads."""
+    return any(find(e.effect).structural and find(e.effect).kind == "joint" for e in hypothesis.effects)
 
 
 def _means(shooter: Shooter, fit: Fit) -> Floats:

@@ -45,6 +45,12 @@ class Windows:
         horizon = None if self.horizon is None else self.horizon[keep]
         return Windows(self.first[keep], self.length, self.recording[keep], horizon)
 
+    def fragile(self) -> npt.NDArray[np.bool_]:
+        """[W]: windows that end early, as impacts make what follows uncertain."""
+        if self.horizon is None:
+            return np.zeros(len(self), bool)
+        return np.asarray(self.horizon < self.length)
+
     def predictable(self) -> npt.NDArray[np.bool_]:
         """[W, length + 1]: samples that lie within the horizon."""
         steps = np.arange(self.length + 1)

@@ -161,7 +161,7 @@ def _verdict(found: Attribution, settings: Settings) -> Verdict:
     )
 
 
-_FLOOR = 1.3
+_FLOOR = 1.5
 """Residual over noise up to which what is left counts as noise."""
 _FAINT = 1.15
 """Residual over noise up to which a residual that nothing explains is not called significant."""

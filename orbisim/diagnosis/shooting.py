@@ -102,7 +102,8 @@ class Shooter:
 
         Args:
           variant: the scene to simulate and how it is measured.
-          start: [W, 2 nv] true deviation at each window's start.
+          start: [W, 2 nv + 2 h] true deviation at each window's start, and position and velocity
+            of the h joints that effects have added.
         """
         model, measurement = variant.scene.model, variant.measurement
         place = Layout(self.declared.model, model)
@@ -112,6 +113,11 @@ class Shooter:
         batch.bind("qpos")[:, place.q] = qpos
         batch.bind("qvel")[:] = 0.0
         batch.bind("qvel")[:, place.v] = qvel
+        hidden = (start.shape[1] - 2 * self.nv) // 2
+        if hidden:
+            unseen = start[:, 2 * self.nv :]
+            batch.bind("qpos")[:, place.hidden_q] += unseen[:, :hidden]
+            batch.bind("qvel")[:, place.hidden_v] = unseen[:, hidden:]
         batch.bind("time")[:] = self.time[:, 0]
         if model.na or model.nhistory:
             act, history = self._hidden(model)
@@ -119,7 +125,7 @@ class Shooter:
         timestep = batch.expand("opt.timestep")
         hooks = hooks_of(model)
         out = np.zeros((len(self), self.windows.length + 1, 2 * self.nv))
-        out[:, 0] = start
+        out[:, 0] = start[:, : 2 * self.nv]
         applied = batch.bind("qfrc_applied")
         for k in range(self.horizon):
             length = (self.time[:, k + 1] - self.time[:, k]) / measurement.clock
@@ -170,7 +176,7 @@ class Shooter:
         return np.clip(values, -_LOST, _LOST).reshape(len(self), -1)
 
     def _moved(self, start: Floats) -> tuple[Floats, Floats]:
-        qpos, qvel = self.qpos[:, 0].copy(), self.qvel[:, 0] + start[:, self.nv :]
+        qpos, qvel = self.qpos[:, 0].copy(), self.qvel[:, 0] + start[:, self.nv : 2 * self.nv]
         if qpos.shape[1] == self.nv:
             return qpos + start[:, : self.nv], qvel
         for w in range(len(qpos)):
@@ -303,6 +309,12 @@ def _approached(
 _APPROACH = (6, 15, 30)
 
 
+def start_derivatives(shooter: Shooter, variant: Variant, start: Floats) -> Floats:
+    """Derivatives of the weighted data by the window starts, [W, data, 2 nv]."""
+    problem = _Problem(shooter, lambda _: variant, [], Hints(), None)
+    return problem.start_jacobian(problem.trial(np.zeros(0), start))
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Hints:
     """Approximate derivatives of the weighted data.
@@ -311,11 +323,13 @@ class Hints:
       free: [W, data, 2 nv] by the window starts, or None.
       slopes: [W, data] by the unknown of that number.
       exact: whether derivatives by the starts are taken anew in every iteration (contacts).
+      rough: whether `free` holds only at first (contacts).
     """
 
     free: Floats | None = None
     slopes: Mapping[int, Floats] = dataclasses.field(default_factory=dict)
     exact: bool = False
+    rough: bool = False
 
 
 class _Problem:
@@ -338,32 +352,62 @@ class _Problem:
     def solve(self, start: Floats | None, iterations: int, tolerance: float) -> Fit:
         shooter = self.shooter
         values = np.clip(self.begin, self.low, self.high)
-        xi = np.zeros((len(shooter), 2 * shooter.nv)) if start is None else start.copy()
-        here = self._trial(values, xi)
+        xi = self._widened(values, start)
+        here = self.trial(values, xi)
+        if start is not None and self.hints.rough:
+            here = self._better(here, self.trial(values, np.zeros_like(xi)))
+        for other in self._ends(values, xi):
+            here = self._better(here, self.trial(values, other))
         damping, brakes = 1e-4, np.full(len(shooter), 1e-9)
         free = self.hints.free
-        if free is None:
-            free = self._start_jacobian(here)
-        hinted = self.hints.free is not None
+        hinted = free is not None and free.shape[2] == xi.shape[1]
+        if free is None or not hinted:
+            free = self.start_jacobian(here)
         iteration = 0
         while iteration < iterations:
             slopes = self._slopes(here)
             found = self._search(here, slopes, free, damping, brakes)
             if found is None:
-                if not hinted or iteration:
+                if not hinted:
                     break
-                hinted, free = False, self._start_jacobian(here)  # the hint was no good
+                hinted, free = False, self.start_jacobian(here)  # the hint was no good
                 continue
             gain = (here.total - found.total) / max(here.total, 1e-300)
             here, damping = found, max(damping / 10, 1e-9)
             iteration += 1
-            if gain < tolerance:
+            if gain < tolerance and not (hinted and self.hints.rough):
                 break
-            if not hinted and (self.hints.exact or iteration == 2):
-                free = self._start_jacobian(here)
+            if hinted and self.hints.rough and (gain < 0.2 or iteration == 2):
+                hinted, free = False, self.start_jacobian(here)
+            elif not hinted and (self.hints.exact or iteration == 2):
+                free = self.start_jacobian(here)
         return self._result(here, free)
 
-    def _trial(self, values: Floats, xi: Floats) -> _Trial:
+    def _widened(self, values: Floats, start: Floats | None) -> Floats:
+        """Window starts with room for the joints that effects have added."""
+        shooter = self.shooter
+        added = self.build(values).scene.model.nv - shooter.nv
+        xi = np.zeros((len(shooter), 2 * shooter.nv + 2 * added))
+        if start is not None:
+            width = 2 * shooter.nv if start.shape[1] != xi.shape[1] else xi.shape[1]
+            xi[:, :width] = start[:, :width]
+        return xi
+
+    def _ends(self, values: Floats, xi: Floats) -> list[Floats]:
+        """Starts with the play of added joints taken up on either side."""
+        model, declared = self.build(values).scene.model, self.shooter.declared.model
+        found: list[Floats] = []
+        place = Layout(declared, model) if model.nv > declared.nv else None
+        for k, dof in enumerate([] if place is None else place.hidden_v):
+            joint = int(model.dof_jntid[dof])
+            if model.jnt_limited[joint]:
+                for end in model.jnt_range[joint]:
+                    moved = xi.copy()
+                    moved[:, 2 * self.shooter.nv + k] = end
+                    found.append(moved)
+        return found
+
+    def trial(self, values: Floats, xi: Floats) -> _Trial:
         """Simulates parameters and starts."""
         simulated = self.shooter.simulate(self.build(values), xi)
         residual = self.shooter.residual(simulated)
@@ -377,12 +421,12 @@ class _Problem:
         for _ in range(5):
             step, moves = self._step(here, slopes, free, damping, brakes)
             values = np.clip(here.values + step, self.low, self.high)
-            trial = self._trial(values, here.xi + moves)
+            trial = self.trial(values, here.xi + moves)
             worse = trial.cost > here.cost
             brakes[worse] = np.maximum(brakes[worse] * 100, 1e-3)
             brakes[~worse] = np.maximum(brakes[~worse] / 10, 1e-12)
             if worse.any() and (trial.total >= here.total or self.hints.exact):
-                trial = self._better(trial, self._trial(values, here.xi))
+                trial = self._better(trial, self.trial(values, here.xi))
             if trial.total < here.total:
                 return trial
             damping = max(damping * 10, 1e-3)
@@ -436,10 +480,10 @@ class _Problem:
             slopes[..., p] = (after - base) / step
         return slopes
 
-    def _start_jacobian(self, here: _Trial) -> Floats:
+    def start_jacobian(self, here: _Trial) -> Floats:
         """Derivatives of the weighted simulated data by the window starts, [W, data, 2 nv]."""
         base = self.shooter.scaled(here.simulated)
-        columns = 2 * self.shooter.nv
+        columns = here.xi.shape[1]
         jacobian = np.zeros((*base.shape, columns))
         variant = self.build(here.values)
         for j in range(columns):

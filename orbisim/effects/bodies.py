@@ -67,7 +67,33 @@ class Payload(BodyEffect):
                 **dict(zip(("com_x", "com_y", "com_z"), map(float, place), strict=True)),
             }
 
-        return [Candidate(self.name, target, columns, solve)]
+        whole = Candidate(self.name, target, columns, solve)
+        return [whole, *(self._at(view, target, place) for place in _places(view.model, target))]
+
+    def _at(self, view: View, target: str, place: np.ndarray) -> Candidate:
+        """A point mass at a known place."""
+        parts = dict(zip(("com_x", "com_y", "com_z"), map(float, place), strict=True))
+
+        def solve(c: Floats) -> dict[str, float] | None:
+            return {"mass": float(c[0]), **parts} if c[0] > 0 else None
+
+        return Candidate(self.name, target, (_inertia(view, target, place),), solve, shape=1)
+
+
+def _places(model: mujoco.MjModel, target: str) -> list[np.ndarray]:
+    """Where on a body something may sit: its centre of mass, its geoms, its children."""
+    body = index_of(model, "body", target)
+    found = [model.body_ipos[body]]
+    found += [model.geom_pos[g] for g in range(model.ngeom) if model.geom_bodyid[g] == body]
+    found += [model.body_pos[b] for b in range(1, model.nbody) if model.body_parentid[b] == body]
+    distinct: list[np.ndarray] = []
+    for place in found:
+        if all(np.linalg.norm(place - other) > 1e-3 for other in distinct):
+            distinct.append(np.array(place))
+    return distinct[:_MOST_PLACES]
+
+
+_MOST_PLACES = 6
 
 
 class ComOffset(BodyEffect):

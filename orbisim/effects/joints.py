@@ -238,18 +238,23 @@ class HardStop(JointEffect):
         return ("position",)
 
     def screen(self, view: View, target: str) -> list[Candidate]:
-        """A force at one end of the travel that grows with how far the end is approached."""
-        q = _position(view, target)
+        """A spring and a damper at one end of the travel."""
+        q, v = _position(view, target), _speed(view, target)
         found: list[Candidate] = []
         for side in (1.0, -1.0):
             end = float((side * q).max())
-            for depth in (0.003, 0.01, 0.03):
+            for depth in (0.003, 0.01, 0.03, 0.08, 0.16):
                 start = end - depth * float(np.ptp(q))
-                push = np.clip((side * q - start) / max(end - start, 1e-12), 0, None)
+                beyond = np.clip(side * q - start, 0, None)
                 values = {"position": side * start, "side": side}
-                solve = _if_positive(values)
-                found.append(self.candidate(view, target, [-side * push], solve, shape=1))
+                forces = [-side * beyond, -np.where(beyond > 0, v, 0.0)]
+                found.append(self.candidate(view, target, forces, _if_stiff(values), shape=1))
         return found
+
+
+def _if_stiff(values: dict[str, float]) -> Solve:
+    """The values if the stop pushes back."""
+    return lambda c: values if c[0] > 0 else None
 
 
 class Backlash(JointEffect):
@@ -265,7 +270,7 @@ class Backlash(JointEffect):
     structural = True
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (Parameter("width", joint_unit(model, target, "rad", "m"), 0.0, 1.0, 0.02),)
+        return (Parameter("width", joint_unit(model, target, "rad", "m"), 1e-6, 1.0, 0.02),)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         joint = spec_element(spec, "joint", instance.target)
