@@ -90,7 +90,7 @@ def _errors(model: Dynamics, pack: Pack, horizon: int, burn: int) -> dict[str, T
     if layout.has_robot and model.config.extended:
         found["joint_position"] = (end.q - there.q).square().mean(-1).sqrt()
         found["joint_velocity"] = (end.v - there.v).square().mean(-1).sqrt()
-        found["normalised"] = _normalised(predicted, truth, pack)
+        found["normalised"] = normalised(predicted, truth, pack)
     return {name: torch.nan_to_num(values, nan=torch.inf) for name, values in found.items()}
 
 
@@ -106,7 +106,7 @@ def _object_errors(end: Entities, there: Entities, mask: Tensor) -> dict[str, Te
     }
 
 
-def _normalised(predicted: Entities, truth: Entities, pack: Pack) -> Tensor:
+def normalised(predicted: Entities, truth: Entities, pack: Pack) -> Tensor:
     """Root mean square over joints and steps up to the horizon, in units of their spread."""
     keep = [j for j in range(len(pack.layout.joints)) if not pack.layout.ignored[j]]
     spread_q = pack.qpos[:, list(pack.layout.joint_q)].std(0).clamp_min(1e-6)
