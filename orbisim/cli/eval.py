@@ -10,15 +10,15 @@ import click
 from orbisim.cli.common import device_option, emit_json, json_option, print_table
 from orbisim.errors import MissingDependencyError
 
+_EXAMPLE = "Example: orbisim eval dynamics checkpoints/push held_out.h5 --json"
 
-@click.group("eval")
+
+@click.group("eval", epilog=_EXAMPLE)
 def command() -> None:
     """Measure a learned model."""
 
 
-@command.command(
-    "dynamics", epilog="Example: orbisim eval dynamics checkpoints/push held_out.h5 --json"
-)
+@command.command("dynamics", epilog=_EXAMPLE)
 @click.argument("checkpoint", type=click.Path(path_type=Path))
 @click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(

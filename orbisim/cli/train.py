@@ -16,7 +16,7 @@ _EXAMPLE = (
 )
 
 
-@click.group("train")
+@click.group("train", epilog=f"{_EXAMPLE} --json")
 def command() -> None:
     """Train a learned model."""
 
