@@ -174,7 +174,7 @@ def cpu(model: Any, options: Any) -> dict[str, float]:
     nstep = round(learned.timestep / classical.timestep)
     state = classical.reset(1)
     mid = classical.step(state, None, 10 * nstep)
-    learned.step(mid)
+    mid = learned.step(mid)
     pairs = []
     for _ in range(60):
         begun = time.perf_counter()

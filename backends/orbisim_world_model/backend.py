@@ -38,9 +38,8 @@ class LearnedBackend(Backend):
       device: `cpu`, `cuda`, `cuda:1`; None for the GPU, if there is one.
       argument: folder of a checkpoint (`learned:PATH`); the zoo's that fits the scene if None.
       half: on a GPU, compute the network in half precision.
-      native: on a CPU, step single worlds by compiled C (see `native`); needs a C compiler, takes
-        seconds the first time, and is many times faster afterwards. None: for one world, if there
-        is a compiler.
+      native: on a CPU, step single worlds by compiled C (see `native`): many times faster, after
+        some seconds for the first step of the first time. None: if there is a C compiler.
     """
 
     name = "learned"
@@ -100,7 +99,9 @@ class LearnedBackend(Backend):
             self._engine = Engine(checkpoint, self._on, self._half)
         assert self._engine is not None
         self._engine.describe(scene)
-        self._compile(self._engine)
+        self._compiles = self._native is not False and self.baseline == "none"
+        if self._native:
+            self._compile(self._engine)
         self._scene = scene
         self._warn(f"scene {scene.name!r}", found.concerns)
 
@@ -121,6 +122,8 @@ class LearnedBackend(Backend):
         if nstep < 1:
             raise InputError(f"nstep must be at least 1; got {nstep}")
         seconds = nstep * self.timestep
+        if state.nworld == 1 and isinstance(state.qpos, np.ndarray):
+            self._compile(self.engine)
         if self.engine.suits_native(state, control):
             after = self.engine.native_step(state, control, nstep, seconds)
             if after is not None:
@@ -198,15 +201,15 @@ class LearnedBackend(Backend):
         return self._folder, fit(read_manifest(self._folder), scene)
 
     def _compile(self, engine: Engine) -> None:
-        """Prepares the native step, where it was asked for or one world makes it worthwhile."""
-        if engine.native is not None or self._native is False or self.baseline != "none":
+        """Prepares the native step, once; without a compiler only if it was asked for."""
+        if engine.native is not None or not self._compiles:
             return
-        if self._native or self.nworld == 1:
-            try:
-                engine.prepare_native()
-            except (MissingDependencyError, UntranslatableError):
-                if self._native:
-                    raise
+        self._compiles = False
+        try:
+            engine.prepare_native()
+        except (MissingDependencyError, UntranslatableError):
+            if self._native:
+                raise
 
     def _check(self, checkpoint: Checkpoint) -> None:
         """Refuses checkpoints whose predictions are not a state of the scene."""
