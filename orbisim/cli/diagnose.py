@@ -107,8 +107,10 @@ def _print(result: Any) -> None:
             rows,
         )
     if result.retuned:
-        rows = [(r.label, r.factor, f"{r.ci95[0]:.4f} to {r.ci95[1]:.4f}") for r in result.retuned]
-        print_table("\nDeclared parameters", ("parameter", "factor", "95 % interval"), rows)
+        factors = [
+            (r.label, r.factor, f"{r.ci95[0]:.4f} to {r.ci95[1]:.4f}") for r in result.retuned
+        ]
+        print_table("\nDeclared parameters", ("parameter", "factor", "95 % interval"), factors)
     error = result.error
     print_table(
         f"\nFree-running error over {error['window_s']:g} s ({error['unit']}), "

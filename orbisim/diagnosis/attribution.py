@@ -142,9 +142,10 @@ class _Search:
             if self._done(single) and single.hypothesis.effects[0].effect not in SAME:
                 return single, None
         tuned = self._tuned(Hypothesis())
-        if tuned is not None and self._done(tuned) and not _strained(tuned):
-            if single is None or not self._done(single) or tuned.cost < single.cost:
-                return tuned, None
+        alone = single if single is not None and self._done(single) else None
+        explains = tuned is not None and self._done(tuned) and not _strained(tuned)
+        if tuned is not None and explains and (alone is None or tuned.cost < alone.cost):
+            return tuned, None
         if single is not None and self._done(single):
             return single, None
         start = single

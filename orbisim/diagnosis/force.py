@@ -1,9 +1,9 @@
 """The residual in force space, by inverse dynamics along the smoothed motion.
 
-`mj_inverse` gives the generalized force that the scene needs for the measured acceleration
-(passive forces, contacts and constraints are taken into account); what actuators and recorded forces
-give is subtracted. The rest is what the scene lacks, plus noise: the standard deviation of the
-smoothed acceleration through the inertia matrix.
+`mj_inverse` gives the generalized force that the scene needs for the measured acceleration (passive
+forces, contacts and constraints are taken into account); what actuators and recorded forces give is
+subtracted. The rest is what the scene lacks, plus noise: the standard deviation of the smoothed
+acceleration through the inertia matrix.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ def force_residual(samples: Sequence[Samples], scene: Scene) -> list[ForceResidu
 
     Args:
       samples: the recordings, prepared with the declared scene.
-      scene: the declared scene, or one with effects added. Joints that an effect added rest; effects
-        that MuJoCo cannot express natively are not taken into account.
+      scene: the declared scene, or one with effects added. Joints that an effect added rest;
+        effects that MuJoCo cannot express natively are not taken into account.
     """
     return [_one(sample, scene) for sample in samples]
 

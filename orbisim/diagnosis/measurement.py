@@ -1,7 +1,8 @@
 """How true states appear in a recording: offsets, scales, delays and the clock.
 
-A signal reads s x(t - d) + b at each degree of freedom (see `orbisim.effects.sensors`), and recorded
-durations are `clock` times the true ones. Rotations of ball and free joints are read as they are.
+A signal reads s x(t - d) + b at each degree of freedom (see `orbisim.effects.sensors`), and
+recorded durations are `clock` times the true ones. Rotations of ball and free joints are read as
+they are.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -239,7 +240,8 @@ class Judge:
 
 def _structural(hypothesis: Hypothesis) -> bool:
     """Whether joints are added, whose state at a window's start nothing reads."""
-    return any(find(e.effect).structural and find(e.effect).kind == "joint" for e in hypothesis.effects)
+    kinds = [find(e.effect) for e in hypothesis.effects]
+    return any(kind.structural and kind.kind == "joint" for kind in kinds)
 
 
 def _means(shooter: Shooter, fit: Fit) -> Floats:
@@ -252,7 +254,7 @@ _GRID_STEPS = 12
 _TRIMMED = 0.15
 
 
-def _padded(fit: Fit, index: int) -> dict[str, Floats]:
+def _padded(fit: Fit, index: int) -> dict[str, Any]:
     """Information with a row for a parameter that was held."""
     return {
         "covariance": np.insert(np.insert(fit.covariance, index, 0, 0), index, 0, 1),

@@ -146,7 +146,7 @@ def normal_equations(
 
 def _stack(intervals: Intervals, columns: Sequence[Column]) -> tuple[Floats, Floats | None]:
     """State inputs [N, 2 nv, C] and signals [2 N, 2 nv, C] of the columns."""
-    count, n2, nv = intervals.B.shape
+    count, n2, _ = intervals.B.shape
     inputs = np.zeros((count, n2, len(columns)))
     signals = None
     for c, column in enumerate(columns):

@@ -146,7 +146,7 @@ def _result(
     )
 
 
-# -- parts ------------------------------------------------------------------------------------------
+# -- parts ------------------------------------------------------------
 
 
 def _verdict(found: Attribution, settings: Settings) -> Verdict:
@@ -336,6 +336,6 @@ class _Telling:
             return lambda text: None
         return self._status.__enter__()
 
-    def __exit__(self, *error: object) -> None:
+    def __exit__(self, *error: Any) -> None:
         if self._status is not None:
             self._status.__exit__(*error)

@@ -210,13 +210,13 @@ def _solve(candidate: Candidate, normal: Normal, index: list[int]) -> tuple[Floa
 
 
 def _suspect(
-    candidate: Candidate, values: object, left: float, normal: Normal, bench: Bench
+    candidate: Candidate, values: Mapping[str, float], left: float, normal: Normal, bench: Bench
 ) -> Suspect:
     instance = EffectInstance(
         candidate.effect,
         candidate.target,
         dict(values),
-        dict(candidate.options),  # type: ignore[call-overload]
+        dict(candidate.options),
     )
     free = find(candidate.effect).free_parameters(bench.scene.model, candidate.target)
     penalty = len(free) * np.log(max(normal.count, 2))

@@ -27,7 +27,7 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Record
         )
     fit, held = [], []
     for one in every:
-        border = int(round((1 - _SHARE) * len(one)))
+        border = round((1 - _SHARE) * len(one))
         if border < 8 or len(one) - border < 4:
             fit.append(one)
             continue

@@ -74,8 +74,8 @@ def _swapped(bound: Bound) -> None:
             if crossed > 0.9 and own < 0.5:
                 raise RecordingError(
                     bound.recording.source,
-                    f"the velocity of {a.label!r} is the derivative of the position of {b.label!r}, "
-                    "and the other way round",
+                    f"the velocity of {a.label!r} is the derivative of the position of "
+                    f"{b.label!r}, and the other way round",
                     element=f"'qvel/{a.label}', 'qvel/{b.label}'",
                     remedy="swap the columns back",
                 )

@@ -1,4 +1,4 @@
-"""The measured motion with the model's quantities along it (see `orbisim.effects.screening.View`)."""
+"""The measured motion with quantities of the model along it (`orbisim.effects.screening.View`)."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class MotionView:
         self._states: list[tuple[Floats, ...]] = []
         n = len(self.flow)
         dense = np.zeros((max(model.nactuator, 1), model.nv))
-        keep = {name: [] for name in _KEPT}
+        keep: dict[str, list[Floats]] = {name: [] for name in _KEPT}
         for m in range(count):
             data.qpos[:], data.qvel[:] = self.qpos[m], self.qvel[m]
             data.ctrl[:], data.act[:] = self.ctrl[m], self.flow.act[m % n]
@@ -112,7 +112,7 @@ class MotionView:
         return self._at_ends(per_row)
 
     def delayed_control(self, control: int, delay: float) -> Floats:
-        """[M]: the control of some time before; at an interval's ends its mean over the interval."""
+        """[M]: the control of some time before; at an interval's ends its mean over it."""
         starts, ends = [], []
         for i, r in self._by_recording():
             one = self.samples[i]

@@ -19,14 +19,15 @@ def sentence(diagnosis: Diagnosis) -> str:
     floor = f"measurement noise {number(error['noise_floor'])} {unit}"
     if verdict == "no_residual":
         return (
-            f"The scene as declared predicts the recordings to within the noise: free-running error "
-            f"on held-out data {number(before)} {unit}, {floor}; no effect is added."
+            "The scene as declared predicts the recordings to within the noise: free-running "
+            f"error on held-out data {number(before)} {unit}, {floor}; no effect is added."
         )
     if verdict == "unexplained":
+        times = number(diagnosis.residual["ratio_to_noise"])
         return (
-            f"The recordings deviate from the scene ({number(diagnosis.residual['ratio_to_noise'])} "
-            f"times the noise), and no effect of the catalogue explains it: free-running error on "
-            f"held-out data {number(before)} {unit}, {floor}."
+            f"The recordings deviate from the scene ({times} times the noise), and no effect of "
+            f"the catalogue explains it: free-running error on held-out data {number(before)} {unit}, "
+            f"{floor}."
         )
     what = " and ".join(described(effect) for effect in diagnosis.effects)
     if not what:

@@ -193,7 +193,7 @@ class Effect(abc.ABC):
             raise InputError(f"{self.name} at {instance.target!r} lacks {', '.join(missing)}")
 
 
-class Hook(abc.ABC):
+class Hook:
     """Applies an effect that MuJoCo cannot express, in many worlds at once.
 
     Parameter values may differ between worlds: `values` maps each name to an array [nworld] or to

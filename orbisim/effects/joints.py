@@ -317,7 +317,7 @@ class JointFlexibility(JointEffect):
 class StribeckFriction(JointEffect):
     """Friction that falls from a static to the Coulomb level as the joint starts to move.
 
-    Level (Fc + (Fs - Fc) exp(-(v/vs)^2)), set as `frictionloss` at every timestep, so that the joint
+    Level (Fc + (Fs - Fc) exp(-(v/vs)^2)), set as `frictionloss` at every timestep: the joint
     really sticks.
     """
 
@@ -351,7 +351,7 @@ class StribeckFriction(JointEffect):
 class LoadDependentFriction(JointEffect):
     """Friction proportional to the load that the transmission carries.
 
-    The load is the magnitude of the actuators' generalized force at the joint (`load`: actuator), or
+    The load is the size of the actuators' generalized force at the joint (`load`: actuator), or
     of gravity, Coriolis and constraint forces on it (`load`: external).
     """
 

@@ -25,7 +25,7 @@ class Column:
     """One regressor.
 
     Attributes:
-      kind: `force`: generalized force [M, nv] at the ends of the sampling intervals; `state`: change
+      kind: `force`: generalized force [M, nv] at the intervals' ends; `state`: change
         [N, 2 nv] of the state over each interval; `signal`: change [M, 2 nv] of the measured
         positions and velocities at the ends of the intervals.
       values: the regressor for a coefficient of one. M = 2 N: all starts, then all ends.

@@ -70,10 +70,10 @@ class Assembly:
         signals = self.recording.signals
         full = np.full((self.count, width), np.nan)
         if kind in signals:
-            columns = self.shown(width, signals[kind].shape[1], places)
-            wanted = len(columns) if columns is not None else width
+            shown = self.shown(width, signals[kind].shape[1], places)
+            wanted = len(shown) if shown is not None else width
             self.check_width(kind, signals[kind], wanted, f"scene {self.scene.name!r}")
-            full[:, slice(None) if columns is None else columns] = signals[kind]
+            full[:, slice(None) if shown is None else shown] = signals[kind]
         for name, values in signals.items():
             of, target = names.split(name)
             if of != kind or not target:

@@ -117,7 +117,7 @@ def _time_chart(
     rows = slice(0, min(len(one.time), _MOST_POINTS))
     axes.fill_between(
         one.time[rows], -2 * one.std[rows, column], 2 * one.std[rows, column],
-        color=_MEASURED, alpha=0.25, linewidth=0, label="±2 σ of the noise",
+        color=_MEASURED, alpha=0.25, linewidth=0, label="twice the noise",
     )  # fmt: skip
     axes.plot(one.time[rows], one.force[rows, column], color=_BEFORE, label="as declared", lw=1)
     if after:
@@ -197,7 +197,7 @@ def _overlays(diagnosis: Diagnosis) -> list[Markup]:
     order = np.argsort([w.rms if np.isfinite(w.rms) else np.inf for w in before.windows])
     picks = dict.fromkeys([int(order[-1]), int(order[len(order) // 2])])
     charts = []
-    shown = _worst_joints(diagnosis) or [j for j in joints(diagnosis.scene.model)][:1]
+    shown = _worst_joints(diagnosis) or list(joints(diagnosis.scene.model))[:1]
     for pick in picks:
         for joint in shown[:2]:
             charts.append(_overlay(diagnosis, joint, before, after, pick))
