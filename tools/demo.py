@@ -1,4 +1,5 @@
-"""`make demo`: two backends on two scenes, a table and a report for each."""
+"""`make demo`: two backends on two scenes, and an arm whose scene lacks something: a table and a
+report for each."""
 
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ from pathlib import Path
 from orbisim.cli.main import run
 
 OUT = Path("out/demo")
+ARM = Path("mjcf_assets/arm2")
 SCENES = ("suite:cheetah-run", "suite:manipulator-bring_ball")
 
 
@@ -24,9 +26,15 @@ def main() -> int:
         print()
         if status:
             return status
+    print("Four recordings of an arm, with an effect that its scene does not declare:")
+    runs = [str(path) for path in sorted((ARM / "example").glob("*.npz"))]
+    status = run(["diagnose", str(ARM / "scene.xml"), *runs, "--out", str(OUT / "diagnosis")])
+    print()
+    if status:
+        return status
     print(f"Done in {time.monotonic() - started:.0f} s. Open in a browser:")
-    for scene in SCENES:
-        print(f"  {(OUT / scene.partition(':')[2] / 'report.html').resolve()}")
+    for name in (*(scene.partition(":")[2] for scene in SCENES), "diagnosis"):
+        print(f"  {(OUT / name / 'report.html').resolve()}")
     return 0
 
 

@@ -71,7 +71,7 @@ def _swapped(bound: Bound) -> None:
     for i, a in enumerate(scalar):
         for k, b in enumerate(scalar[:i]):
             own, crossed = max(table[i, i], table[k, k]), min(table[i, k], table[k, i])
-            if crossed > 0.9 and own < 0.5:
+            if crossed > 0.97 and own < 0.93:
                 raise RecordingError(
                     bound.recording.source,
                     f"the velocity of {a.label!r} is the derivative of the position of "

@@ -26,8 +26,8 @@ def sentence(diagnosis: Diagnosis) -> str:
         times = number(diagnosis.residual["ratio_to_noise"])
         return (
             f"The recordings deviate from the scene ({times} times the noise), and no effect of "
-            f"the catalogue explains it: free-running error on held-out data {number(before)} {unit}, "
-            f"{floor}."
+            f"the catalogue explains it: free-running error on held-out data {number(before)} "
+            f"{unit}, {floor}."
         )
     what = " and ".join(described(effect) for effect in diagnosis.effects)
     if not what:

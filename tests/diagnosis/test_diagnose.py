@@ -1,0 +1,107 @@
+"""The diagnosis end to end: what it finds, when it is silent, what it writes, what it refuses."""
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import orbisim
+from orbisim.diagnosis import Diagnosis
+from orbisim.effects import EffectInstance
+from orbisim.errors import RecordingError
+from orbisim.recording import Recording
+from orbisim.testing import inject_effect
+
+ARM = Path(__file__).parents[2] / "mjcf_assets" / "arm2"
+SHORT = {"duration": 4.0, "episodes": 4, "noise": 2e-4}
+
+
+@pytest.fixture(scope="module")
+def arm() -> orbisim.Scene:
+    return orbisim.load_scene(ARM / "scene.xml")
+
+
+@pytest.fixture(scope="module")
+def example(arm: orbisim.Scene) -> Diagnosis:
+    runs = sorted((ARM / "example").glob("*.npz"))
+    return orbisim.diagnose(ARM / "scene.xml", runs, progress=False)
+
+
+def test_finds_the_friction_of_the_example(example: Diagnosis) -> None:
+    (effect,) = example.effects
+    assert (effect.effect, effect.target) == ("coulomb_friction", "elbow")
+    torque = effect.parameters["torque"]
+    assert torque.value == pytest.approx(0.12, rel=0.01)
+    assert torque.ci95[0] < torque.value < torque.ci95[1]
+    assert example.verdict == "explained"
+    held = example.error["held_out"]
+    assert held["after"] < 0.05 * held["before"]
+    assert effect.evidence["held_out_error_without"] > 10 * effect.evidence["held_out_error_with"]
+    assert example.residual["where"][0]["target"] == "elbow"
+    assert "'elbow' lacks Coulomb friction" in example.sentence
+
+
+def test_held_out_recordings_are_not_fitted(example: Diagnosis) -> None:
+    fit = {one.source for one in example.fit}
+    held = {one.source for one in example.held_out}
+    assert held
+    assert not fit & held
+
+
+def test_files(example: Diagnosis, tmp_path: Path) -> None:
+    example.save(tmp_path)
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["schema"] == "orbisim.diagnosis/1"
+    assert {"scene", "recordings", "noise", "residual", "verdict", "effects"} <= report.keys()
+    assert {"alternatives", "error", "augmented_scene"} <= report.keys()
+    assert report["effects"][0]["native"] is True
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / report["augmented_scene"]))
+    assert model.joint("elbow").frictionloss[0] == pytest.approx(0.12, rel=0.01)
+    page = (tmp_path / "report.html").read_text()
+    assert "Coulomb friction" in page
+    assert "src=" not in page.split("</head>")[0]
+
+
+def test_the_augmented_scene_replays_as_reported(example: Diagnosis, tmp_path: Path) -> None:
+    example.save(tmp_path)
+    found = orbisim.replay(tmp_path / "augmented" / "scene.xml", list(example.held_out))
+    assert found.rms == pytest.approx(example.error["held_out"]["after"], rel=1e-6)
+
+
+def test_silent_without_an_effect(arm: orbisim.Scene) -> None:
+    result = orbisim.diagnose(arm, inject_effect(arm, [], seed=3, **SHORT), progress=False)
+    assert result.verdict == "no_residual"
+    assert not result.effects
+    assert not result.residual["significant"]
+    assert result.residual["ratio_to_noise"] == pytest.approx(1.0, abs=0.1)
+
+
+def test_an_effect_of_the_sensor(arm: orbisim.Scene) -> None:
+    late = EffectInstance("sensor_delay", "elbow", {"delay": 0.015})
+    result = orbisim.diagnose(arm, inject_effect(arm, late, seed=4, **SHORT), progress=False)
+    assert [(e.effect, e.target) for e in result.effects] == [("sensor_delay", "elbow")]
+    assert result.effects[0].parameters["delay"].value == pytest.approx(0.015, rel=0.05)
+    assert "orbisim:effects" in result.augmented_scene.to_xml()
+
+
+def _changed(recording: Recording, **signals: np.ndarray) -> Recording:
+    named = {name.replace("__", "/"): values for name, values in signals.items()}
+    return recording.replace(signals={**recording.signals, **named})
+
+
+def test_refuses_wrong_recordings(arm: orbisim.Scene) -> None:
+    (good,) = inject_effect(arm, [], duration=2.0, episodes=1)
+    elbow, shoulder = good["qvel/elbow"], good["qvel/shoulder"]
+    wrong = {
+        "swap": _changed(good, qvel__elbow=shoulder, qvel__shoulder=elbow),
+        "all": _changed(good, qpos__elbow=np.full(len(good), 0.3), qvel__elbow=0 * elbow),
+        "degrees": _changed(good, qvel__elbow=np.degrees(elbow)),
+        "sign": _changed(good, qvel__elbow=-elbow),
+    }
+    for word, recording in wrong.items():
+        with pytest.raises(RecordingError, match=word):
+            orbisim.diagnose(arm, recording, progress=False)
+    with pytest.raises(RecordingError, match="one sample"):
+        orbisim.diagnose(arm, good.rows(slice(0, 1)), progress=False)
