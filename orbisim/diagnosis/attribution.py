@@ -271,7 +271,7 @@ class _Search:
                 fitted.append(judged)
         if not fitted:
             return None
-        fitted.sort(key=lambda j: j.cost)
+        fitted = _ranked(fitted)
         self.rivals += [
             Rival(j.hypothesis.effects[-1], j.cost - fitted[0].cost, j.ratio, self.round)
             for j in fitted
@@ -431,6 +431,21 @@ class _Search:
             if problem is not None:
                 return problem
         return None
+
+
+def _ranked(fitted: Sequence[Judged]) -> list[Judged]:
+    """Best first; of those that the data do not tell apart, the first in the catalogue first."""
+    order = {name: i for i, name in enumerate(effect_names())}
+    least = min(judged.cost for judged in fitted)
+
+    def rank(judged: Judged) -> tuple[float, int]:
+        tied = judged.cost < least + _TIE
+        return (least if tied else judged.cost, order[judged.hypothesis.effects[-1].effect])
+
+    return sorted(fitted, key=rank)
+
+
+_TIE = 2.0
 
 
 def _strained(judged: Judged) -> bool:
