@@ -12,11 +12,11 @@ import numpy.typing as npt
 
 from orbisim.backend import Backend, Capability, Linearization
 from orbisim.effects.carry import hooks_of
+from orbisim.effects.stepping import step_batch
 from orbisim.errors import CapacityError, DivergedError, InputError
 from orbisim.scene import Scene
 from orbisim.state import State
 from orbisim.trajectory import Trajectory
-from orbisim_mujoco.stepping import step_batch
 
 _PHYSICAL = ("time", "qpos", "qvel", "act")
 _MEMORY = (

@@ -7,7 +7,14 @@ from typing import Any
 
 import click
 
-from orbisim.cli.common import emit_json, engine_command, json_option, note, print_table
+from orbisim.cli.common import (
+    emit_json,
+    engine_command,
+    json_option,
+    note,
+    print_table,
+    seed_option,
+)
 
 
 @click.command(
@@ -28,7 +35,7 @@ from orbisim.cli.common import emit_json, engine_command, json_option, note, pri
     "--backend",
     default="mujoco",
     show_default=True,
-    help="Engine of the declared scene's error; the search simulates with C MuJoCo.",
+    help="Engine of the free-running errors; the search simulates with C MuJoCo.",
 )
 @click.option(
     "--effect",
@@ -49,6 +56,13 @@ from orbisim.cli.common import emit_json, engine_command, json_option, note, pri
     default=None,
     help="Folder for report.html, report.json and augmented/scene.xml.",
 )
+@click.option(
+    "--patience",
+    default=180.0,
+    show_default=True,
+    help="Seconds after which no further effect is looked for.",
+)
+@seed_option
 @json_option
 @engine_command
 def command(
@@ -61,6 +75,8 @@ def command(
     most_effects: int,
     retune: bool,
     out: Path | None,
+    patience: float,
+    seed: int,
     as_json: bool,
 ) -> None:
     """Find the physical effect that SCENE lacks, from measurements of the real thing.
@@ -73,7 +89,13 @@ def command(
 
     for name in effects:
         find(name)
-    settings = Settings(effects=tuple(effects) or None, most_effects=most_effects, retune=retune)
+    settings = Settings(
+        effects=effects or None,
+        most_effects=most_effects,
+        retune=retune,
+        patience=patience,
+        seed=seed,
+    )
     result = diagnose(
         scene, list(recordings), list(held_out) or None, window=window, backend=backend,
         settings=settings, out=out,

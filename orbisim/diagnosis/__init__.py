@@ -1,8 +1,8 @@
 """Closing the loop: the residual, the effect behind it, and the scene with that effect."""
 
-from orbisim.diagnosis.attribution import Settings
 from orbisim.diagnosis.result import Alternative, Diagnosis, Estimate, FoundEffect, Retuned
 from orbisim.diagnosis.run import diagnose
+from orbisim.diagnosis.settings import Settings
 
 __all__ = [
     "Alternative",

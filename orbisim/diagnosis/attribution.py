@@ -11,49 +11,16 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.bench import SAME, Bench, Hypothesis, clean
 from orbisim.diagnosis.consistency import inconsistency
-from orbisim.diagnosis.linear import Intervals, linearize
+from orbisim.diagnosis.linear import linearize
 from orbisim.diagnosis.refine import Judge, Judged
 from orbisim.diagnosis.retune import REACH, Tunable, tunables
 from orbisim.diagnosis.screening import Screening, Suspect, cleaned, factor_columns, screen
+from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.errors import OrbiSimError
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
-
-
-@dataclasses.dataclass(frozen=True)
-class Settings:
-    """How the search goes about it.
-
-    Attributes:
-      effects: names of the effects to consider; all if None.
-      most_effects: at most so many are added.
-      shortlist: how many suspects of a screening are fitted by simulation.
-      windows: how many windows are used to compare suspects.
-      enough: residual over noise at which nothing is left to explain.
-      gain: an effect must reduce the mean squared residual on check windows by this share of what
-        exceeds the noise.
-      certainty: ... and by so many standard errors over the windows.
-      margin: information criterion by which an effect must pay.
-      most_left: share of the residual's amplitude that an explanation may leave at most.
-      retune: whether declared parameters may be retuned.
-      robust: Huber threshold, or None.
-      patience: s after which no further effect is looked for.
-    """
-
-    effects: tuple[str, ...] | None = None
-    most_effects: int = 3
-    shortlist: int = 6
-    windows: int = 48
-    enough: float = 1.06
-    gain: float = 0.02
-    certainty: float = 2.0
-    margin: float = 12.0
-    most_left: float = 0.35
-    retune: bool = True
-    robust: float | None = None
-    patience: float = 180.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -78,23 +45,21 @@ class Attribution:
     Attributes:
       bench: the data, with the noise as it was known in the end.
       before, after: the declared scene and the final hypothesis, fitted on all windows.
-      first: screening of the declared scene. last: of the final one; None if nothing was left.
+      first: screening of the declared scene; None if nothing had to be explained.
       rivals: fitted suspects of all rounds.
-      evidence: for each effect the drop in information criterion that it brings, and the residual
-        over noise on check windows without and with it.
+      evidence: for each effect the drop in information criterion that it brings.
       rejected: effects that lowered the residual but were not believed, with the reason.
-      intervals: linear system along the final hypothesis.
+      cut_short: whether the search ended because its time was up.
     """
 
     bench: Bench
     before: Judged
     after: Judged
     first: Screening | None
-    last: Screening | None
     rivals: tuple[Rival, ...]
-    evidence: tuple[tuple[float, float, float], ...]
+    evidence: tuple[float, ...]
     rejected: tuple[tuple[EffectInstance, str], ...]
-    intervals: Intervals
+    cut_short: bool
 
 
 def attribute(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> Attribution:
@@ -127,27 +92,26 @@ class _Search:
         self.judge = self._judge()
         nothing = self._need(Hypothesis())
         if self._done(nothing):
-            return self._conclude(nothing, None, None)
+            return self._conclude(nothing, None)
         self._find_tunables()
         self.say("screening effects")
         first = self._screen(Hypothesis())
-        current, last = self._explain(nothing, first)
-        return self._conclude(current, first, last)
+        return self._conclude(self._explain(nothing, first), first)
 
-    def _explain(self, nothing: Judged, first: Screening) -> tuple[Judged, Screening | None]:
+    def _explain(self, nothing: Judged, first: Screening) -> Judged:
         """One effect if it is all; else declared parameters; else effects and parameters."""
         single = self._round(nothing, first.suspects, first)
         if single is not None:
             single = self._renewed(single)
             if self._done(single) and single.hypothesis.effects[0].effect not in SAME:
-                return single, None
+                return single
         tuned = self._tuned(Hypothesis())
         alone = single if single is not None and self._done(single) else None
         explains = tuned is not None and self._done(tuned) and not _strained(tuned)
         if tuned is not None and explains and (alone is None or tuned.cost < alone.cost):
-            return tuned, None
-        if single is not None and self._done(single):
-            return single, None
+            return tuned
+        if alone is not None:
+            return alone
         start = single
         if single is not None and self.tunables:
             start = self._tuned(single.hypothesis) or single
@@ -155,38 +119,35 @@ class _Search:
             start = tuned or nothing
         assert start is not None
         if self._done(start) and not _strained(start):
-            return self._untuned(start), None
+            return self._untuned(start)
         return self._forward(start, tuned or nothing, first)
 
-    def _forward(
-        self, start: Judged, base: Judged, first: Screening
-    ) -> tuple[Judged, Screening | None]:
+    def _forward(self, start: Judged, base: Judged, first: Screening) -> Judged:
         """Adds effects while they pay, from one start or, if that ends worse, from the other."""
-        current, last = self._add_all(start)
+        current = self._add_all(start)
         again = start.hypothesis.effects and not self._done(current) and not self._late
         if again and self.tunables:
             self.say("looking again with declared parameters retuned")
             self._renew(base.hypothesis)
             winner = self._round(base, first.tuned, first)
             if winner is not None and winner.hypothesis.effects[0] != start.hypothesis.effects[0]:
-                other, other_last = self._add_all(self._renewed(winner))
+                other = self._add_all(self._renewed(winner))
                 if other.ratio < current.ratio:
-                    current, last = other, other_last
-        return self._untuned(self._prune(current)), last
+                    current = other
+        return self._untuned(self._prune(current))
 
-    def _add_all(self, current: Judged) -> tuple[Judged, Screening | None]:
-        last: Screening | None = None
+    def _add_all(self, current: Judged) -> Judged:
         while len(current.hypothesis.effects) < self.settings.most_effects and not self._late:
             if self._done(current) and not _strained(current):
-                return current, None
+                return current
             self.say(f"screening what is left ({current.ratio:.3g} times the noise)")
-            last = self._screen(current.hypothesis)
-            suspects = last.tuned if current.hypothesis.factors else last.suspects
-            winner = self._round(current, suspects, last)
+            found = self._screen(current.hypothesis)
+            suspects = found.tuned if current.hypothesis.factors else found.suspects
+            winner = self._round(current, suspects, found)
             if winner is None:
-                return current, last
+                return current
             current = self._renewed(self._prune(winner))
-        return current, last
+        return current
 
     # -- tools ---------------------------------------------------------------------------------
 
@@ -380,9 +341,7 @@ class _Search:
 
     # -- the end -------------------------------------------------------------------------------
 
-    def _conclude(
-        self, current: Judged, first: Screening | None, last: Screening | None
-    ) -> Attribution:
+    def _conclude(self, current: Judged, first: Screening | None) -> Attribution:
         """Fits on all windows and weighs each effect."""
         self.say("final fit")
         if current.hypothesis.effects or current.hypothesis.factors:
@@ -404,25 +363,22 @@ class _Search:
                 self.rejected += [(effect, problem) for effect in after.hypothesis.effects]
                 after = before
         judge.start_from(after)
-        evidence = []
-        for index in range(len(after.hypothesis.effects)):
-            fewer = judge.judge(after.hypothesis.without(index)) or before
-            evidence.append(
-                (
-                    fewer.cost - after.cost,
-                    float(np.sqrt(fewer.checked.mean())),
-                    float(np.sqrt(after.checked.mean())),
-                )
-            )
+        fewer = (
+            judge.judge(after.hypothesis.without(index)) or before
+            for index in range(len(after.hypothesis.effects))
+        )
+        evidence = tuple(one.cost - after.cost for one in fewer)
         return Attribution(
-            self.bench, before, after, first, last, tuple(self.rivals), tuple(evidence),
-            tuple(self.rejected), self.intervals,
+            self.bench, before, after, first, tuple(self.rivals), evidence,
+            tuple(self.rejected), self._late and not self._done(after),
         )  # fmt: skip
 
     def _doubt(self, whole: Bench, before: Judged, after: Judged) -> str | None:
         """Why an explanation that does not reach the noise is none; None if it is one."""
         if after.ratio <= _NEAR:
             return None
+        if not after.hypothesis.effects:
+            return "declared parameters alone do not explain it"
         left = _excess(after) / max(_excess(before), 1e-12)
         if left > self.settings.most_left:
             return f"{100 * left:.0f} % of the residual's amplitude remains"
@@ -461,32 +417,3 @@ def _excess(judged: Judged) -> float:
 _SHARE = 0.08
 _NEAR = 1.5
 _MOST_WINDOWS = 96
-
-
-def confidence(
-    judged: Judged, names: Sequence[str], seed: int = 0
-) -> dict[str, tuple[float, float]]:
-    """95 % intervals of fitted parameters: the wider of the Jacobian's and a block bootstrap's.
-
-    The bootstrap resamples windows and takes one Gauss-Newton step from the fit.
-    """
-    fit = judged.fit
-    count = len(fit.values)
-    if not count:
-        return {}
-    rng = np.random.default_rng(seed)
-    windows = len(fit.information)
-    draws = np.empty((_DRAWS, count))
-    scale = np.sqrt(np.maximum(np.diag(fit.information.sum(axis=0)), 1e-300))
-    for d in range(_DRAWS):
-        chosen = rng.integers(0, windows, windows)
-        gram = fit.information[chosen].sum(axis=0) / np.outer(scale, scale)
-        moment = fit.score[chosen].sum(axis=0) / scale
-        draws[d] = fit.values + np.linalg.lstsq(gram, moment, rcond=1e-10)[0] / scale
-    low, high = np.quantile(draws, [0.025, 0.975], axis=0)
-    width = 1.96 * np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    low, high = np.minimum(low, fit.values - width), np.maximum(high, fit.values + width)
-    return {n: (float(low[i]), float(high[i])) for i, n in enumerate(names)}
-
-
-_DRAWS = 200

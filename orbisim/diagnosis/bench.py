@@ -9,13 +9,14 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.diagnosis.gauss_newton import Unknown
 from orbisim.diagnosis.linear import IntervalMap, Intervals, linearize
 from orbisim.diagnosis.measurement import Measurement, measurement_of
 from orbisim.diagnosis.noise import estimate_noise
 from orbisim.diagnosis.regress import Windows, cut_windows
 from orbisim.diagnosis.retune import REACH, SPREAD, Tunable, retuned
 from orbisim.diagnosis.samples import Samples
-from orbisim.diagnosis.shooting import Shooter, Unknown, Variant
+from orbisim.diagnosis.shooting import Shooter, Variant
 from orbisim.effects import EffectInstance, add_effects, find
 from orbisim.errors import InputError
 from orbisim.scene import Scene

@@ -20,11 +20,11 @@ import mujoco
 import mujoco.batch
 import numpy as np
 import numpy.typing as npt
-from orbisim_mujoco.stepping import step_batch
 
 from orbisim.diagnosis.hidden import Layout, carried_along
 from orbisim.diagnosis.samples import Samples
 from orbisim.effects.carry import hooks_of
+from orbisim.effects.stepping import step_batch
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]

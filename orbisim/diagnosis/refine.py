@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
+from orbisim.diagnosis.gauss_newton import Fit, Hints, gauss_newton, start_derivatives
 from orbisim.diagnosis.linear import Intervals
 from orbisim.diagnosis.retune import Tunable
-from orbisim.diagnosis.shooting import Fit, Hints, Shooter, gauss_newton, start_derivatives
+from orbisim.diagnosis.shooting import Shooter
 from orbisim.effects import find
 from orbisim.errors import OrbiSimError
 

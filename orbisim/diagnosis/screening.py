@@ -48,7 +48,7 @@ class Screening:
       shares: [nv] share of the residual that a missing force at each degree of freedom explains.
       force: [N, nv] missing generalized force over every sampling interval.
       intervals: the linear system along the scene that was screened.
-      tuned: suspects when declared parameters may be retuned too. tuned_ratio: likewise.
+      tuned: suspects when declared parameters may be retuned too.
     """
 
     suspects: tuple[Suspect, ...]
@@ -57,7 +57,6 @@ class Screening:
     force: Floats
     intervals: Intervals
     tuned: tuple[Suspect, ...] = ()
-    tuned_ratio: float = 1.0
 
 
 def screen(
@@ -95,7 +94,6 @@ def screen(
         force=view.missing_force,
         intervals=intervals,
         tuned=tuple(_rank(found, tuned, bench)) if index else (),
-        tuned_ratio=float(np.sqrt(tuned.square / max(tuned.count, 1))),
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from orbisim.errors import InputError
 from orbisim.recording import Recording
 
 _SHARE = 0.25
@@ -16,6 +17,9 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Record
     """Recordings to fit, and recordings to hold back.
 
     Of four recordings or more, about every fourth is held back; of fewer, the last quarter of each.
+
+    Raises:
+      InputError: they are too short to keep anything back.
     """
     every = list(recordings)
     if len(every) >= 4:
@@ -33,7 +37,12 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Record
             continue
         fit.append(_stretch(one, slice(0, border)))
         held.append(_stretch(one, slice(border, len(one))))
-    return fit, held or fit
+    if not held:
+        raise InputError(
+            f"{', '.join(one.source for one in every)}: too short to keep anything back "
+            "(at least 12 samples); record more, or name recordings to hold out"
+        )
+    return fit, held
 
 
 def bounded(recordings: Sequence[Recording], notes: list[str]) -> list[Recording]:

@@ -1,0 +1,207 @@
+"""What a search has found, in the terms of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from orbisim.backend import Backend
+from orbisim.diagnosis.attribution import Attribution, enough
+from orbisim.diagnosis.bench import Bench
+from orbisim.diagnosis.confidence import confidence
+from orbisim.diagnosis.confounds import advice, standing
+from orbisim.diagnosis.result import Alternative, Estimate, FoundEffect, Retuned, Verdict
+from orbisim.diagnosis.scoring import Score, score
+from orbisim.diagnosis.settings import Settings
+from orbisim.effects import find
+from orbisim.recording import Recording
+from orbisim.recording.joints import joints
+from orbisim.scene import Scene
+
+
+def verdict_of(found: Attribution, settings: Settings) -> Verdict:
+    """The verdict, by what is left of the residual."""
+    before, after = found.before, found.after
+    hypothesis = after.hypothesis
+    if not hypothesis.effects and not hypothesis.factors:
+        return "unexplained" if _significant(found, settings) else "no_residual"
+    return (
+        "explained"
+        if after.ratio <= max(_FLOOR, enough(settings, before))
+        else ("partly_explained" if hypothesis.effects else "unexplained")
+    )
+
+
+_FLOOR = 1.5
+"""Residual over noise up to which what is left counts as noise."""
+_FAINT = 1.15
+"""Residual over noise up to which a residual that nothing explains is not called significant."""
+
+
+def _significant(found: Attribution, settings: Settings) -> bool:
+    return found.before.ratio > max(_FAINT, enough(settings, found.before))
+
+
+def residual_of(found: Attribution, settings: Settings) -> dict[str, Any]:
+    """Whether there is one, how large it is, and at which joints."""
+    model = found.bench.scene.model
+    where: list[dict[str, Any]] = []
+    if found.first is not None:
+        shares = found.first.shares
+        for joint in joints(model):
+            share = float(shares[joint.v].sum())
+            if share >= 0.01:
+                where.append({"target": joint.label, "share": share})
+    changed = found.after is not found.before
+    return {
+        "significant": bool(changed or _significant(found, settings)),
+        "ratio_to_noise": found.before.ratio,
+        "ratio_after": found.after.ratio,
+        "where": sorted(where, key=lambda w: -w["share"]),
+    }
+
+
+def noise_of(bench: Bench) -> dict[str, float]:
+    """Standard deviation of the measurement noise by signal."""
+    found: dict[str, float] = {}
+    q_noise, v_noise = bench.noise
+    for joint in joints(bench.scene.model):
+        for kind, levels in (("qpos", q_noise), ("qvel", v_noise)):
+            seen = levels[joint.v]
+            seen = seen[np.isfinite(seen)]
+            if seen.size:
+                found[f"{kind}/{joint.label}"] = float(np.sqrt(np.mean(seen**2)))
+    return found
+
+
+def errors_of(
+    before: dict[str, Score], after: dict[str, Score], bench: Bench, window: float
+) -> dict[str, Any]:
+    """Free-running error before and after, and what the noise alone would give."""
+    model = bench.scene.model
+    kinds = {int(j.kind) for j in joints(model)}
+    q_noise = bench.noise[0]
+    floor = 0.0
+    for joint in joints(model):
+        straight = slice(joint.v.start, joint.v.start + 3) if not joint.scalar else joint.v
+        seen = q_noise[straight]
+        floor += float(np.nansum(seen**2))
+    linear = kinds <= {int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_SLIDE)}
+    angular = kinds <= {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_BALL)}
+    return {
+        "metric": "root mean squared norm of the free-running error over joint positions",
+        "unit": "m" if linear else "rad" if angular else "SI (rad, m)",
+        "window_s": window,
+        "fit": {"before": before["fit"].rms, "after": after["fit"].rms},
+        "held_out": {"before": before["held_out"].rms, "after": after["held_out"].rms},
+        "noise_floor": float(np.sqrt(floor)),
+        "windows": {"fit": before["fit"].windows, "held_out": before["held_out"].windows},
+    }
+
+
+def effects_of(
+    scene: Scene,
+    found: Attribution,
+    held: Sequence[Recording],
+    window: float,
+    backend: str | Backend,
+    seed: int,
+) -> tuple[FoundEffect, ...]:
+    """The effects with their intervals and what each brings on held-out data."""
+    hypothesis = found.after.hypothesis
+    free = hypothesis.free(scene)
+    names = [f"{i}.{name}" for i, name in free] + [str(one) for one, _ in hypothesis.factors]
+    intervals = confidence(found.after, names, seed)
+    with_all = score(hypothesis.scene(scene), held, window, hypothesis.effects, backend).rms
+    result: list[FoundEffect] = []
+    for i, effect in enumerate(hypothesis.effects):
+        kind = find(effect.effect)
+        fewer = hypothesis.without(i)
+        without = score(fewer.scene(scene), held, window, fewer.effects, backend).rms
+        parameters = {}
+        for p in kind.parameters(scene.model, effect.target):
+            value = float(effect.values[p.name])
+            ci = intervals.get(f"{i}.{p.name}", _propagated(found, i, p.name, intervals))
+            grid = kind.resolution(scene.model, p.name) / 2
+            low, high = min(ci[0], value - grid), max(ci[1], value + grid)
+            parameters[p.name] = Estimate(value, p.unit, (low, high))
+        result.append(
+            FoundEffect(
+                effect.effect,
+                effect.target,
+                parameters,
+                kind.native,
+                {
+                    "held_out_error_without": without,
+                    "held_out_error_with": with_all,
+                    "delta_bic": found.evidence[i],
+                },
+                dict(effect.options),
+            )
+        )
+    return tuple(result)
+
+
+def _propagated(
+    found: Attribution, number: int, name: str, intervals: dict[str, tuple[float, float]]
+) -> tuple[float, float]:
+    """The interval of a parameter that follows from the free ones, to first order."""
+    scene, hypothesis = found.bench.scene, found.after.hypothesis
+    value = float(hypothesis.effects[number].values[name])
+    values, variance = hypothesis.values(scene), 0.0
+    for index, (i, free) in enumerate(hypothesis.free(scene)):
+        if i != number:
+            continue
+        low, high = intervals[f"{i}.{free}"]
+        half = (high - low) / 2
+        moved = values.copy()
+        moved[index] += half
+        other = hypothesis.at(scene, moved).effects[number].values[name]
+        variance += (float(other) - value) ** 2
+    half = float(np.sqrt(variance))
+    return value - half, value + half
+
+
+def retuned_of(scene: Scene, found: Attribution) -> tuple[Retuned, ...]:
+    """Declared parameters that are clearly off."""
+    hypothesis = found.after.hypothesis
+    first = len(hypothesis.free(scene))
+    spread = np.sqrt(np.maximum(np.diag(found.after.fit.covariance), 0.0))
+    result = []
+    for f, (one, factor) in enumerate(hypothesis.factors):
+        half = 1.96 * float(spread[first + f])
+        if abs(factor - 1) > max(half, 2e-3):
+            result.append(Retuned(str(one), factor, (factor - half, factor + half)))
+    return tuple(result)
+
+
+def alternatives_of(found: Attribution) -> tuple[Alternative, ...]:
+    """Rivals of the search, and effects that are known to look like the ones found."""
+    chosen = found.after.hypothesis.effects
+    taken = {(e.effect, e.target) for e in chosen}
+    best: dict[tuple[str, str], Alternative] = {}
+    for rival in sorted(found.rivals, key=lambda r: r.delta_bic):
+        key = (rival.instance.effect, rival.instance.target)
+        if key in taken or key in best:
+            continue
+        tips = [t for e in chosen if (t := advice(e.effect, key[0])) is not None]
+        close = rival.delta_bic < 20
+        text = (
+            "this data hardly tells it apart from what was found"
+            if close
+            else f"leaves {rival.ratio:.3g} times the noise in round {rival.round}"
+        )
+        if tips:
+            text += f"; to tell them apart, {tips[0]}"
+        best[key] = Alternative(*key, rival.delta_bic, text)
+    result = list(best.values())[:8]
+    for effect, problem in found.rejected:
+        result.append(Alternative(effect.effect, effect.target, None, f"not believed: {problem}"))
+    for e in chosen:
+        for other, text in standing(e.effect)[:2]:
+            if not any(a.effect == other for a in result) and other not in {t[0] for t in taken}:
+                result.append(Alternative(other, "", None, f"known to look alike; {text}"))
+    return tuple(result)

@@ -1,0 +1,384 @@
+"""Fits of parameters and window starts by Gauss-Newton.
+
+Multiple shooting: each window starts at the reference plus a deviation that is estimated together
+with the parameters, instead of at one noisy sample.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.diagnosis.hidden import Layout
+from orbisim.diagnosis.shooting import Shooter, Variant
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Fit:
+    """A fit of parameters and starts.
+
+    Attributes:
+      values: the parameters. start: [W, 2 nv] deviations at the windows' starts.
+      square: sum of squared weighted residuals. penalty: what the priors charge on top.
+      count: data minus fitted numbers.
+      covariance: [P, P] of the parameters, by the Jacobian.
+      residual: [W, data] weighted. per_window: [W] sums of squares.
+      information: [W, P, P] and score [W, P]: each window's share, for the bootstrap.
+    """
+
+    values: Floats
+    start: Floats
+    square: float
+    penalty: float
+    count: int
+    covariance: Floats
+    residual: Floats
+    per_window: Floats
+    information: Floats
+    score: Floats
+
+    @property
+    def ratio(self) -> float:
+        """Residual over noise: root of the reduced sum of squares."""
+        return float(np.sqrt(self.square / max(self.count, 1)))
+
+
+@dataclasses.dataclass(frozen=True)
+class Unknown:
+    """One fitted number.
+
+    Attributes:
+      name: for messages. start: where to begin. low, high: bounds. step: for differences.
+      centre, precision: of a Gaussian prior; precision 0 for none.
+    """
+
+    name: str
+    start: float
+    low: float
+    high: float
+    step: float
+    centre: float = 0.0
+    precision: float = 0.0
+
+
+def gauss_newton(
+    shooter: Shooter,
+    build: Callable[[Floats], Variant],
+    unknowns: Sequence[Unknown],
+    *,
+    start: Floats | None = None,
+    hints: Hints | None = None,
+    iterations: int = 6,
+    tolerance: float = 1e-3,
+    robust: float | None = None,
+) -> Fit:
+    """Fits parameters and window starts.
+
+    Args:
+      shooter: the windows. build: makes what is simulated from parameter values.
+      unknowns: what to fit; may be empty.
+      start: initial window starts; zero if None.
+      hints: derivatives that are known in advance; finite differences where there are none.
+      robust: residuals beyond this many standard deviations count linearly (Huber).
+    """
+    hints = hints or Hints()
+    if hints.exact and start is None:
+        start = _approached(shooter, build, unknowns, robust)
+    problem = _Problem(shooter, build, unknowns, hints, robust)
+    return problem.solve(start, iterations, tolerance)
+
+
+def _approached(
+    shooter: Shooter,
+    build: Callable[[Floats], Variant],
+    unknowns: Sequence[Unknown],
+    robust: float | None,
+) -> Floats:
+    """Window starts for the parameters' first values, from ever longer parts of the windows: the
+    errors of a long window with impacts have many minima."""
+    values = np.array([u.start for u in unknowns])
+    variant = build(values)
+    start = None
+    for samples in _APPROACH:
+        if samples < shooter.windows.length:
+            problem = _Problem(
+                shooter.first(samples), lambda _: variant, [], Hints(exact=True), robust
+            )
+            start = problem.solve(start, 4, 1e-2).start
+    return np.zeros((len(shooter), 2 * shooter.nv)) if start is None else start
+
+
+_APPROACH = (6, 15, 30)
+
+
+def start_derivatives(shooter: Shooter, variant: Variant, start: Floats) -> Floats:
+    """Derivatives of the weighted data by the window starts, [W, data, 2 nv]."""
+    problem = _Problem(shooter, lambda _: variant, [], Hints(), None)
+    return problem.start_jacobian(problem.trial(np.zeros(0), start))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Hints:
+    """Approximate derivatives of the weighted data.
+
+    Attributes:
+      free: [W, data, 2 nv] by the window starts, or None.
+      slopes: [W, data] by the unknown of that number.
+      exact: whether derivatives by the starts are taken anew in every iteration (contacts).
+      rough: whether `free` holds only at first (contacts).
+    """
+
+    free: Floats | None = None
+    slopes: Mapping[int, Floats] = dataclasses.field(default_factory=dict)
+    exact: bool = False
+    rough: bool = False
+
+
+class _Problem:
+    def __init__(
+        self,
+        shooter: Shooter,
+        build: Callable[[Floats], Variant],
+        unknowns: Sequence[Unknown],
+        hints: Hints,
+        robust: float | None,
+    ) -> None:
+        self.shooter, self.build, self.unknowns = shooter, build, list(unknowns)
+        self.begin = np.array([u.start for u in unknowns])
+        self.low = np.array([u.low for u in unknowns])
+        self.high = np.array([u.high for u in unknowns])
+        self.centre = np.array([u.centre for u in unknowns])
+        self.precision = np.array([u.precision for u in unknowns])
+        self.hints, self.robust = hints, robust
+
+    def solve(self, start: Floats | None, iterations: int, tolerance: float) -> Fit:
+        shooter = self.shooter
+        values = np.clip(self.begin, self.low, self.high)
+        xi = self._widened(values, start)
+        here = self.trial(values, xi)
+        if start is not None and self.hints.rough:
+            here = self._better(here, self.trial(values, np.zeros_like(xi)))
+        for other in self._ends(values, xi):
+            here = self._better(here, self.trial(values, other))
+        damping, brakes = 1e-4, np.full(len(shooter), 1e-9)
+        free = self.hints.free
+        hinted = free is not None and free.shape[2] == xi.shape[1]
+        if free is None or not hinted:
+            free = self.start_jacobian(here)
+        iteration = 0
+        while iteration < iterations:
+            slopes = self._slopes(here)
+            found = self._search(here, slopes, free, damping, brakes)
+            if found is None:
+                if not hinted:
+                    break
+                hinted, free = False, self.start_jacobian(here)  # the hint was no good
+                continue
+            gain = (here.total - found.total) / max(here.total, 1e-300)
+            here, damping = found, max(damping / 10, 1e-9)
+            iteration += 1
+            if gain < tolerance and not (hinted and self.hints.rough):
+                break
+            if hinted and self.hints.rough and (gain < 0.2 or iteration == 2):
+                hinted, free = False, self.start_jacobian(here)
+            elif not hinted and (self.hints.exact or iteration == 2):
+                free = self.start_jacobian(here)
+        return self._result(here, free)
+
+    def _widened(self, values: Floats, start: Floats | None) -> Floats:
+        """Window starts with room for the joints that effects have added."""
+        shooter = self.shooter
+        added = self.build(values).scene.model.nv - shooter.nv
+        xi = np.zeros((len(shooter), 2 * shooter.nv + 2 * added))
+        if start is not None:
+            width = 2 * shooter.nv if start.shape[1] != xi.shape[1] else xi.shape[1]
+            xi[:, :width] = start[:, :width]
+        return xi
+
+    def _ends(self, values: Floats, xi: Floats) -> list[Floats]:
+        """Starts with the play of added joints taken up on either side."""
+        model, declared = self.build(values).scene.model, self.shooter.declared.model
+        found: list[Floats] = []
+        place = Layout(declared, model) if model.nv > declared.nv else None
+        for k, dof in enumerate([] if place is None else place.hidden_v):
+            joint = int(model.dof_jntid[dof])
+            if model.jnt_limited[joint]:
+                for end in model.jnt_range[joint]:
+                    moved = xi.copy()
+                    moved[:, 2 * self.shooter.nv + k] = end
+                    found.append(moved)
+        return found
+
+    def trial(self, values: Floats, xi: Floats) -> _Trial:
+        """Simulates parameters and starts."""
+        simulated = self.shooter.simulate(self.build(values), xi)
+        residual = self.shooter.residual(simulated)
+        cost = self._window_costs(residual)
+        return _Trial(values, xi, simulated, residual, cost, self.penalty(values))
+
+    def _search(
+        self, here: _Trial, slopes: Floats, free: Floats, damping: float, brakes: Floats
+    ) -> _Trial | None:
+        """The first step, ever shorter, that lowers the cost; windows it worsens stay behind."""
+        for _ in range(5):
+            step, moves = self._step(here, slopes, free, damping, brakes)
+            values = np.clip(here.values + step, self.low, self.high)
+            trial = self.trial(values, here.xi + moves)
+            worse = trial.cost > here.cost
+            brakes[worse] = np.maximum(brakes[worse] * 100, 1e-3)
+            brakes[~worse] = np.maximum(brakes[~worse] / 10, 1e-12)
+            if worse.any() and (trial.total >= here.total or self.hints.exact):
+                trial = self._better(trial, self.trial(values, here.xi))
+            if trial.total < here.total:
+                return trial
+            damping = max(damping * 10, 1e-3)
+        return None
+
+    def _better(self, one: _Trial, other: _Trial) -> _Trial:
+        """Window by window the better of two trials of the same parameters."""
+        keep = one.cost <= other.cost
+        pick = keep.reshape(-1, 1)
+        return _Trial(
+            one.values,
+            np.where(pick, one.xi, other.xi),
+            np.where(pick[..., None], one.simulated, other.simulated),
+            np.where(pick, one.residual, other.residual),
+            np.where(keep, one.cost, other.cost),
+            one.penalty,
+        )
+
+    def _weights(self, residual: Floats) -> Floats:
+        if self.robust is None:
+            return np.ones_like(residual)
+        size = np.abs(residual)
+        return np.where(size > self.robust, self.robust / np.maximum(size, 1e-300), 1.0)
+
+    def _window_costs(self, residual: Floats) -> Floats:
+        """[W]: what each window's residual costs."""
+        if self.robust is None:
+            return np.asarray((residual**2).sum(axis=1))
+        size, k = np.abs(residual), self.robust
+        return np.asarray(np.where(size <= k, size**2, 2 * k * size - k**2).sum(axis=1))
+
+    def penalty(self, values: Floats) -> float:
+        """What the priors charge."""
+        return float((self.precision * (values - self.centre) ** 2).sum())
+
+    def _slopes(self, here: _Trial) -> Floats:
+        """Derivatives of the weighted simulated data by the parameters, [W, data, P]."""
+        values, xi = here.values, here.xi
+        base = self.shooter.scaled(here.simulated)
+        slopes = np.zeros((*base.shape, len(values)))
+        for p, unknown in enumerate(self.unknowns):
+            if p in self.hints.slopes:
+                slopes[..., p] = self.hints.slopes[p]
+                continue
+            step = unknown.step
+            if values[p] + step > unknown.high:
+                step = -step
+            moved = values.copy()
+            moved[p] += step
+            after = self.shooter.scaled(self.shooter.simulate(self.build(moved), xi))
+            slopes[..., p] = (after - base) / step
+        return slopes
+
+    def start_jacobian(self, here: _Trial) -> Floats:
+        """Derivatives of the weighted simulated data by the window starts, [W, data, 2 nv]."""
+        base = self.shooter.scaled(here.simulated)
+        columns = here.xi.shape[1]
+        jacobian = np.zeros((*base.shape, columns))
+        variant = self.build(here.values)
+        for j in range(columns):
+            moved = here.xi.copy()
+            moved[:, j] += _START_STEP
+            after = self.shooter.scaled(self.shooter.simulate(variant, moved))
+            jacobian[..., j] = (after - base) / _START_STEP
+        return np.clip(jacobian, -1e12, 1e12)
+
+    def _projected(self, residual: Floats, slopes: Floats, free: Floats) -> tuple[Floats, Floats]:
+        """Residuals and slopes without what the starts explain."""
+        root = np.sqrt(self._weights(residual))[..., None]
+        weighted = slopes * root
+        left = residual * root[..., 0]
+        basis = np.linalg.qr(free * root)[0]
+        left = left - np.einsum("wdf,wf->wd", basis, np.einsum("wdf,wd->wf", basis, left))
+        inner = np.einsum("wdf,wdp->wfp", basis, weighted)
+        return left, weighted - np.einsum("wdf,wfp->wdp", basis, inner)
+
+    def _step(
+        self, here: _Trial, slopes: Floats, free: Floats, damping: float, brakes: Floats
+    ) -> tuple[Floats, Floats]:
+        values, residual = here.values, here.residual
+        left, weighted = self._projected(residual, slopes, free)
+        count = len(values)
+        step = np.zeros(count)
+        if count:
+            gram = np.einsum("wdp,wdq->pq", weighted, weighted) + np.diag(self.precision)
+            moment = np.einsum("wdp,wd->p", weighted, left)
+            moment = moment - self.precision * (values - self.centre)
+            scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+            scaled = gram / np.outer(scale, scale) + damping * np.eye(count)
+            step = np.linalg.lstsq(scaled, moment / scale, rcond=1e-10)[0] / scale
+            blocked = ((values >= self.high) & (step > 0)) | ((values <= self.low) & (step < 0))
+            step[blocked] = 0.0
+        root = np.sqrt(self._weights(residual))
+        wanted = (residual - slopes @ step) * root
+        return step, _least_squares(free * root[..., None], wanted, brakes)
+
+    def _result(self, here: _Trial, free: Floats) -> Fit:
+        values, xi, residual = here.values, here.xi, here.residual
+        slopes = self._slopes(here)
+        left, weighted = self._projected(residual, slopes, free)
+        information = np.einsum("wdp,wdq->wpq", weighted, weighted)
+        score = np.einsum("wdp,wd->wp", weighted, left)
+        gram = information.sum(axis=0) + np.diag(self.precision)
+        square = float((residual**2).sum())
+        fitted = len(values) + free.shape[2] * len(residual)
+        count = max(self.shooter.count - fitted, 1)
+        covariance = np.linalg.pinv(gram, rcond=1e-12) if len(values) else np.zeros((0, 0))
+        return Fit(
+            values=values,
+            start=xi,
+            square=square,
+            penalty=self.penalty(values),
+            count=count,
+            covariance=covariance * max(square / count, 1.0),
+            residual=residual,
+            per_window=(residual**2).sum(axis=1),
+            information=information,
+            score=score,
+        )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Trial:
+    """Parameters and starts, simulated. cost: [W] of each window. penalty: of the priors."""
+
+    values: Floats
+    xi: Floats
+    simulated: Floats
+    residual: Floats
+    cost: Floats
+    penalty: float
+
+    @property
+    def total(self) -> float:
+        """Cost of all windows and of the priors."""
+        return float(self.cost.sum()) + self.penalty
+
+
+def _least_squares(matrix: Floats, wanted: Floats, brakes: Floats) -> Floats:
+    """Window by window, with columns scaled and damped; what changes nothing stays put."""
+    scale = np.maximum(np.linalg.norm(matrix, axis=1), 1e-300)
+    u, s, vt = np.linalg.svd(matrix / scale[:, None, :], full_matrices=False)
+    inverse = np.where(s > 1e-8 * s[:, :1], s / (s**2 + brakes[:, None]), 0.0)
+    inner = np.einsum("wdk,wd->wk", u, wanted) * inverse
+    return np.asarray(np.einsum("wkf,wk->wf", vt, inner) / scale)
+
+
+_START_STEP = 1e-6
