@@ -59,10 +59,12 @@ def generate(args: argparse.Namespace) -> int:
     return 0
 
 
-def single_threaded() -> None:
+def single_threaded(core: int | None = None) -> None:
     """Keeps a worker to one core: libraries ask for the number of cores to start threads."""
     os.environ["OMP_NUM_THREADS"] = "1"
-    os.cpu_count = lambda: 1  # type: ignore[assignment]
+    if hasattr(os, "sched_setaffinity"):
+        own = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {own[(os.getpid() if core is None else core) % len(own)]})
     from_source()
 
 
@@ -90,7 +92,7 @@ def peer(args: argparse.Namespace) -> int:
 
 def one(args: argparse.Namespace) -> int:
     """A single trial, in a process of its own (used by `run` and `peer`)."""
-    single_threaded()
+    single_threaded(args.core)
     from blind.running import run_one
 
     return run_one(Path(args.folder), args.tool)
@@ -132,6 +134,7 @@ def main(argv: list[str] | None = None) -> int:
     single = commands.add_parser("one")
     single.add_argument("folder")
     single.add_argument("--tool", default="diagnose")
+    single.add_argument("--core", type=int)
     single.set_defaults(work=one)
     scoring = commands.add_parser("score", help="open the truth and count")
     scoring.add_argument("--trials", required=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any
 
 import mujoco
@@ -11,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.backend import Backend, Capability, Linearization
+from orbisim.cpus import usable_cpus
 from orbisim.effects.carry import hooks_of
 from orbisim.effects.stepping import step_batch
 from orbisim.errors import CapacityError, DivergedError, InputError
@@ -46,7 +46,7 @@ class MujocoBackend(Backend):
     Args:
       nworld: number of worlds to prepare for.
       device: `cpu` or None.
-      nthread: number of threads; 0 for one per core.
+      nthread: number of threads; 0 for one per usable core.
     """
 
     name = "mujoco"
@@ -178,7 +178,7 @@ class MujocoBackend(Backend):
         model = self.model
         if self._batch is None or self._batch.nsim != nworld:
             sleeps = bool(model.opt.enableflags & int(mujoco.mjtEnableBit.mjENBL_SLEEP))
-            threads = self._nthread or min(nworld, os.cpu_count() or 1)
+            threads = self._nthread or min(nworld, usable_cpus())
             self._batch = mujoco.batch.Batch(model, nworld, threads, persistent=sleeps)
             defaults = mujoco.MjData(model)
             self._defaults = {name: np.array(getattr(defaults, name)) for name in _MEMORY}

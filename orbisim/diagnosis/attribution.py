@@ -9,12 +9,20 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.diagnosis.along import along
 from orbisim.diagnosis.bench import SAME, Bench, Hypothesis, clean
 from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.linear import linearize
-from orbisim.diagnosis.refine import Judge, Judged
+from orbisim.diagnosis.refine import Judge, Judged, is_structural
 from orbisim.diagnosis.retune import REACH, Tunable, tunables
-from orbisim.diagnosis.screening import Screening, Suspect, cleaned, factor_columns, screen
+from orbisim.diagnosis.screening import (
+    Screening,
+    Suspect,
+    cleaned,
+    factor_columns,
+    missing_force,
+    screen,
+)
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.errors import OrbiSimError
@@ -95,7 +103,7 @@ class _Search:
             return self._conclude(nothing, None)
         self._find_tunables()
         self.say("screening effects")
-        first = self._screen(Hypothesis())
+        first = self._screen(nothing)
         return self._conclude(self._explain(nothing, first), first)
 
     def _explain(self, nothing: Judged, first: Screening) -> Judged:
@@ -118,14 +126,14 @@ class _Search:
         elif single is None:
             start = tuned or nothing
         assert start is not None
-        if self._done(start) and not _strained(start):
+        if start is nothing or (self._done(start) and not _strained(start)):
             return self._untuned(start)
         return self._forward(start, tuned or nothing, first)
 
     def _forward(self, start: Judged, base: Judged, first: Screening) -> Judged:
         """Adds effects while they pay, from one start or, if that ends worse, from the other."""
         current = self._add_all(start)
-        again = start.hypothesis.effects and not self._done(current) and not self._late
+        again = base is not start and not self._done(current) and not self._late
         if again and self.tunables:
             self.say("looking again with declared parameters retuned")
             self._renew(base.hypothesis)
@@ -141,7 +149,7 @@ class _Search:
             if self._done(current) and not _strained(current):
                 return current
             self.say(f"screening what is left ({current.ratio:.3g} times the noise)")
-            found = self._screen(current.hypothesis)
+            found = self._screen(current)
             suspects = found.tuned if current.hypothesis.factors else found.suspects
             winner = self._round(current, suspects, found)
             if winner is None:
@@ -167,9 +175,14 @@ class _Search:
     def _done(self, judged: Judged) -> bool:
         return judged.ratio <= enough(self.settings, judged)
 
-    def _screen(self, hypothesis: Hypothesis) -> Screening:
-        only = self.settings.effects
-        return screen(self.bench, hypothesis, self.intervals, only, self.columns)
+    def _screen(self, judged: Judged) -> Screening:
+        only, hypothesis = self.settings.effects, judged.hypothesis
+        if not self.bench.contacts or is_structural(hypothesis):
+            return screen(self.bench, hypothesis, self.intervals, only, self.columns)
+        bench, numbers = along(self.bench, judged)
+        columns = None if self.columns is None else factor_columns(bench, self.tunables)
+        force = missing_force(self.intervals)[numbers]
+        return screen(bench, hypothesis, bench.intervals, only, columns, force)
 
     def _find_tunables(self) -> None:
         """Declared parameters that the data feel at all."""

@@ -13,7 +13,7 @@ from orbisim.diagnosis.gauss_newton import Unknown
 from orbisim.diagnosis.linear import IntervalMap, Intervals, linearize
 from orbisim.diagnosis.measurement import Measurement, measurement_of
 from orbisim.diagnosis.noise import estimate_noise
-from orbisim.diagnosis.regress import Windows, cut_windows
+from orbisim.diagnosis.regress import Windows, cut_windows, runs_of
 from orbisim.diagnosis.retune import REACH, SPREAD, Tunable, retuned
 from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.shooting import Shooter, Variant
@@ -23,6 +23,7 @@ from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
+Ints = npt.NDArray[np.int64]
 Noise = tuple[Floats, Floats]
 
 
@@ -106,11 +107,13 @@ def make_bench(
     windows = _without_lost(windows, intervals)
     if not len(windows):
         raise InputError("the recordings are too short, or too full of gaps, for a single window")
-    held = _every_third(windows, len(samples), check)
-    found = estimate_noise(samples, intervals, windows.some(~held))
-    noise = _lower(found, samples)
     if contacts:
-        windows = _with_horizon(windows, intervals, noise, step)
+        noise = _lower(estimate_noise(samples, intervals, windows), samples)
+        windows = _without_lost(
+            _predictable(scene, samples, intervals, noise, windows.length), intervals
+        )
+    held = _every_third(windows, len(samples), check)
+    noise = _lower(estimate_noise(samples, intervals, windows.some(~held)), samples)
     return Bench(
         scene, tuple(samples), tuple(kept), intervals, windows, ~held, held, noise, contacts
     )
@@ -134,7 +137,7 @@ def _budget(scene: Scene, contacts: bool) -> int | None:
     return max(600, _CONTACT_STEPS // (3 * scene.model.nv)) if contacts else None
 
 
-_CONTACT_STEPS = 18_000
+_CONTACT_STEPS = 27_000
 
 
 def _cut(
@@ -147,14 +150,16 @@ def _cut(
     recording = np.concatenate([np.full(len(r), i) for i, r in enumerate(rows)])
     row = np.concatenate([np.asarray(r) for r in rows]).astype(np.int64)
     near = np.concatenate([_near_jump(samples[i])[r] for i, r in enumerate(rows)])
+    length = _fitting(recording, row, length)
     windows = cut_windows(recording, row, length, near)
     while not len(windows) and length > 4:
         length = max(4, length // 2)
         windows = cut_windows(recording, row, length, near)
     if budget is not None and len(windows) * windows.length > budget:
         keep = np.zeros(len(windows), bool)
-        count = max(6, budget // windows.length)
-        keep[np.unique(np.linspace(0, len(windows) - 1, count).round().astype(int))] = True
+        count = max(3, budget // (2 * windows.length))
+        pairs = np.unique(np.linspace(0, len(windows) - 2, count).round().astype(int))
+        keep[pairs] = keep[pairs + 1] = True
         windows = windows.some(keep)
         inside = np.zeros(len(row), bool)
         for first in windows.first:
@@ -163,6 +168,13 @@ def _cut(
         windows = Windows(number[windows.first], windows.length, windows.recording)
         recording, row = recording[inside], row[inside]
     return windows, [row[recording == i] for i in range(len(rows))]
+
+
+def _fitting(recording: Ints, row: Ints, length: int) -> int:
+    """A length of windows, at most a third shorter, that leaves little of short runs unused."""
+    runs = np.array([stop - start for start, stop in runs_of(recording, row)])
+    choices = range(length, max(4, 2 * length // 3) - 1, -1)
+    return max(choices, key=lambda k: (round(float((runs // k * k).sum()) / runs.sum(), 2), k))
 
 
 def _near_jump(one: Samples) -> Bools:
@@ -178,25 +190,94 @@ def _near_jump(one: Samples) -> Bools:
 _JUMP_REACH = 3
 
 
-def _with_horizon(windows: Windows, intervals: Intervals, noise: Noise, step: float) -> Windows:
-    """Ends windows where what the noise leaves unknown of the start has grown so much, through
-    impacts, that nothing can be said."""
+def _predictable(
+    scene: Scene, samples: Sequence[Samples], intervals: Intervals, noise: Noise, length: int
+) -> Windows:
+    """Windows in which something can be predicted, with their horizons.
+
+    In the middle of impacts, what the noise leaves unknown of a start decides everything. Of
+    windows that start everywhere, those are taken that do not overlap and have most to predict.
+    """
+    step = max(1, length // 4)
+    first: list[int] = []
+    run: list[int] = []
+    for number, (start, stop) in enumerate(runs_of(intervals.recording, intervals.row)):
+        places = np.unique([*range(start, stop - length + 1, step), stop - length])
+        places = places[places >= start]
+        first += list(places)
+        run += [number] * len(places)
+    every = Windows(np.array(first), length, intervals.recording[first])
+    shooter = Shooter(scene, samples, intervals, every, noise)
+    every = dataclasses.replace(every, horizon=_horizons(shooter, noise))
+    worth = _worth(shooter, every.reach(), noise)
+    telling = every.reach() >= max(4, length // 3)
+    if telling.sum() >= _FEW:
+        every, worth = every.some(telling), worth[telling]
+        run = list(np.array(run)[telling])
+    return every.some(_apart(every, np.array(run), worth))
+
+
+_FEW = 4
+
+
+def _worth(shooter: Shooter, reach: Ints, noise: Noise) -> Floats:
+    """[W]: how much moves, beyond the noise, in what can be predicted of each window."""
+    sigma = np.where(np.isfinite(noise[0]), noise[0], np.inf)
+    worth = np.zeros(len(shooter))
+    for k in range(shooter.windows.length):
+        change = np.abs(shooter.difference(shooter.qpos[:, k], shooter.qpos[:, k + 1])) / sigma
+        worth += np.where(k < reach, 0.1 + np.log1p(change.max(axis=1)), 0.0)
+    return worth
+
+
+def _apart(windows: Windows, run: Ints, worth: Floats) -> Bools:
+    """Windows that do not overlap and are worth most, by dynamic programming."""
+    order = np.lexsort((windows.first, run))
+    first, reach = windows.first[order], windows.reach()[order]
+    best = np.zeros(len(order) + 1)
+    taken = np.zeros(len(order), bool)
+    before = np.zeros(len(order), int)
+    for i in range(len(order)):
+        free = (run[order[:i]] != run[order[i]]) | (first[:i] + reach[:i] <= first[i])
+        before[i] = 0 if not free.any() else int(np.flatnonzero(free)[-1]) + 1
+        with_it = best[before[i]] + worth[order[i]]
+        taken[i] = with_it > best[i]
+        best[i + 1] = max(with_it, best[i])
+    keep = np.zeros(len(order), bool)
+    i = len(order)
+    while i > 0:
+        if taken[i - 1]:
+            keep[order[i - 1]] = True
+            i = before[i - 1]
+        else:
+            i -= 1
+    return keep
+
+
+def _horizons(shooter: Shooter, noise: Noise) -> Ints:
+    """[W]: samples until what the noise leaves unknown of the start has grown so much, through
+    impacts, that nothing can be said: runs from starts that differ by the noise part."""
     sigma, nv = np.concatenate(noise), len(noise[0])
     measured = np.isfinite(sigma)
+    step = float(np.median(np.diff(shooter.time, axis=1)))
     fallback = np.concatenate([sigma[:nv], sigma[:nv] / (4 * step)])
     size = np.where(measured, sigma, fallback)
     size = np.where(np.isfinite(size), size, np.nanmax(size))
-    x = np.tile(np.diag(size), (len(windows), 1, 1))
-    horizon = np.full(len(windows), windows.length)
-    for k in range(windows.length):
-        x = np.einsum("wij,wjc->wic", intervals.A[windows.first + k], x)
-        growth = (np.linalg.norm(x, axis=2) / size)[:, measured].max(axis=1)
-        lost = np.nan_to_num(growth, nan=np.inf) > _GROWTH
-        horizon = np.where(lost, np.minimum(horizon, k), horizon)
-    return dataclasses.replace(windows, horizon=np.maximum(horizon, _SURE))
+    rng = np.random.default_rng(0)
+    variant, still = Variant(shooter.declared), np.zeros((len(shooter), 2 * nv))
+    base = shooter.simulate(variant, still)
+    square = np.zeros((len(shooter), shooter.windows.length + 1))
+    for _ in range(_PROBES):
+        start = size * rng.standard_normal(still.shape)
+        change = (shooter.simulate(variant, start) - base)[:, :, measured] / size[measured]
+        square += (np.nan_to_num(change, nan=np.inf) ** 2).max(axis=2) / _PROBES
+    lost = square > _GROWTH**2
+    horizon = np.where(lost.any(axis=1), lost.argmax(axis=1) - 1, shooter.windows.length)
+    return np.maximum(horizon, _SURE)
 
 
-_GROWTH = 100.0
+_PROBES = 4
+_GROWTH = 60.0
 _SURE = 4
 
 
@@ -207,11 +288,12 @@ def _without_lost(windows: Windows, intervals: Intervals) -> Windows:
 
 
 def _every_third(windows: Windows, recordings: int, share: float) -> Bools:
-    """Windows spread over every recording, about the given share: rare events are seen by both."""
-    held = np.zeros(len(windows), bool)
+    """Windows spread over recordings and over their durations, about the given share: rare events
+    are seen by both."""
+    held, every = np.zeros(len(windows), bool), round(1 / share)
     for i in range(recordings):
         own = np.flatnonzero(windows.recording == i)
-        held[own[round(1 / share) - 1 :: round(1 / share)]] = True
+        held[own[(every - 1 - i) % every :: every]] = True
     if not held.any() and len(windows) > 1:
         held[-1] = True
     return held

@@ -16,6 +16,7 @@ from orbisim.diagnosis.hidden import Layout
 from orbisim.diagnosis.shooting import Shooter, Variant
 
 Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -24,10 +25,11 @@ class Fit:
 
     Attributes:
       values: the parameters. start: [W, 2 nv] deviations at the windows' starts.
-      square: sum of squared weighted residuals. penalty: what the priors charge on top.
+      square: sum of squared weighted residuals, large ones limited if the fit is robust.
+      penalty: what the priors charge on top.
       count: data minus fitted numbers.
       covariance: [P, P] of the parameters, by the Jacobian.
-      residual: [W, data] weighted. per_window: [W] sums of squares.
+      residual: [W, data] weighted. per_window: [W] its parts.
       information: [W, P, P] and score [W, P]: each window's share, for the bootstrap.
     """
 
@@ -88,28 +90,24 @@ def gauss_newton(
     """
     hints = hints or Hints()
     if hints.exact and start is None:
-        start = _approached(shooter, build, unknowns, robust)
+        values = np.array([u.start for u in unknowns])
+        start = _approached(shooter, build(values), robust, None)
     problem = _Problem(shooter, build, unknowns, hints, robust)
     return problem.solve(start, iterations, tolerance)
 
 
 def _approached(
-    shooter: Shooter,
-    build: Callable[[Floats], Variant],
-    unknowns: Sequence[Unknown],
-    robust: float | None,
+    shooter: Shooter, variant: Variant, robust: float | None, only: Bools | None
 ) -> Floats:
-    """Window starts for the parameters' first values, from ever longer parts of the windows: the
-    errors of a long window with impacts have many minima."""
-    values = np.array([u.start for u in unknowns])
-    variant = build(values)
+    """Window starts from ever longer parts of the windows: the errors of a long window with impacts
+    have many minima."""
     start = None
     for samples in _APPROACH:
         if samples < shooter.windows.length:
             problem = _Problem(
                 shooter.first(samples), lambda _: variant, [], Hints(exact=True), robust
             )
-            start = problem.solve(start, 4, 1e-2).start
+            start = problem.solve(start, 4, 1e-2, only).start
     return np.zeros((len(shooter), 2 * shooter.nv)) if start is None else start
 
 
@@ -156,38 +154,57 @@ class _Problem:
         self.precision = np.array([u.precision for u in unknowns])
         self.hints, self.robust = hints, robust
 
-    def solve(self, start: Floats | None, iterations: int, tolerance: float) -> Fit:
+    def solve(
+        self,
+        start: Floats | None,
+        iterations: int,
+        tolerance: float,
+        only: Bools | None = None,
+    ) -> Fit:
         shooter = self.shooter
         values = np.clip(self.begin, self.low, self.high)
         xi = self._widened(values, start)
         here = self.trial(values, xi)
-        if start is not None and self.hints.rough:
-            here = self._better(here, self.trial(values, np.zeros_like(xi)))
+        if self.hints.rough or self.hints.exact:
+            for other in ([] if start is None else [np.zeros_like(xi)]) + [self._measured(xi)]:
+                here = self._better(here, self.trial(values, other))
         for other in self._ends(values, xi):
             here = self._better(here, self.trial(values, other))
         damping, brakes = 1e-4, np.full(len(shooter), 1e-9)
-        free = self.hints.free
+        free, at = self.hints.free, here
         hinted = free is not None and free.shape[2] == xi.shape[1]
         if free is None or not hinted:
             free = self.start_jacobian(here)
-        iteration = 0
-        while iteration < iterations:
+        active = np.ones(len(shooter), bool) if only is None else only.copy()
+        iteration, again = 0, only is None and bool(self.hints.exact or self.hints.rough)
+        while True:
+            if iteration >= iterations:
+                retried = self._retried(here) if again else None
+                if retried is None:
+                    break
+                iterations, again, hinted = iterations + 3, False, False
+                here, active = retried, np.ones(len(shooter), bool)
+                free, at = self._updated(free, at, here)
             slopes = self._slopes(here)
-            found = self._search(here, slopes, free, damping, brakes)
+            found = self._search(here, slopes, free, damping, brakes, active)
             if found is None:
                 if not hinted:
-                    break
-                hinted, free = False, self.start_jacobian(here)  # the hint was no good
+                    iteration = iterations
+                    continue
+                hinted, free, at = False, self.start_jacobian(here), here  # the hint was no good
                 continue
+            if not self.unknowns:  # windows are independent of each other
+                active = here.cost - found.cost > tolerance * here.cost
             gain = (here.total - found.total) / max(here.total, 1e-300)
             here, damping = found, max(damping / 10, 1e-9)
             iteration += 1
             if gain < tolerance and not (hinted and self.hints.rough):
-                break
+                iteration = iterations
+                continue
             if hinted and self.hints.rough and (gain < 0.2 or iteration == 2):
-                hinted, free = False, self.start_jacobian(here)
+                hinted, free, at = False, self.start_jacobian(here), here
             elif not hinted and (self.hints.exact or iteration == 2):
-                free = self.start_jacobian(here)
+                free, at = self._updated(free, at, here)
         return self._result(here, free)
 
     def _widened(self, values: Floats, start: Floats | None) -> Floats:
@@ -199,6 +216,24 @@ class _Problem:
             width = 2 * shooter.nv if start.shape[1] != xi.shape[1] else xi.shape[1]
             xi[:, :width] = start[:, :width]
         return xi
+
+    def _retried(self, here: _Trial) -> _Trial | None:
+        """With the few windows that fit much worse than all others approached anew; None if in vain
+        or if most fit badly."""
+        means = here.cost / np.maximum(self.shooter.data, 1)
+        bad = means > _BAD
+        hidden = here.xi.shape[1] != 2 * self.shooter.nv
+        if hidden or not bad.any() or float(np.median(means)) > _BAD:
+            return None
+        xi = _approached(self.shooter, self.build(here.values), self.robust, bad)
+        found = self._better(self.trial(here.values, xi, bad, here), here)
+        return found if found.total < 0.99 * here.total else None
+
+    def _measured(self, xi: Floats) -> Floats:
+        """Starts at the first sample as it was measured: smoothing blurs impacts."""
+        found = np.zeros_like(xi)
+        found[:, : 2 * self.shooter.nv] = self.shooter.first_seen
+        return found
 
     def _ends(self, values: Floats, xi: Floats) -> list[Floats]:
         """Starts with the play of added joints taken up on either side."""
@@ -214,26 +249,42 @@ class _Problem:
                     found.append(moved)
         return found
 
-    def trial(self, values: Floats, xi: Floats) -> _Trial:
-        """Simulates parameters and starts."""
-        simulated = self.shooter.simulate(self.build(values), xi)
+    def trial(
+        self, values: Floats, xi: Floats, only: Bools | None = None, others: _Trial | None = None
+    ) -> _Trial:
+        """Simulates parameters and starts.
+
+        Args:
+          only: [W] the windows to simulate; all if None. others: where the other windows are from.
+        """
+        simulated = self.shooter.simulate(self.build(values), xi, only)
+        if only is not None and others is not None:
+            simulated = np.where(only[:, None, None], simulated, others.simulated)
+            xi = np.where(only[:, None], xi, others.xi)
         residual = self.shooter.residual(simulated)
         cost = self._window_costs(residual)
         return _Trial(values, xi, simulated, residual, cost, self.penalty(values))
 
     def _search(
-        self, here: _Trial, slopes: Floats, free: Floats, damping: float, brakes: Floats
+        self,
+        here: _Trial,
+        slopes: Floats,
+        free: Floats,
+        damping: float,
+        brakes: Floats,
+        active: Bools,
     ) -> _Trial | None:
         """The first step, ever shorter, that lowers the cost; windows it worsens stay behind."""
         for _ in range(5):
             step, moves = self._step(here, slopes, free, damping, brakes)
             values = np.clip(here.values + step, self.low, self.high)
-            trial = self.trial(values, here.xi + moves)
+            trial = self.trial(values, here.xi + moves, active, here)
             worse = trial.cost > here.cost
             brakes[worse] = np.maximum(brakes[worse] * 100, 1e-3)
             brakes[~worse] = np.maximum(brakes[~worse] / 10, 1e-12)
             if worse.any() and (trial.total >= here.total or self.hints.exact):
-                trial = self._better(trial, self.trial(values, here.xi))
+                stay = self.trial(values, here.xi, worse, trial) if self.unknowns else here
+                trial = self._better(trial, stay)
             if trial.total < here.total:
                 return trial
             damping = max(damping * 10, 1e-3)
@@ -287,7 +338,20 @@ class _Problem:
             slopes[..., p] = (after - base) / step
         return slopes
 
-    def start_jacobian(self, here: _Trial) -> Floats:
+    def _updated(self, free: Floats, at: _Trial, here: _Trial) -> tuple[Floats, _Trial]:
+        """Derivatives by the starts, taken anew where the motion has changed since they were."""
+        change = np.linalg.norm(here.residual - at.residual, axis=1)
+        size = np.linalg.norm(here.residual, axis=1)
+        moved = change > _STALE * np.maximum(size, np.sqrt(self.shooter.data))
+        if not moved.any():
+            return free, at
+        fresh = self.start_jacobian(here, moved)
+        pick = moved[:, None]
+        residual = np.where(pick, here.residual, at.residual)
+        at = dataclasses.replace(at, residual=residual)
+        return np.where(pick[..., None], fresh, free), at
+
+    def start_jacobian(self, here: _Trial, only: Bools | None = None) -> Floats:
         """Derivatives of the weighted simulated data by the window starts, [W, data, 2 nv]."""
         base = self.shooter.scaled(here.simulated)
         columns = here.xi.shape[1]
@@ -296,7 +360,7 @@ class _Problem:
         for j in range(columns):
             moved = here.xi.copy()
             moved[:, j] += _START_STEP
-            after = self.shooter.scaled(self.shooter.simulate(variant, moved))
+            after = self.shooter.scaled(self.shooter.simulate(variant, moved, only))
             jacobian[..., j] = (after - base) / _START_STEP
         return np.clip(jacobian, -1e12, 1e12)
 
@@ -337,7 +401,7 @@ class _Problem:
         information = np.einsum("wdp,wdq->wpq", weighted, weighted)
         score = np.einsum("wdp,wd->wp", weighted, left)
         gram = information.sum(axis=0) + np.diag(self.precision)
-        square = float((residual**2).sum())
+        square = float(here.cost.sum())
         fitted = len(values) + free.shape[2] * len(residual)
         count = max(self.shooter.count - fitted, 1)
         covariance = np.linalg.pinv(gram, rcond=1e-12) if len(values) else np.zeros((0, 0))
@@ -349,7 +413,7 @@ class _Problem:
             count=count,
             covariance=covariance * max(square / count, 1.0),
             residual=residual,
-            per_window=(residual**2).sum(axis=1),
+            per_window=self._window_costs(residual),
             information=information,
             score=score,
         )
@@ -382,3 +446,5 @@ def _least_squares(matrix: Floats, wanted: Floats, brakes: Floats) -> Floats:
 
 
 _START_STEP = 1e-6
+_STALE = 0.1
+_BAD = 4.0

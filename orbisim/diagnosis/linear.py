@@ -21,6 +21,7 @@ import mujoco.batch
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.cpus import usable_cpus
 from orbisim.diagnosis.hidden import Layout, carried_along
 from orbisim.diagnosis.samples import Samples
 from orbisim.effects.carry import hooks_of
@@ -115,7 +116,7 @@ class IntervalMap:
         hooks = hooks_of(model)
         for count in np.unique(self.substeps):
             index = np.flatnonzero(self.substeps == count)
-            batch = mujoco.batch.Batch(model, len(index), 0)
+            batch = mujoco.batch.Batch(model, len(index), usable_cpus())
             timestep = batch.expand("opt.timestep")
             timestep[:] = (self.duration[index] / count).reshape(timestep.shape)
             batch.bind("time")[:] = self.start[index]

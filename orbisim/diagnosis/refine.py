@@ -12,6 +12,7 @@ import numpy.typing as npt
 from orbisim.diagnosis.bench import Bench, Hypothesis
 from orbisim.diagnosis.gauss_newton import Fit, Hints, gauss_newton, start_derivatives
 from orbisim.diagnosis.linear import Intervals
+from orbisim.diagnosis.regress import Windows
 from orbisim.diagnosis.retune import Tunable
 from orbisim.diagnosis.shooting import Shooter
 from orbisim.effects import find
@@ -31,9 +32,10 @@ class Judged:
     Attributes:
       hypothesis: with fitted values. fit: on the windows it was fitted to.
       checked: [windows] mean squared weighted residual of each check window, starts fitted.
-      ratio: residual over noise on the check windows.
+      ratio: residual over noise, on the fitted or on the check windows, whichever is larger.
       cost: information criterion of the fit; lower is better.
       check_fit: window starts on the check windows.
+      windows: those that it was fitted to.
     """
 
     hypothesis: Hypothesis
@@ -42,6 +44,7 @@ class Judged:
     ratio: float
     cost: float
     check_fit: Fit
+    windows: Windows
 
 
 class Judge:
@@ -64,7 +67,8 @@ class Judge:
         most: int | None = None,
         robust: float | None = None,
     ) -> None:
-        self.bench, self.robust = bench, robust
+        self.bench = bench
+        self.robust = _IMPACTS if robust is None and bench.contacts else robust
         self.fitted = bench.shooter(thinned(bench.fit, most))
         check = bench.check if bench.check.any() else bench.fit
         self.check = bench.shooter(thinned(check, None if most is None else max(8, most // 2)))
@@ -85,8 +89,12 @@ class Judge:
         except (OrbiSimError, np.linalg.LinAlgError):
             return None
         means = _means(self.check, checked)
-        ratio = float(np.sqrt(self._typical(self.check, means)))
-        return Judged(fitted, fit, means, ratio, self._cost(fitted, fit), checked)
+        fit_means = _means(self.fitted, fit)
+        square = max(self._typical(self.fitted, fit_means), self._typical(self.check, means))
+        ratio = float(np.sqrt(square))
+        return Judged(
+            fitted, fit, means, ratio, self._cost(fitted, fit), checked, self.fitted.windows
+        )
 
     def _typical(self, shooter: Shooter, means: Floats) -> float:
         """Mean over windows, without the worst of those whose starts impacts make uncertain."""
@@ -116,7 +124,7 @@ class Judge:
             [],
             start=self._warm.get(id(shooter)),
             hints=self._hints(shooter),
-            iterations=2 * iterations if _structural(hypothesis) else iterations,
+            iterations=2 * iterations if is_structural(hypothesis) else iterations,
             robust=self.robust,
         )
 
@@ -149,7 +157,7 @@ class Judge:
             hypothesis.unknowns(declared),
             start=self._warm.get(id(self.fitted)),
             hints=self._hints(self.fitted, slopes),
-            iterations=iterations + 3 if _structural(hypothesis) else iterations,
+            iterations=iterations + 3 if is_structural(hypothesis) else iterations,
             robust=self.robust,
         )
 
@@ -239,7 +247,7 @@ class Judge:
         return here
 
 
-def _structural(hypothesis: Hypothesis) -> bool:
+def is_structural(hypothesis: Hypothesis) -> bool:
     """Whether joints are added, whose state at a window's start nothing reads."""
     kinds = [find(e.effect) for e in hypothesis.effects]
     return any(kind.structural and kind.kind == "joint" for kind in kinds)
@@ -247,10 +255,11 @@ def _structural(hypothesis: Hypothesis) -> bool:
 
 def _means(shooter: Shooter, fit: Fit) -> Floats:
     """Mean squared weighted residual of each window, its start's numbers counted."""
-    data = shooter.seen.reshape(len(shooter), -1).sum(axis=1)
-    return np.asarray(fit.per_window / np.maximum(data - 2 * shooter.nv, 1))
+    return np.asarray(fit.per_window / np.maximum(shooter.data - 2 * shooter.nv, 1))
 
 
+_IMPACTS = 4.0
+"""Huber threshold where there are contacts: some impacts no fit of the start reproduces."""
 _GRID_STEPS = 12
 _TRIMMED = 0.15
 

@@ -45,6 +45,12 @@ class Windows:
         horizon = None if self.horizon is None else self.horizon[keep]
         return Windows(self.first[keep], self.length, self.recording[keep], horizon)
 
+    def reach(self) -> Ints:
+        """[W]: number of intervals that can be predicted."""
+        if self.horizon is None:
+            return np.full(len(self), self.length)
+        return np.minimum(self.horizon, self.length)
+
     def fragile(self) -> npt.NDArray[np.bool_]:
         """[W]: windows that end early, as impacts make what follows uncertain."""
         if self.horizon is None:
@@ -70,7 +76,7 @@ def cut_windows(
       recording, row: [N] of the intervals. avoid: [N] where no window should start.
     """
     firsts: list[int] = []
-    for start, stop in _runs(recording, row):
+    for start, stop in runs_of(recording, row):
         begin = start
         while begin + length <= stop:
             while avoid is not None and avoid[begin] and begin + length < stop:
@@ -84,7 +90,7 @@ def cut_windows(
     return Windows(first, length, recording[first] if len(first) else first)
 
 
-def _runs(recording: Ints, row: Ints) -> Iterator[tuple[int, int]]:
+def runs_of(recording: Ints, row: Ints) -> Iterator[tuple[int, int]]:
     """Ranges of intervals that follow one another."""
     if not len(row):
         return
@@ -205,14 +211,15 @@ def _chunk(
     x = np.zeros((w, n2, n2 + c + 1))
     x[:, :, :n2] = np.eye(n2)
     for k in range(windows.length + 1):
-        at = windows.first + min(k, windows.length - 1)
-        values = data.starts[at] if k < windows.length else data.ends[at]
+        inside, last = k < windows.reach(), windows.first + windows.reach() - 1
+        at = np.minimum(windows.first + k, last)
+        values = np.where(inside[:, None], data.starts[at], data.ends[at])
         deviation, seen[:, k] = data.rows(values)
         scaled = x[:, data.measured] * data.weight[:, None]
         target[:, k] = deviation - scaled[:, :, -1]
         design[:, k] = scaled[:, :, :-1]
         if signals is not None:
-            rows = at if k < windows.length else count + at
+            rows = np.where(inside, at, count + at)
             design[:, k, :, n2:] += signals[rows][:, data.measured] * data.weight[:, None]
         if k < windows.length:
             x = np.einsum("wij,wjc->wic", intervals.A[at], x)

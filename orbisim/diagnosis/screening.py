@@ -65,6 +65,7 @@ def screen(
     intervals: Intervals,
     only: Sequence[str] | None = None,
     factors: Floats | None = None,
+    force: Floats | None = None,
 ) -> Screening:
     """Looks for effects that would explain what a hypothesis leaves.
 
@@ -72,10 +73,11 @@ def screen(
       intervals: the linear system along the hypothesis.
       only: names of the effects to consider; all if None.
       factors: [N, 2 nv, F] change of every interval's end by factors of declared parameters.
+      force: [N, nv] missing force, where it is known better than from the intervals.
     """
     flow = bench.flow(hypothesis)
     view = MotionView(flow, bench.samples)
-    view.missing_force = missing_force(intervals)
+    view.missing_force = missing_force(intervals) if force is None else force
     found = list(_candidates(view, bench, hypothesis, flow, only))
     columns = [column for candidate in found for column in candidate.columns]
     first = len(columns)

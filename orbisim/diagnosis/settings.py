@@ -21,7 +21,7 @@ class Settings:
       margin: information criterion by which an effect must pay.
       most_left: share of the residual's amplitude that an explanation may leave at most.
       retune: whether declared parameters may be retuned.
-      robust: Huber threshold, or None.
+      robust: Huber threshold; None for 4 with contacts, and none without.
       patience: s after which no further effect is looked for.
       seed: of the bootstrap.
     """

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import mujoco
 import mujoco.batch
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.cpus import usable_cpus
 from orbisim.diagnosis.hidden import Layout, carried_along
 from orbisim.diagnosis.linear import Intervals
 from orbisim.diagnosis.measurement import TRUE, Measurement
@@ -22,6 +23,7 @@ from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
+Bools = npt.NDArray[np.bool_]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -69,6 +71,7 @@ class Shooter:
         sigma = np.concatenate(noise)
         self.measured = np.flatnonzero(np.isfinite(sigma))
         self.weight = 1.0 / sigma[self.measured]
+        self.first_seen = np.nan_to_num(deviation[:, 0])
         picked = deviation[:, :, self.measured]
         self.seen = np.isfinite(picked) & windows.predictable()[:, :, None]
         self.target = np.where(self.seen, picked, 0.0) * self.weight
@@ -93,17 +96,47 @@ class Shooter:
         """Number of data."""
         return int(self.seen.sum())
 
-    def simulate(self, variant: Variant, start: Floats) -> Floats:
+    @property
+    def data(self) -> Ints:
+        """[W]: number of data of each window."""
+        return np.asarray(self.seen.reshape(len(self), -1).sum(axis=1))
+
+    def simulate(self, variant: Variant, start: Floats, only: Bools | None = None) -> Floats:
         """Measured deviations from the reference [W, K + 1, 2 nv] of free runs from the starts.
 
         Args:
           variant: the scene to simulate and how it is measured.
           start: [W, 2 nv + 2 h] true deviation at each window's start, and position and velocity
             of the h joints that effects have added.
+          only: [W] the windows to simulate, all if None; what is returned of others is meaningless,
+            as is what lies beyond a window's horizon.
         """
-        model, measurement = variant.scene.model, variant.measurement
+        measurement, out = variant.measurement, np.zeros(self._shape)
+        out[:, 0] = start[:, : 2 * self.nv]
+        for k, qpos, qvel in self._run(variant, start, only):
+            out[:, k] = self._deviation(k, qpos, qvel)
+        return measurement.of(self.absolute, out, self.time) if measurement else out
+
+    def states(self, variant: Variant, start: Floats) -> tuple[Floats, Floats]:
+        """True states of free runs: qpos [W, K + 1, nq] and qvel [W, K + 1, nv]."""
+        first = self._moved(start)
+        qpos, qvel = self.qpos.copy(), self.qvel.copy()
+        qpos[:, 0], qvel[:, 0] = first
+        for k, here_q, here_v in self._run(variant, start, None):
+            qpos[:, k], qvel[:, k] = here_q, here_v
+        return qpos, qvel
+
+    @property
+    def _shape(self) -> tuple[int, int, int]:
+        return len(self), self.windows.length + 1, 2 * self.nv
+
+    def _run(
+        self, variant: Variant, start: Floats, only: Bools | None
+    ) -> Iterator[tuple[int, Floats, Floats]]:
+        """Number of the sample, and positions and velocities there, one sample after the other."""
+        model, clock = variant.scene.model, variant.measurement.clock
         place = Layout(self.declared.model, model)
-        batch = mujoco.batch.Batch(model, len(self), 0)
+        batch = mujoco.batch.Batch(model, len(self), min(len(self), usable_cpus()))
         qpos, qvel = self._moved(start)
         batch.bind("qpos")[:] = model.qpos0
         batch.bind("qpos")[:, place.q] = qpos
@@ -120,17 +153,20 @@ class Shooter:
             batch.bind("act")[:], batch.bind("history")[:] = act, history
         timestep = batch.expand("opt.timestep")
         hooks = hooks_of(model)
-        out = np.zeros((len(self), self.windows.length + 1, 2 * self.nv))
-        out[:, 0] = start[:, : 2 * self.nv]
-        applied = batch.bind("qfrc_applied")
-        for k in range(self.horizon):
-            length = (self.time[:, k + 1] - self.time[:, k]) / measurement.clock
+        applied, qpos, qvel = (batch.bind(n) for n in ("qfrc_applied", "qpos", "qvel"))
+        last = self._last(only)
+        for k in range(int(last.max(initial=0))):
+            length = (self.time[:, k + 1] - self.time[:, k]) / clock
             timestep[:] = (length / self.substeps).reshape(timestep.shape)
             applied[:, place.v] = self.force[:, k]
-            step_batch(model, batch, hooks, self.ctrl[:, k], int(self.substeps))
-            here_q, here_v = batch.bind("qpos")[:, place.q], batch.bind("qvel")[:, place.v]
-            out[:, k + 1] = self._deviation(k + 1, here_q, here_v)
-        return measurement.of(self.absolute, out, self.time) if measurement else out
+            ids = np.flatnonzero(last > k)
+            step_batch(model, batch, hooks, self.ctrl[:, k], int(self.substeps), ids)
+            yield k + 1, qpos[:, place.q], qvel[:, place.v]
+
+    def _last(self, only: Bools | None) -> Ints:
+        """[W]: number of samples to simulate of each window."""
+        last = np.minimum(self.windows.reach(), self.horizon)
+        return np.asarray(last if only is None else np.where(only, last, 0))
 
     def chained(self, intervals: Intervals) -> Floats:
         """Derivatives of the weighted data by the window starts in linear approximation,
@@ -181,15 +217,18 @@ class Shooter:
         return qpos, qvel
 
     def _deviation(self, k: int, qpos: Floats, qvel: Floats) -> Floats:
-        reference = self.qpos[:, k]
-        if qpos.shape[1] == self.nv:
-            dq = qpos - reference
-        else:
-            dq = np.zeros((len(qpos), self.nv))
-            for w in range(len(qpos)):
-                here = np.ascontiguousarray(qpos[w])
-                mujoco.mj_differentiatePos(self.declared.model, dq[w], 1.0, reference[w], here)
+        dq = self.difference(self.qpos[:, k], qpos)
         return np.concatenate([dq, qvel - self.qvel[:, k]], axis=1)
+
+    def difference(self, before: Floats, after: Floats) -> Floats:
+        """Tangent vectors [N, nv] from some positions [N, nq] to others."""
+        if before.shape[1] == self.nv:
+            return after - before
+        dq = np.zeros((len(before), self.nv))
+        for w in range(len(before)):
+            here = np.ascontiguousarray(after[w])
+            mujoco.mj_differentiatePos(self.declared.model, dq[w], 1.0, before[w], here)
+        return dq
 
     def _hidden(self, model: mujoco.MjModel) -> tuple[Floats, Floats]:
         """Activations and delay buffers at the windows' starts."""

@@ -19,11 +19,16 @@ def step_batch(
     hooks: Sequence[Hook],
     control: Any,
     nstep: int,
+    ids: Any = None,
 ) -> None:
-    """Advances every world by `nstep` timesteps under a constant control [nworld, nu]."""
+    """Advances worlds by `nstep` timesteps under a constant control [nworld, nu].
+
+    Args:
+      ids: the worlds; all if None.
+    """
     if not hooks:
         batch.bind("ctrl")[:] = control
-        batch.step(nstep=nstep)
+        batch.step(ids, nstep)
         return
     runner = HookRunner(model, hooks, batch.nsim)
     stage = int(stage_of(runner.derived))
@@ -36,7 +41,7 @@ def step_batch(
         batch.bind(name)
     batch.bind("ctrl")[:] = control
     if runner.derived:
-        batch.forward(stage=stage)
+        batch.forward(ids, stage)
     for _ in range(nstep):
         moment = runner.inputs(batch.bind, control, applied, base)
         batch.bind("ctrl")[:] = moment.ctrl
@@ -44,6 +49,6 @@ def step_batch(
         batch.bind("xfrc_applied")[:] = moment.xfrc
         for name, values in moment.fields.items():
             expanded[name][:] = values
-        batch.step(stage=stage)
+        batch.step(ids, 1, stage)
     for name, values in applied.items():
         batch.bind(name)[:] = values

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from orbisim.cpus import usable_cpus
 from orbisim.errors import InputError
 from orbisim.progress import track
 from orbisim.tasks import storage
@@ -108,7 +108,7 @@ def collect(
 def _workers(workers: int | None) -> int:
     if workers is not None and workers < 1:
         raise InputError(f"need at least one worker; got {workers}")
-    return workers or len(os.sched_getaffinity(0))
+    return workers or usable_cpus()
 
 
 def _attributes(task: Task, order: Order) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import time
 import traceback
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
+from queue import Queue
 from typing import Any
 
 ENTRY = Path(__file__).resolve().parent.parent / "blind_trials.py"
@@ -51,8 +52,11 @@ def run_all(args: argparse.Namespace, tool: str) -> int:
     out.parent.mkdir(parents=True, exist_ok=True)
     folder = Path(args.trials) / "trials"
     failed, started = 0, time.perf_counter()
+    cores: Queue[int] = Queue()
+    for core in range(args.workers):
+        cores.put(core)
     with ThreadPoolExecutor(args.workers) as pool, out.open("a") as stream:
-        waiting = [pool.submit(_in_process, folder / n, tool, args.timeout) for n in names]
+        waiting = [pool.submit(_in_process, folder / n, tool, args.timeout, cores) for n in names]
         for number, done in enumerate(as_completed(waiting), 1):
             entry = done.result()
             stream.write(json.dumps(entry) + "\n")
@@ -77,8 +81,16 @@ def _brief(entry: dict[str, Any]) -> str:
     return f"{report['verdict']} {effects} {error['before']:.3g} -> {error['after']:.3g}"
 
 
-def _in_process(folder: Path, tool: str, timeout: float) -> dict[str, Any]:
-    command = [sys.executable, str(ENTRY), "one", str(folder), "--tool", tool]
+def _in_process(folder: Path, tool: str, timeout: float, cores: Queue[int]) -> dict[str, Any]:
+    core = cores.get()
+    try:
+        return _on_core(folder, tool, timeout, core)
+    finally:
+        cores.put(core)
+
+
+def _on_core(folder: Path, tool: str, timeout: float, core: int) -> dict[str, Any]:
+    command = [sys.executable, str(ENTRY), "one", str(folder), "--tool", tool, "--core", str(core)]
     entry = {"trial": folder.name, "scene": _scene_of(folder), "failure": None, "report": None}
     started = time.perf_counter()
     try:

@@ -1,0 +1,84 @@
+"""Windows seen from a scene's own free runs instead of from the measured motion.
+
+With impacts, the smoothed measurement is no motion of any scene, and derivatives along it say
+little. Along a simulation that starts where it fits best, they are those of the simulation error.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.diagnosis.bench import Bench
+from orbisim.diagnosis.linear import IntervalMap, linearize
+from orbisim.diagnosis.refine import Judged
+from orbisim.diagnosis.regress import Windows
+from orbisim.diagnosis.samples import Samples
+from orbisim.diagnosis.shooting import Shooter
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+
+
+def along(bench: Bench, judged: Judged) -> tuple[Bench, Ints]:
+    """The fitted windows of a hypothesis, each as a recording whose reference is the hypothesis'
+    own free run; and the numbers that the intervals had."""
+    hypothesis, windows = judged.hypothesis, judged.windows
+    shooter = Shooter(bench.scene, bench.samples, bench.intervals, windows, bench.noise)
+    start = judged.fit.start
+    qpos, qvel = shooter.states(hypothesis.variant(bench.scene), start)
+    reach = windows.reach()
+    samples, rows, numbers = [], [], []
+    for w in range(len(windows)):
+        first = int(shooter.row[w])
+        usable = np.isfinite(qpos[w]).all(axis=1) & np.isfinite(qvel[w]).all(axis=1)
+        length = int(reach[w]) if usable.all() else max(int(np.argmin(usable)) - 1, 0)
+        samples.append(
+            _moved(
+                bench.samples[windows.recording[w]],
+                shooter,
+                first,
+                qpos[w, : length + 1],
+                qvel[w, : length + 1],
+            )
+        )
+        rows.append(np.arange(first, first + length))
+        numbers.append(windows.first[w] + np.arange(length))
+    kept = [w for w in range(len(windows)) if len(rows[w]) >= 4]
+    longest = max(len(rows[w]) for w in kept)
+    flow = IntervalMap(
+        bench.scene,
+        [samples[w] for w in kept],
+        [rows[w] for w in kept],
+        hypothesis.scene(bench.scene),
+        hypothesis.measurement(bench.scene).clock,
+    )
+    lengths = np.array([len(rows[w]) for w in kept])
+    starts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
+    cut = Windows(starts, longest, np.arange(len(kept)), lengths)
+    everything = np.ones(len(cut), bool)
+    local = dataclasses.replace(
+        bench,
+        samples=tuple(samples[w] for w in kept),
+        rows=tuple(rows[w] for w in kept),
+        intervals=linearize(flow),
+        windows=cut,
+        fit=everything,
+        check=everything,
+    )
+    return local, np.concatenate([numbers[w] for w in kept])
+
+
+def _moved(one: Samples, shooter: Shooter, first: int, qpos: Floats, qvel: Floats) -> Samples:
+    """The recording with another reference in some of its rows."""
+    rows = slice(first, first + len(qpos))
+    new_q, new_v, new_a = one.qpos.copy(), one.qvel.copy(), one.qacc.copy()
+    dq, dv = one.dq.copy(), one.dv.copy()
+    dq[rows] -= shooter.difference(one.qpos[rows], qpos)
+    dv[rows] -= qvel - one.qvel[rows]
+    new_q[rows], new_v[rows] = qpos, qvel
+    if len(qpos) > 2:
+        new_a[rows] = np.gradient(qvel, one.time[rows], axis=0)
+    return dataclasses.replace(one, qpos=new_q, qvel=new_v, qacc=new_a, dq=dq, dv=dv)
