@@ -310,12 +310,9 @@ def _pack(options: Any, name: str, checkpoint: Any) -> Any:
 
 def _for_objects(checkpoint: Any, pack: Any) -> Any:
     """The model for the pack's number of objects, where it can have another."""
-    from orbisim_world_model.checkpoint import load_checkpoint
+    from orbisim_world_model.checkpoint import load_for
 
-    alike = len(checkpoint.layout.objects) == len(pack.layout.objects)
-    if alike or checkpoint.model.config.kind != "objects":
-        return checkpoint.model
-    return load_checkpoint(checkpoint.path, pack.layout).model
+    return load_for(checkpoint.path, pack.layout).model
 
 
 def _open_loop(

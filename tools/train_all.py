@@ -124,9 +124,9 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
     job, began = JOBS[name], time.monotonic()
     settings = {**dict(job.settings), **dict(text.split("=", 1) for text in options.set)}
     config = replaced(preset(job.config), settings)
-    pack = _read(options.data, [f"{part}_train" for part in job.data])
+    packs = _read(options.data, [f"{part}_train" for part in job.data])
     held = _read(options.data, [f"{part}_test" for part in job.data])
-    assert pack is not None, f"no data of {job.data}"
+    assert packs, f"no data of {job.data}"
     reading = time.monotonic() - began
     saved = [time.monotonic()]
 
@@ -153,7 +153,7 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
         horizons=job.horizons,
         burn=job.burn,
     )
-    manifest = train(pack, config, run, report, held)
+    manifest = train(packs, config, run, report, held or None)
     steps = manifest["training"]["steps"]
     print(f"{label}: {steps} steps, {time.monotonic() - began:.0f} s", flush=True)
     for horizon, values in manifest["metrics"]["model"].items():
@@ -161,9 +161,9 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
         print(f"{label}: {horizon} steps: {medians}", flush=True)
 
 
-def _read(folder: Path, names: list[str]) -> Any:
-    """The data of these names as one pack; None where there are none."""
-    from orbisim_world_model.pack import Pack, joined
+def _read(folder: Path, names: list[str]) -> list[Any]:
+    """The data of these names, a pack for each robot; empty where there are none."""
+    from orbisim_world_model.pack import Pack, grouped
 
     packs = []
     for name in names:
@@ -174,7 +174,7 @@ def _read(folder: Path, names: list[str]) -> Any:
             from orbisim_world_model.packing import read_data
 
             packs.append(read_data([raw]))
-    return joined(packs) if packs else None
+    return grouped(packs)
 
 
 def collect(work: Path, out: Path) -> None:

@@ -94,7 +94,7 @@ class LearnedBackend(Backend):
         folder, found = self._find(scene)
         now = None if self._engine is None else self._engine.checkpoint
         if now is None or now.path != folder or now.layout != found.layout:
-            checkpoint = load_checkpoint(folder, found.layout)
+            checkpoint = load_checkpoint(folder, found.layout, found.variant)
             self._check(checkpoint)
             self._engine = Engine(checkpoint, self._on, self._half)
         assert self._engine is not None
