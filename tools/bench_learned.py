@@ -10,6 +10,7 @@
 - latency: one world, one control step, by the shipped settings.
 - gradient: policy-gradient training steps/s (a two-layer policy, a window of 32 control steps).
 - cpu: one world on one core, against C MuJoCo's control step of the same scene (needs MuJoCo).
+- classical: C MuJoCo and `warp` on the same scene (needs MuJoCo; `warp` on a GPU).
 - memory: of a training step against the number of objects, 2 to 8 (GPU).
 
 Without --checkpoint, weights are random: speed does not depend on them.
@@ -35,6 +36,8 @@ sys.path[:0] = [str(ROOT), str(ROOT / "backends")]
 BATCHES = (1, 256, 4096, 8192, 65536)
 PEAK = 989e12
 """Dense half-precision products of an H100 or H200 by its datasheet, FLOP/s."""
+CLASSICAL_STEPS = 60
+"""Control steps of an episode that classical backends are timed with."""
 PAPER = 29.41
 """Training steps/s of the paper's policy optimisation."""
 
@@ -243,6 +246,50 @@ def cpu(model: Any, options: Any) -> dict[str, float]:
     return {"learned_ms": ours * 1e3, "mujoco_ms": theirs * 1e3, "ratio": ours / theirs}
 
 
+def classical(model: Any, options: Any) -> list[dict[str, Any]]:
+    """Control steps/s of C MuJoCo on one core and on all, and of `warp`, in scripted episodes."""
+    import os
+
+    from orbisim import tasks
+
+    if not options.checkpoint:
+        return []
+    manifest = json.loads((options.checkpoint / "manifest.json").read_text())
+    name = str(manifest["data"]["sources"][0]["task"]).removeprefix("task:")
+    trials = tasks.make(name).trials(16, seed=0)
+    steps = min(CLASSICAL_STEPS, trials.sequence.shape[1])
+    cores = len(os.sched_getaffinity(0))
+    runs = [("mujoco", 16, {"nthread": 1}), ("mujoco", 64 * cores, {"nthread": cores})]
+    if options.device.startswith("cuda"):
+        warp = {"device": options.device, "arrays": "torch"}
+        runs += [("warp", n, warp) for n in (256, 1024, 4096, 8192, 16384) if n <= options.largest]
+    return [_classical(trials, steps, *run) for run in runs]
+
+
+def _classical(
+    trials: Any, steps: int, name: str, worlds: int, how: dict[str, Any]
+) -> dict[str, Any]:
+    import numpy as np
+
+    from orbisim import make_backend
+
+    backend = make_backend(name, trials.scene, nworld=worlds, **how)
+    nstep = round(trials.held / backend.timestep)
+    state = trials.initial[np.arange(worlds) % trials.initial.nworld]
+    controls = np.resize(trials.sequence[:, :steps], (worlds, steps, trials.sequence.shape[2]))
+    times = []
+    for _ in range(3):  # the first prepares
+        start = time.perf_counter()
+        backend.rollout(state, controls, nstep=nstep, sensors=False)
+        if torch.cuda.is_available():
+            torch.cuda.synchronize()
+        times.append(time.perf_counter() - start)
+    rate = worlds * steps / min(times[1:])
+    row = {"backend": name, **how, "worlds": worlds, "control_steps_per_s": rate}
+    print("classical", json.dumps(row), flush=True)
+    return row
+
+
 def memory(model: Any, options: Any) -> list[dict[str, float]]:
     """Peak memory of a training step by number of objects, MB."""
     import dataclasses
@@ -293,6 +340,7 @@ BENCHMARKS: dict[str, Callable[[Any, Any], Any]] = {
     "gradient": gradient,
     "cpu": cpu,
     "memory": memory,
+    "classical": classical,
 }
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 import json
 import statistics
 import sys
@@ -142,8 +143,8 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
     job, began = JOBS[name], time.monotonic()
     settings = {**dict(job.settings), **dict(text.split("=", 1) for text in options.set)}
     config = replaced(preset(job.config), settings)
-    packs = _read(options.data, [f"{part}_train" for part in job.data])
-    held = _read(options.data, [f"{part}_test" for part in job.data])
+    packs = _read(options.data, tuple(f"{part}_train" for part in job.data))
+    held = _read(options.data, tuple(f"{part}_test" for part in job.data))
     assert packs, f"no data of {job.data}"
     reading = time.monotonic() - began
     saved = [time.monotonic()]
@@ -179,7 +180,8 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
         print(f"{label}: {horizon} steps: {medians}", flush=True)
 
 
-def _read(folder: Path, names: list[str]) -> list[Any]:
+@functools.lru_cache(maxsize=2)
+def _read(folder: Path, names: tuple[str, ...]) -> list[Any]:
     """The data of these names, a pack for each robot; empty where there are none."""
     from orbisim_world_model.pack import Pack, grouped
 
