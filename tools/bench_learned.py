@@ -1,13 +1,16 @@
 """Speed of the learned step, as ratios within one run.
 
     python tools/bench_learned.py --checkpoint zoo/push [--device cuda] [--json FILE]
-        [--only batch,latency,gradient,cpu,memory]
+        [--only variants,batch,gradient,cpu,memory]
 
+- variants: what each speed-up brings (weights combined, half precision, compiled in three ways),
+  at one world (ms) and at 8,192 (control steps/s); the fastest at 8,192 is used by `batch`.
 - batch: control steps/s at 1, 256, 4,096, 8,192, 65,536 worlds, and the share of the peak of
   matrix products in half precision.
-- latency: one world, one control step.
+- latency: one world, one control step, by the shipped settings.
 - gradient: policy-gradient training steps/s (a two-layer policy, a window of 32 control steps).
 - cpu: one world on one core, against C MuJoCo's control step of the same scene (needs MuJoCo).
+- classical: C MuJoCo and `warp` on the same scene (needs MuJoCo; `warp` on a GPU).
 - memory: of a training step against the number of objects, 2 to 8 (GPU).
 
 Without --checkpoint, weights are random: speed does not depend on them.
@@ -33,6 +36,8 @@ sys.path[:0] = [str(ROOT), str(ROOT / "backends")]
 BATCHES = (1, 256, 4096, 8192, 65536)
 PEAK = 989e12
 """Dense half-precision products of an H100 or H200 by its datasheet, FLOP/s."""
+CLASSICAL_STEPS = 60
+"""Control steps of an episode that classical backends are timed with."""
 PAPER = 29.41
 """Training steps/s of the paper's policy optimisation."""
 
@@ -45,7 +50,12 @@ def main() -> int:
     parser.add_argument("--checkpoint", type=Path)
     parser.add_argument("--data", type=Path, help="episodes or a pack: the layout without one")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
-    parser.add_argument("--only", default="batch,latency,gradient,cpu,memory")
+    parser.add_argument("--only", default="variants,batch,latency,gradient,cpu,memory")
+    parser.add_argument("--variants", default=USUAL, help="in this order")
+    parser.add_argument("--patience", type=float, default=300.0, help="seconds for the variants")
+    parser.add_argument("--gradient-worlds", default="1,16,256,1024")
+    parser.add_argument("--compile-gradient", action="store_true", help="by torch, for `gradient`")
+    parser.add_argument("--use", choices=VARIANTS, help="variant for `batch`; the fastest if known")
     parser.add_argument("--seconds", type=float, default=2.0, help="of each measurement")
     parser.add_argument("--largest", type=int, default=BATCHES[-1], help="number of worlds")
     parser.add_argument("--json", type=Path)
@@ -80,18 +90,64 @@ def _model(options: Any) -> Any:
     return new_model(read_data([options.data]), preset("default"), 0).eval()
 
 
+def variants(model: Any, options: Any) -> dict[str, dict[str, Any]]:
+    """Milliseconds at one world and control steps/s at 8,192, by variant."""
+    from orbisim_world_model.stepper import Stepper
+
+    found: dict[str, dict[str, Any]] = {}
+    began, exact = time.perf_counter(), None
+    for name in options.variants.split(","):
+        if time.perf_counter() - began > options.patience:
+            break
+        stepper = Stepper(model, torch.device(options.device), VARIANTS[name])
+        row: dict[str, Any] = {}
+        for worlds in (1, min(8192, options.largest)):
+            start = time.perf_counter()
+            inputs = _inputs(stepper, worlds)
+            state, _ = stepper(*inputs)
+            prepared = time.perf_counter() - start
+            seconds = _median(functools.partial(_replay, stepper, *inputs), options)
+            if worlds == 1:
+                exact = state if exact is None else exact
+                row["apart"] = max(float((a - b).abs().max()) for a, b in _filled(state, exact))
+            row[str(worlds)] = {
+                "ms": seconds * 1e3,
+                "control_steps_per_s": worlds / seconds,
+                "prepared_s": prepared,
+                "compiled": stepper.on_gpu and stepper.prepared(*inputs).compiled,
+            }
+        found[name] = row
+        print("variant", name, json.dumps(row), flush=True)
+    options.use = options.use or _fastest(found)
+    return found
+
+
+def _filled(one: Any, other: Any) -> list[tuple[Any, Any]]:
+    return [(a, b) for a, b in zip(one, other, strict=True) if a.numel()]
+
+
+def _fastest(found: dict[str, dict[str, Any]]) -> str:
+    """The variant with the most control steps/s at the largest number of worlds."""
+
+    def rate(name: str) -> float:
+        return max(v["control_steps_per_s"] for v in found[name].values() if isinstance(v, dict))
+
+    return max(found, key=rate)
+
+
 def batch(model: Any, options: Any) -> list[dict[str, float]]:
     """Control steps/s by number of worlds."""
     from orbisim_world_model.stepper import Stepper
 
     rows = []
-    stepper = Stepper(model, torch.device(options.device), True)
+    stepper = Stepper(model, torch.device(options.device), VARIANTS[options.use or "shipped"])
     for worlds in (n for n in BATCHES if n <= options.largest):
         replay = functools.partial(_replay, stepper, *_inputs(stepper, worlds))
         seconds = _median(replay, options)
         rate = worlds / seconds
         flops = 2.0 * _weights_used(model) * rate
         rows.append({"worlds": worlds, "control_steps_per_s": rate, "of_peak": flops / PEAK})
+        print("batch", options.use, json.dumps(rows[-1]), flush=True)
     return rows
 
 
@@ -99,7 +155,7 @@ def latency(model: Any, options: Any) -> dict[str, float]:
     """One world, states handed over and back on the device."""
     from orbisim_world_model.stepper import Stepper
 
-    stepper = Stepper(model, torch.device(options.device), True)
+    stepper = Stepper(model, torch.device(options.device))
     x, memory, control, context = _inputs(stepper, 1)
     whole = _median(lambda: stepper(x, memory, control, context), options)
     graph = _median(lambda: _replay(stepper, x, memory, control, context), options)
@@ -110,12 +166,16 @@ def gradient(model: Any, options: Any) -> list[dict[str, float]]:
     """Training steps/s of a policy by the gradient through 32 control steps."""
     from orbisim_world_model.graphs import Graphed
     from orbisim_world_model.optimizer import FlatAdamW
-    from orbisim_world_model.stepper import Stepper
+    from orbisim_world_model.stepper import Speedups, Stepper, compiled_step, plain_step
 
     device = torch.device(options.device)
-    stepper = Stepper(model, device, False)
+    stepper = Stepper(model, device, Speedups(precision="fp32", compiled=None))
     rows = []
-    for worlds, window in ((1, 32), (16, 32), (256, 32), (1024, 32)):
+    advance = plain_step(stepper.model)
+    if options.compile_gradient:
+        advance = compiled_step(stepper.model)
+    window = 32
+    for worlds in map(int, options.gradient_worlds.split(",")):
         x, memory, _, context = _inputs(stepper, worlds)
         width = x.q.shape[1] + x.v.shape[1] + 7 * x.pos.shape[1]
         policy = torch.nn.Sequential(
@@ -134,15 +194,13 @@ def gradient(model: Any, options: Any) -> list[dict[str, float]]:
             context: Any = context,
             policy: Any = policy,
             optimizer: Any = optimizer,
-            window: int = window,
         ) -> None:
             optimizer.zero_grad()
             state, h = x, memory
             for _ in range(window):
                 seen = [state.q, state.v, state.pos.flatten(1), state.quat.flatten(1)]
                 control = torch.tanh(policy(torch.cat(seen, dim=1)))[:, : model.controls]
-                after = stepper.model(state, h, control, context)
-                state, h = after.state, after.memory
+                state, h = advance(state, h, control, context)
             target = state.pos.square().sum() if state.pos.numel() else state.q.square().sum()
             (target / len(x.pos)).backward()
             optimizer.step()
@@ -151,7 +209,9 @@ def gradient(model: Any, options: Any) -> list[dict[str, float]]:
         seconds = _median(run, options)
         rate = 1.0 / seconds
         row = {"worlds": worlds, "window": window, "training_steps_per_s": rate}
-        rows.append({**row, "sequences_per_s": rate * worlds, "times_the_paper": rate / PAPER})
+        more = {"sequences_per_s": rate * worlds, "control_steps_per_s": rate * worlds * window}
+        rows.append({**row, **more, "times_the_paper": rate / PAPER})
+        print("gradient", json.dumps(rows[-1]), flush=True)
         if seconds > options.seconds:
             break
     return rows
@@ -186,6 +246,50 @@ def cpu(model: Any, options: Any) -> dict[str, float]:
     return {"learned_ms": ours * 1e3, "mujoco_ms": theirs * 1e3, "ratio": ours / theirs}
 
 
+def classical(model: Any, options: Any) -> list[dict[str, Any]]:
+    """Control steps/s of C MuJoCo on one core and on all, and of `warp`, in scripted episodes."""
+    import os
+
+    from orbisim import tasks
+
+    if not options.checkpoint:
+        return []
+    manifest = json.loads((options.checkpoint / "manifest.json").read_text())
+    name = str(manifest["data"]["sources"][0]["task"]).removeprefix("task:")
+    trials = tasks.make(name).trials(16, seed=0)
+    steps = min(CLASSICAL_STEPS, trials.sequence.shape[1])
+    cores = len(os.sched_getaffinity(0))
+    runs = [("mujoco", 16, {"nthread": 1}), ("mujoco", 64 * cores, {"nthread": cores})]
+    if options.device.startswith("cuda"):
+        warp = {"device": options.device, "arrays": "torch"}
+        runs += [("warp", n, warp) for n in (256, 1024, 4096, 8192, 16384) if n <= options.largest]
+    return [_classical(trials, steps, *run) for run in runs]
+
+
+def _classical(
+    trials: Any, steps: int, name: str, worlds: int, how: dict[str, Any]
+) -> dict[str, Any]:
+    import numpy as np
+
+    from orbisim import make_backend
+
+    backend = make_backend(name, trials.scene, nworld=worlds, **how)
+    nstep = round(trials.held / backend.timestep)
+    state = trials.initial[np.arange(worlds) % trials.initial.nworld]
+    controls = np.resize(trials.sequence[:, :steps], (worlds, steps, trials.sequence.shape[2]))
+    times = []
+    for _ in range(3):  # the first prepares
+        start = time.perf_counter()
+        backend.rollout(state, controls, nstep=nstep, sensors=False)
+        if torch.cuda.is_available():
+            torch.cuda.synchronize()
+        times.append(time.perf_counter() - start)
+    rate = worlds * steps / min(times[1:])
+    row = {"backend": name, **how, "worlds": worlds, "control_steps_per_s": rate}
+    print("classical", json.dumps(row), flush=True)
+    return row
+
+
 def memory(model: Any, options: Any) -> list[dict[str, float]]:
     """Peak memory of a training step by number of objects, MB."""
     import dataclasses
@@ -216,12 +320,27 @@ def memory(model: Any, options: Any) -> list[dict[str, float]]:
     return rows
 
 
+from orbisim_world_model.stepper import Speedups  # noqa: E402  (needs the path above)
+
+VARIANTS = {
+    "eager": Speedups(folded=False, compiled=None),
+    "folded": Speedups(compiled=None),
+    "shipped": Speedups(),
+    "fused": Speedups(compiled="fused"),
+    "fused_bf16": Speedups(compiled="fused", precision="bf16"),
+    "fused_unfolded": Speedups(compiled="fused", folded=False),
+    "inlined": Speedups(compiled="inlined"),
+    "tuned": Speedups(compiled="tuned"),
+}
+USUAL = "eager,folded,fused,inlined,tuned,fused_bf16"
 BENCHMARKS: dict[str, Callable[[Any, Any], Any]] = {
+    "variants": variants,
     "batch": batch,
     "latency": latency,
     "gradient": gradient,
     "cpu": cpu,
     "memory": memory,
+    "classical": classical,
 }
 
 
@@ -243,7 +362,7 @@ def _replay(stepper: Any, x: Any, memory: Any, control: Any, context: Any) -> No
     if not stepper.on_gpu:
         stepper(x, memory, control, context)
         return
-    stepper._slot(x, memory, control, context).run()
+    stepper.prepared(x, memory, control, context).run()
 
 
 def _weights_used(model: Any) -> float:

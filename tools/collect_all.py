@@ -18,18 +18,8 @@ from typing import Any
 
 from orbisim.cli.common import quiet_engine
 from orbisim.tasks.collect import collect
+from orbisim.tasks.domains import SUITE_TASKS
 
-SUITE = (
-    "pendulum-swingup",
-    "cartpole-swingup",
-    "acrobot-swingup",
-    "point_mass-easy",
-    "reacher-easy",
-    "finger-spin",
-    "cheetah-run",
-    "hopper-hop",
-    "walker-walk",
-)
 TRAIN, TEST = 0, 1
 """Seeds."""
 
@@ -62,11 +52,12 @@ def data_sets() -> list[DataSet]:
         DataSet("pick_and_place_train", "pick_and_place"),
         DataSet("pick_and_place_test", "pick_and_place", 126, TEST),
         DataSet("ball_train", "ball"),
+        DataSet("ball_many_train", "ball", 8000, 2),
         DataSet("ball_test", "ball", 100, TEST),
         DataSet("toss_train", "toss", 4000),
         DataSet("toss_test", "toss", 200, TEST),
     ]
-    for name in SUITE:
+    for name in SUITE_TASKS:
         short, task = name.partition("-")[0], f"suite:{name}"
         sets.append(DataSet(f"suite_{short}_train", task, 1000))
         sets.append(DataSet(f"suite_{short}_test", task, 40, TEST, changes={"steps": 1000}))

@@ -12,7 +12,8 @@ tools/collect_all.py wrote (or packs of it). What is missing is left out.
 - noise: errors at 100 control steps from states with noise (1 cm, 2 deg; 3 cm, 7 deg).
 - ceiling: C MuJoCo started from states rounded to float32, on the suite's held-out episodes.
 - returns: of the suite's feedback policies under `learned` and under `mujoco`.
-- ball: gradient descent on the initial velocity through the model, judged by Newton's equations.
+- ball: gradient descent on the initial velocity through the model, judged by Newton's equations,
+  and with --newton by the package itself, next to its own gradient descent.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from __future__ import annotations
 import argparse
 import functools
 import json
+import subprocess
 import sys
 import warnings
 from collections.abc import Callable
@@ -32,22 +34,13 @@ import torch
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "backends")]
 
+from orbisim.tasks.domains import SUITE_DOMAINS  # noqa: E402  (needs the path above)
+
 TESTS = {
     "push": "push_test",
     "cubes": "push_cubes_test",
     "ball": "ball_test",
     "toss": "toss_test",
-}
-SUITE = {
-    "pendulum": "swingup",
-    "cartpole": "swingup",
-    "acrobot": "swingup",
-    "point_mass": "easy",
-    "reacher": "easy",
-    "finger": "spin",
-    "cheetah": "run",
-    "hopper": "hop",
-    "walker": "walk",
 }
 OUTSIDE = ("push_ood_slippery", "push_ood_rough", "push_ood_three")
 NOISE = {"none": (0.0, 0.0), "moderate": (0.01, 2.0), "strong": (0.03, 7.0)}
@@ -61,6 +54,10 @@ def main() -> int:
     parser.add_argument("--zoo", type=Path, required=True)
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--only", default=",".join(MEASUREMENTS))
+    parser.add_argument("--checkpoints", default="", help="only these of the zoo")
+    parser.add_argument("--newton", type=Path, help="Python with the package newton, for `ball`")
+    parser.add_argument("--iterations", type=int, default=60, help="of gradient descent, `ball`")
+    parser.add_argument("--seeds", type=int, default=5, help="episodes of each domain, `returns`")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--episodes", type=int, default=256)
     parser.add_argument("--json", type=Path)
@@ -85,13 +82,23 @@ def errors(options: Any) -> dict[str, Any]:
         tests += {"push": OUTSIDE, "cubes": ("pick_and_place_test",)}.get(job, ())
         for test in tests:
             pack = _pack(options, test, checkpoint)
-            objects = {len(checkpoint.layout.objects), len(pack.layout.objects)} if pack else set()
-            if len(objects) != 1 and not (objects and checkpoint.model.config.kind == "objects"):
+            if pack is None or not _knows(checkpoint, pack):
                 continue  # no such data, or a model for one number of objects alone
-            long = job in SUITE
+            long = job in SUITE_DOMAINS
             horizons = (10, 50, 100, 1000) if long else (10, 20, 36) if job == "ball" else None
             table[f"{name} on {test}"] = _medians(checkpoint, pack, options, horizons, long)
     return table
+
+
+def _knows(checkpoint: Any, pack: Any) -> bool:
+    """Whether a checkpoint can predict these episodes."""
+    from orbisim.errors import InputError
+
+    try:
+        _for_objects(checkpoint, pack)
+    except InputError:
+        return False
+    return True
 
 
 def _medians(
@@ -175,7 +182,7 @@ def ceiling(options: Any) -> dict[str, Any]:
     from orbisim.state import State
 
     table: dict[str, Any] = {}
-    for domain, task in SUITE.items():
+    for domain, task in SUITE_DOMAINS.items():
         pack = _pack(options, f"suite_{domain}_test", None)
         if pack is None:
             continue
@@ -203,20 +210,20 @@ def ceiling(options: Any) -> dict[str, Any]:
 
 
 def returns(options: Any) -> dict[str, Any]:
-    """Mean return over five episodes under each backend."""
+    """Mean return over the episodes under each backend."""
     from orbisim import suite
     from orbisim.tasks.suite_feedback import feedback, has_feedback
     from orbisim.tasks.suite_policies import rhythm
 
     table: dict[str, Any] = {}
-    for domain, task in SUITE.items():
+    for domain, task in SUITE_DOMAINS.items():
         folder = options.zoo / domain
-        if not (folder / "manifest.json").exists():
+        if domain not in _checkpoints(options, domain):
             continue
         table[domain] = {}
         for backend in ("mujoco", f"learned:{folder}"):
             total = []
-            for seed in range(5):
+            for seed in range(options.seeds):
                 environment = suite.load(domain, task, task_kwargs={"random": seed})
                 step = environment.reset()
                 physics = environment.physics
@@ -256,7 +263,7 @@ def ball(options: Any) -> dict[str, Any]:
     target = torch.tensor([0.0, -2.0, 1.5])
     velocity = torch.tensor([0.0, 5.0, -5.0], requires_grad=True)
     history, began = [], time.perf_counter()
-    for _ in range(60):
+    for _ in range(options.iterations):
         state, h = x._replace(vel=velocity.reshape(1, 1, 3)), model.initial_memory(1)
         for _ in range(36):
             step = model(state, h, torch.zeros(1, model.controls), context)
@@ -269,6 +276,7 @@ def ball(options: Any) -> dict[str, Any]:
     best, chosen = min(history, key=lambda entry: entry[0])
     outside = float(loss(simulate(chosen)[0][-1]))
     return {
+        "newton": _newton(options, chosen),
         "inside": best,
         "outside": outside,
         "miss_mm": outside**0.5 * 1e3,
@@ -276,6 +284,18 @@ def ball(options: Any) -> dict[str, Any]:
         "seconds": seconds,
         "losses": [entry[0] for entry in history],
     }
+
+
+def _newton(options: Any, velocity: Any) -> dict[str, Any]:
+    """What Newton's own simulation says, and its own gradient descent; {} without the package."""
+    if options.newton is None:
+        return {}
+    numbers = [str(float(v)) for v in velocity]
+    script = str(ROOT / "tools" / "newton_ball.py")
+    command = [str(options.newton), script, *numbers, "--iterations", str(options.iterations)]
+    lines = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
+    found: dict[str, Any] = json.loads(lines[-1])
+    return found
 
 
 MEASUREMENTS: dict[str, Callable[[Any], Any]] = {
@@ -292,7 +312,9 @@ def _checkpoints(options: Any, prefix: str = "") -> dict[str, Any]:
     from orbisim_world_model.checkpoint import load_checkpoint
 
     folders = sorted(path.parent for path in options.zoo.glob(f"{prefix}*/manifest.json"))
-    return {folder.name: load_checkpoint(folder) for folder in folders}
+    wanted = options.checkpoints.split(",") if options.checkpoints else None
+    chosen = [f for f in folders if wanted is None or f.name in wanted]
+    return {folder.name: load_checkpoint(folder) for folder in chosen}
 
 
 def _pack(options: Any, name: str, checkpoint: Any) -> Any:
@@ -310,12 +332,9 @@ def _pack(options: Any, name: str, checkpoint: Any) -> Any:
 
 def _for_objects(checkpoint: Any, pack: Any) -> Any:
     """The model for the pack's number of objects, where it can have another."""
-    from orbisim_world_model.checkpoint import load_checkpoint
+    from orbisim_world_model.checkpoint import load_for
 
-    alike = len(checkpoint.layout.objects) == len(pack.layout.objects)
-    if alike or checkpoint.model.config.kind != "objects":
-        return checkpoint.model
-    return load_checkpoint(checkpoint.path, pack.layout).model
+    return load_for(checkpoint.path, pack.layout).model
 
 
 def _open_loop(

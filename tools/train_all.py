@@ -3,8 +3,9 @@
     python tools/train_all.py --data DATA --out OUT --time-limit 550 --only push,ball --device cuda
 
 DATA holds what tools/collect_all.py wrote, or packs of it (tools/pack_data.py). The seconds are
-shared among the jobs by weight. After each job, and while one runs, OUT has `summary.json` and
-`checkpoints-0.tar`, `-1.tar` ... with the folders of the checkpoints; each file is below 15 MB.
+shared among the jobs by weight. After each job, and while one runs, OUT has `summary.json`,
+`table.md` and `checkpoints-0.tar`, `-1.tar` ... with the folders of the checkpoints; each file is
+below 15 MB.
 Training goes on in a folder of its own (--work), where --resume finds it.
 """
 
@@ -12,7 +13,9 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 import json
+import statistics
 import sys
 import tarfile
 import time
@@ -21,6 +24,8 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "backends")]
+
+from orbisim.tasks.domains import SUITE_DOMAINS  # noqa: E402  (needs the path above)
 
 LARGEST = 15 * 1024 * 1024
 SHIPPED = ("model.safetensors", "manifest.json", "card.md", "metrics.jsonl", "curves.png")
@@ -54,17 +59,22 @@ _SMALL = (
     ("model.layers", 3),
     ("train.noise", 0.01),
 )
-SUITE = (
-    "pendulum",
-    "cartpole",
-    "acrobot",
-    "point_mass",
-    "reacher",
-    "finger",
-    "cheetah",
-    "hopper",
-    "walker",
+_EXACT = (
+    ("train.precision", "fp32"),
+    ("train.stages", "0.5x1x8192,0.2x8x1024ar,0.3x35x512arf"),
+    ("model.layers", 3),
+    ("train.noise", 0.0),
 )
+"""For a motion whose bounces are resolved within the control step: noise would blur them."""
+_LEGS = (
+    ("train.precision", "tf32"),
+    ("train.stages", "0.4x1x8192,0.3x10x1024ar,0.3x50x256arf"),
+    ("model.width", 192),
+    ("model.layers", 3),
+    ("train.noise", 0.003),
+)
+"""For legs that hit the ground: less noise, wider, a longer autoregressive stage."""
+_WITH_LEGS = ("cheetah", "hopper", "walker")
 BASELINES = ("paper", "global", "dreamer")
 ABLATIONS = (
     "recurrent",
@@ -75,18 +85,27 @@ ABLATIONS = (
     "no_noise",
     "no_alignment",
 )
+COMPARED = ("default", *BASELINES, *ABLATIONS)
 JOBS: dict[str, Job] = {
     "push": Job(("push",), weight=6.0),
     "cubes": Job(("push_cubes", "pick_and_place"), weight=6.0),
-    "ball": Job(("ball",), settings=_SMALL, weight=2.0, horizons=(10, 20, 36), burn=0),
+    "ball": Job(("ball", "ball_many"), settings=_EXACT, weight=4.0, horizons=(10, 20, 36), burn=0),
+    "ball_500": Job(("ball",), settings=_EXACT, weight=2.0, horizons=(10, 20, 36), burn=0),
     "toss": Job(("toss",), settings=_SMALL, weight=4.0, burn=0),
     **{
         name: Job(
-            (f"suite_{name}",), settings=_SMALL, weight=2.0, horizons=(10, 50, 100, 1000), burn=0
+            (f"suite_{name}",),
+            settings=_LEGS if name in _WITH_LEGS else _SMALL,
+            weight=6.0 if name in _WITH_LEGS else 2.0,
+            horizons=(10, 50, 100, 1000),
+            burn=0,
         )
-        for name in SUITE
+        for name in SUITE_DOMAINS
     },
-    **{f"push_{name}": Job(("push",), name, weight=2.0) for name in (*BASELINES, *ABLATIONS)},
+    **{
+        f"push_{name}": Job(("push",), name, weight=2.0)
+        for name in ("default", *BASELINES, *ABLATIONS)
+    },
 }
 
 
@@ -124,9 +143,9 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
     job, began = JOBS[name], time.monotonic()
     settings = {**dict(job.settings), **dict(text.split("=", 1) for text in options.set)}
     config = replaced(preset(job.config), settings)
-    pack = _read(options.data, [f"{part}_train" for part in job.data])
-    held = _read(options.data, [f"{part}_test" for part in job.data])
-    assert pack is not None, f"no data of {job.data}"
+    packs = _read(options.data, tuple(f"{part}_train" for part in job.data))
+    held = _read(options.data, tuple(f"{part}_test" for part in job.data))
+    assert packs, f"no data of {job.data}"
     reading = time.monotonic() - began
     saved = [time.monotonic()]
 
@@ -153,7 +172,7 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
         horizons=job.horizons,
         burn=job.burn,
     )
-    manifest = train(pack, config, run, report, held)
+    manifest = train(packs, config, run, report, held or None)
     steps = manifest["training"]["steps"]
     print(f"{label}: {steps} steps, {time.monotonic() - began:.0f} s", flush=True)
     for horizon, values in manifest["metrics"]["model"].items():
@@ -161,9 +180,10 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
         print(f"{label}: {horizon} steps: {medians}", flush=True)
 
 
-def _read(folder: Path, names: list[str]) -> Any:
-    """The data of these names as one pack; None where there are none."""
-    from orbisim_world_model.pack import Pack, joined
+@functools.lru_cache(maxsize=2)
+def _read(folder: Path, names: tuple[str, ...]) -> list[Any]:
+    """The data of these names, a pack for each robot; empty where there are none."""
+    from orbisim_world_model.pack import Pack, grouped
 
     packs = []
     for name in names:
@@ -174,7 +194,34 @@ def _read(folder: Path, names: list[str]) -> Any:
             from orbisim_world_model.packing import read_data
 
             packs.append(read_data([raw]))
-    return joined(packs) if packs else None
+    return grouped(packs)
+
+
+_SHOWN = ("trajerr", "object_position", "object_rotation", "hand_position", "normalised")
+
+
+def table(summary: dict[str, Any]) -> list[str]:
+    """Held-out medians by job and horizon: the median over the seeds, and their range."""
+    rows: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for label, entry in summary.items():
+        metrics = entry.get("metrics") or {}
+        for who in ("model", "constant_velocity"):
+            job = label.rpartition("-s")[0] or label
+            for horizon, values in metrics.get(who, {}).items():
+                key = (job if who == "model" else f"{job}: constant velocity", horizon)
+                rows.setdefault(key, []).append(values)
+    lines = [f"| job | steps | seeds | {' | '.join(_SHOWN)} |", "| --- " * (3 + len(_SHOWN)) + "|"]
+    for (job, horizon), found in rows.items():
+        cells = [_spread([v[name]["median"] for v in found if name in v]) for name in _SHOWN]
+        lines.append(f"| {job} | {horizon} | {len(found)} | {' | '.join(cells)} |")
+    return lines
+
+
+def _spread(values: list[float]) -> str:
+    if not values:
+        return ""
+    middle = f"{statistics.median(values):.4g}"
+    return middle if len(values) == 1 else f"{middle} ({min(values):.4g} to {max(values):.4g})"
 
 
 def collect(work: Path, out: Path) -> None:
@@ -193,6 +240,7 @@ def collect(work: Path, out: Path) -> None:
         bins[-1].append(folder)
         room += size
     (out / "summary.json").write_text(json.dumps(summary, indent=1))
+    (out / "table.md").write_text("\n".join(table(summary)) + "\n")
     for number, chosen in enumerate(bins):
         part = out / f"checkpoints-{number}.part"
         with tarfile.open(part, "w") as archive:
@@ -211,7 +259,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--work", type=Path, default=Path("out/train_all"))
     parser.add_argument("--time-limit", type=float, required=True, help="seconds for everything")
-    parser.add_argument("--only", default="push,cubes,ball,toss," + ",".join(SUITE))
+    parser.add_argument("--only", default="push,cubes,ball,toss," + ",".join(SUITE_DOMAINS))
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seeds", type=int, default=1)

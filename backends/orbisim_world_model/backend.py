@@ -21,6 +21,7 @@ from orbisim_world_model.engine import ATTRIBUTES, MEMORY, SETTINGS, Engine, Ste
 from orbisim_world_model.fitting import Fit, fit
 from orbisim_world_model.guard import blanked
 from orbisim_world_model.native.translate import UntranslatableError
+from orbisim_world_model.stepper import Speedups
 
 
 class OutsideTrainingWarning(UserWarning):
@@ -38,6 +39,8 @@ class LearnedBackend(Backend):
       device: `cpu`, `cuda`, `cuda:1`; None for the GPU, if there is one.
       argument: folder of a checkpoint (`learned:PATH`); the zoo's that fits the scene if None.
       half: on a GPU, compute the network in half precision.
+      compiled: on a GPU, compile the step by torch: many times fewer kernels, after some tens of
+        seconds for the first step of each number of worlds (less once torch has it in its cache).
       native: on a CPU, step single worlds by compiled C (see `native`): many times faster, after
         some seconds for the first step of the first time. None: if there is a C compiler.
     """
@@ -54,11 +57,12 @@ class LearnedBackend(Backend):
         argument: str | None = None,
         half: bool = True,
         native: bool | None = None,
+        compiled: bool = True,
     ) -> None:
         super().__init__(nworld=nworld, device=device)
         self._on = _device(device)
         self._folder = Path(argument) if argument else None
-        self._half, self._native = half, native
+        self._half, self._native, self._compiled = half, native, compiled
         self._engine: Engine | None = None
 
     @property
@@ -94,9 +98,13 @@ class LearnedBackend(Backend):
         folder, found = self._find(scene)
         now = None if self._engine is None else self._engine.checkpoint
         if now is None or now.path != folder or now.layout != found.layout:
-            checkpoint = load_checkpoint(folder, found.layout)
+            checkpoint = load_checkpoint(folder, found.layout, found.variant)
             self._check(checkpoint)
-            self._engine = Engine(checkpoint, self._on, self._half)
+            speedups = Speedups(
+                precision="fp16" if self._half else "fp32",
+                compiled="fused" if self._compiled else None,
+            )
+            self._engine = Engine(checkpoint, self._on, speedups)
         assert self._engine is not None
         self._engine.describe(scene)
         self._compiles = self._native is not False and self.baseline == "none"

@@ -25,8 +25,12 @@ def card(manifest: dict[str, Any]) -> str:
         "",
         "## What it knows",
         "",
-        f"- {len(layout['joints'])} joints, {len(layout['objects'])} objects, "
-        f"{layout['nu']} controls.",
+        f"- {len(layout['joints'])} joints, {_objects(manifest)} objects, {layout['nu']} controls.",
+        *(
+            f"- or {len(other['layout']['joints'])} joints, {_objects(other)} objects, "
+            f"{other['layout']['nu']} controls."
+            for other in manifest.get("variants", [])
+        ),
         f"- {data['episodes']} episodes, {data['control_steps']:,} control steps "
         f"({', '.join(data.get('groups', []))}).",
         *_range_lines(manifest["ranges"]),
@@ -47,6 +51,11 @@ def card(manifest: dict[str, Any]) -> str:
         "",
     ]
     return "\n".join(lines)
+
+
+def _objects(manifest: dict[str, Any]) -> str:
+    low, high = manifest["ranges"]["objects"]
+    return str(high) if low == high else f"{low} to {high}"
 
 
 def _range_lines(found: dict[str, Any]) -> list[str]:
@@ -75,4 +84,6 @@ def metric_lines(metrics: dict[str, Any]) -> list[str]:
             if isinstance(value, dict):
                 against = other.get(name, {}).get("median", float("nan"))
                 lines.append(f"| {horizon} | {name} | {value['median']:.4g} | {against:.4g} |")
+    for other in metrics.get("variants", []):
+        lines += ["", "The next robot:", "", *metric_lines(other)]
     return lines

@@ -8,12 +8,14 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
+from orbisim.errors import InputError
 from orbisim_world_model.config import ModelConfig
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.features import EDGE_FEATURES, Features
 from orbisim_world_model.integrate import OBJECT_OUTPUTS, Raw, advance, required, robot_outputs
 from orbisim_world_model.kinematics import Kinematics
 from orbisim_world_model.layout import Layout
+from orbisim_world_model.network.coupling import token_mask
 from orbisim_world_model.network.dreamer import DreamerNetwork
 from orbisim_world_model.network.inputs import Inputs, Outputs, Sizes
 from orbisim_world_model.network.monolith import GlobalNetwork
@@ -43,6 +45,33 @@ class Step(NamedTuple):
     memory: Tensor
     latent: Tensor
     penalty: Tensor
+
+
+class Transitions(NamedTuple):
+    """Single steps of the training data: states before and after, and what acted."""
+
+    x: Entities
+    after: Entities
+    control: Tensor
+    context: Context
+    base: Entities | None = None
+
+
+SHARED = (
+    "see_objects",
+    "see_edges",
+    "see_attributes",
+    "see_world",
+    "object_scale",
+    "network.start",
+    "network.f_enc.objects",
+    "network.f_cp",
+    "network.f_rec",
+    "network.f_tra",
+    "network.f_dec.objects",
+    "network.object_condition",
+)
+"""The parts of a model that know nothing of its robot."""
 
 
 class Dynamics(nn.Module):
@@ -114,10 +143,14 @@ class Dynamics(nn.Module):
             inputs = self._cast(self.inputs(x, control, context, base))
         out = self.network(inputs, memory, observe)
         with self._exact():
-            return self._advanced(x, out, base)
+            return self._advanced(x, out, context.mask, base)
 
-    def _advanced(self, x: Entities, out: Outputs, base: Entities | None) -> Step:
+    def _advanced(
+        self, x: Entities, out: Outputs, mask: Tensor | None, base: Entities | None
+    ) -> Step:
         raw = Raw(*self._unscaled(out, x.pos.dtype))
+        if mask is not None and self.config.residual:  # objects that are not there stay at rest
+            raw = raw._replace(objects=raw.objects * mask[..., None])
         if base is None:
             state = advance(x, raw, self.layout.timestep, self.config)
         else:
@@ -155,36 +188,58 @@ class Dynamics(nn.Module):
     # -- scales --------------------------------------------------------------------------------
 
     @torch.no_grad()  # type: ignore[untyped-decorator]
-    def fit(
-        self,
-        x: Entities,
-        after: Entities,
-        control: Tensor,
-        context: Context,
-        base: Entities | None = None,
-    ) -> None:
+    def fit(self, transitions: Transitions) -> None:
         """Takes all scales from transitions of the training data."""
-        x, after = self.completed(x), self.completed(after)
+        fit_together([self], [transitions])
+
+    def scale_rows(self, transitions: Transitions) -> dict[str, tuple[Tensor, Tensor | None]]:
+        """What each normaliser is fitted to, by its name: values [..., size] and weights [...]."""
+        x, after = self.completed(transitions.x), self.completed(transitions.after)
+        control, context, base = transitions.control, transitions.context, transitions.base
         mask, see = context.mask, self.features
-        self.see_robot.fit(see.robot(x))
-        self.see_objects.fit(see.objects(x, context), mask)
-        self.see_attributes.fit(context.attributes, mask)
-        self.see_world.fit(context.world)
-        self.see_control.fit(see.control(x, control))
+        rows: dict[str, tuple[Tensor, Tensor | None]] = {
+            "see_robot": (see.robot(x), None),
+            "see_objects": (see.objects(x, context), mask),
+            "see_attributes": (context.attributes, mask),
+            "see_world": (context.world, None),
+            "see_control": (see.control(x, control), None),
+        }
         if self.sizes.edges:
-            self.see_edges.fit(see.edges(x))
+            pairs = None
+            if mask is not None:
+                tokens = token_mask(mask, self.layout.has_robot)
+                pairs = tokens[:, :, None] * tokens[:, None, :]
+            rows["see_edges"] = see.edges(x), pairs
         dt = self.layout.timestep
         if base is None:
             raw = required(x, after, dt, self.config)
         else:
             raw = required(base, after, 0.0, self.config)
             change = required(x, base, dt, self.config)
-            self.base_robot.fit(change.robot)
-            self.base_objects.fit(change.objects, mask)
-        self.robot_scale.fit(raw.robot)
-        self.object_scale.fit(raw.objects, mask)
-        if self.config.residual:
-            _share(self.object_scale.std, ((0, 3), (3, 7), (7, 10), (10, 13)))
+            rows["base_robot"] = change.robot, None
+            rows["base_objects"] = change.objects, mask
+        rows["robot_scale"] = raw.robot, None
+        rows["object_scale"] = raw.objects, mask
+        return rows
+
+    # -- several robots ------------------------------------------------------------------------
+
+    def share(self, lead: Dynamics) -> None:
+        """Takes over all of another model's parts but those of its robot.
+
+        Raises:
+          InputError: their objects or world settings differ, or the network has no tokens.
+        """
+        ours, theirs = self.layout, lead.layout
+        same = (ours.attributes, ours.settings) == (theirs.attributes, theirs.settings)
+        if self.config.kind != "objects" or not same or not (ours.objects and theirs.objects):
+            raise InputError(
+                f"robots with joints {ours.joints} and {theirs.joints} fit into one model only "
+                "with object-centric tokens and the same descriptors"
+            )
+        for name in SHARED:
+            module, last = _place(self, name)
+            setattr(module, last, getattr(_place(lead, name)[0], last))
 
     def _unscaled(self, out: Outputs, dtype: Any) -> tuple[Tensor, Tensor]:
         """The decoder's numbers in SI units."""
@@ -210,6 +265,31 @@ class Dynamics(nn.Module):
         if self.precision is None:
             return contextlib.nullcontext()
         return torch.autocast("cuda", enabled=False)
+
+
+@torch.no_grad()  # type: ignore[untyped-decorator]
+def fit_together(models: list[Dynamics], transitions: list[Transitions]) -> None:
+    """Takes all scales from the data; parts that models share from the data of all of them."""
+    rows = [model.scale_rows(part) for model, part in zip(models, transitions, strict=True)]
+    for model, mine in zip(models, rows, strict=True):
+        for name, (values, weights) in mine.items():
+            if name not in SHARED or len(models) == 1:
+                getattr(model, name).fit(values, weights)
+    lead = models[0]
+    for name in SHARED if len(models) > 1 else ():
+        if name in rows[0]:
+            parts = [part[name] for part in rows]
+            values = torch.cat([v.reshape(-1, v.shape[-1]) for v, _ in parts])
+            weights = [v.new_ones(v.shape[:-1]) if w is None else w for v, w in parts]
+            getattr(lead, name).fit(values, torch.cat([w.reshape(-1) for w in weights]))
+    if lead.config.residual:
+        _share(lead.object_scale.std, ((0, 3), (3, 7), (7, 10), (10, 13)))
+
+
+def _place(model: nn.Module, name: str) -> tuple[nn.Module, str]:
+    """The module that holds a part, and the part's name in it."""
+    path, _, last = name.rpartition(".")
+    return model.get_submodule(path), last
 
 
 def _sizes(see: Features, controls: int) -> Sizes:

@@ -17,7 +17,7 @@ from orbisim_world_model.checkpoint import Checkpoint
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.guard import Guard
 from orbisim_world_model.reading import read_attributes, read_settings
-from orbisim_world_model.stepper import Stepper
+from orbisim_world_model.stepper import Speedups, Stepper
 
 MEMORY = "world_model_memory"
 ATTRIBUTES, SETTINGS = "world_model_attributes", "world_model_settings"
@@ -38,12 +38,12 @@ class Engine:
     Args:
       checkpoint: for the scene's layout.
       device: where to compute.
-      half: compute the network in half precision (GPU only).
+      speedups: see `Stepper`.
     """
 
-    def __init__(self, checkpoint: Checkpoint, device: torch.device, half: bool) -> None:
+    def __init__(self, checkpoint: Checkpoint, device: torch.device, speedups: Speedups) -> None:
         self.checkpoint, self.layout, self.device = checkpoint, checkpoint.layout, device
-        self.stepper = Stepper(checkpoint.model, device, half)
+        self.stepper = Stepper(checkpoint.model, device, speedups)
         self.guard = Guard(checkpoint.manifest, checkpoint.layout)
         self._exact: Any = None
         self.native: Any = None

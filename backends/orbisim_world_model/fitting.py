@@ -10,6 +10,7 @@ import numpy as np
 
 from orbisim.errors import UnsupportedSceneError
 from orbisim.scene import Scene
+from orbisim_world_model.checkpoint import variants
 from orbisim_world_model.layout import Layout
 from orbisim_world_model.reading import read_attributes, read_layout, read_settings
 
@@ -24,10 +25,12 @@ class Fit:
     Attributes:
       layout: of the scene.
       concerns: what lies outside the training data, one line each.
+      variant: which of the checkpoint's robots it is.
     """
 
     layout: Layout
     concerns: tuple[str, ...]
+    variant: int = 0
 
 
 def fit(manifest: dict[str, Any], scene: Scene) -> Fit:
@@ -36,6 +39,16 @@ def fit(manifest: dict[str, Any], scene: Scene) -> Fit:
     Raises:
       UnsupportedSceneError: the checkpoint cannot step this scene.
     """
+    refusals = []
+    for number, view in enumerate(variants(manifest)):
+        try:
+            return _fit(view, scene, number)
+        except UnsupportedSceneError as error:
+            refusals.append(error)
+    raise refusals[0]
+
+
+def _fit(manifest: dict[str, Any], scene: Scene, variant: int) -> Fit:
     trained = Layout.from_dict(manifest["layout"])
     model = scene.model
     layout = read_layout(
@@ -48,7 +61,7 @@ def fit(manifest: dict[str, Any], scene: Scene) -> Fit:
     problem = _mismatch(trained, layout, manifest, model)
     if problem:
         raise UnsupportedSceneError(scene.source, problem)
-    return Fit(layout, tuple(_concerns(manifest, model, layout)))
+    return Fit(layout, tuple(_concerns(manifest, model, layout)), variant)
 
 
 def robot_parameters(model: mujoco.MjModel, layout: Layout) -> dict[str, list[float]]:

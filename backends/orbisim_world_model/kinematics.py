@@ -34,11 +34,8 @@ class Kinematics(nn.Module):
         q, v = q.index_select(1, self.joints), v.index_select(1, self.joints)  # [B, C]
         terms = torch.stack([torch.ones_like(q), q.sin(), q.cos(), q], dim=-1)  # [B, C, 4]
         local = (terms[..., None, None] * self.basis).sum(2)  # [B, C, 4, 4]
-        frames = [local[:, 0]]
-        for joint in range(1, local.shape[1]):
-            frames.append(product(frames[-1], local[:, joint]))
-        hand = product(frames[-1], self.tip)
-        stacked = torch.stack(frames, dim=1)  # [B, C, 4, 4]
+        stacked = _running_products(local)  # [B, C, 4, 4]
+        hand = product(stacked[:, -1], self.tip)
         axis, anchor = stacked[..., :3, 2], stacked[..., :3, 3]  # [B, C, 3]
         turning = axis * (v * self.turns)[..., None]
         sliding = axis * (v * (1.0 - self.turns))[..., None]
@@ -47,3 +44,13 @@ class Kinematics(nn.Module):
         return torch.cat(
             [hand[:, :3, 3], hand[:, :3, :3].flatten(1), linear, turning.sum(1)], dim=1
         )
+
+
+def _running_products(matrices: Tensor) -> Tensor:
+    """Product of each matrix with all before it, [B, C, n, n], in log2(C) steps."""
+    reach = 1
+    while reach < matrices.shape[1]:
+        longer = product(matrices[:, :-reach], matrices[:, reach:])
+        matrices = torch.cat([matrices[:, :reach], longer], dim=1)
+        reach *= 2
+    return matrices

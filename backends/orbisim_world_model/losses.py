@@ -19,14 +19,25 @@ from orbisim_world_model.rotation import (
 )
 
 
-def transition_loss(predicted: Tensor, latent: Tensor) -> Tensor:
-    """Equation 3_losses, L_tra = ||zhat_t - sg(z_t)||^2, mean over entries."""
-    return (predicted.float() - latent.float().detach()).square().mean()
+def transition_loss(predicted: Tensor, latent: Tensor, mask: Tensor | None = None) -> Tensor:
+    """Equation 3_losses, L_tra = ||zhat_t - sg(z_t)||^2, mean over entries.
+
+    Args:
+      predicted, latent: [B, K, width] or [B, width].
+      mask: [B, K], 0 for tokens that do not count.
+    """
+    return _mean((predicted.float() - latent.float().detach()).square(), mask)
 
 
-def encoding_loss(predicted: Tensor, latent: Tensor) -> Tensor:
+def encoding_loss(predicted: Tensor, latent: Tensor, mask: Tensor | None = None) -> Tensor:
     """Equation 3_losses, L_enc = ||z_t - sg(zhat_t)||^2, mean over entries."""
-    return (latent.float() - predicted.float().detach()).square().mean()
+    return _mean((latent.float() - predicted.float().detach()).square(), mask)
+
+
+def _mean(values: Tensor, mask: Tensor | None) -> Tensor:
+    if mask is None:
+        return values.mean()
+    return (values.mean(-1) * mask).sum() / mask.sum().clamp_min(1.0)
 
 
 def state_loss(predicted: Entities, x: Entities, mask: Tensor, layout: Layout) -> Tensor:

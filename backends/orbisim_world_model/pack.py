@@ -191,6 +191,15 @@ def joined(packs: list[Pack]) -> Pack:
     return Pack(layout=largest.layout, **together, notes=notes)
 
 
+def grouped(packs: list[Pack]) -> list[Pack]:
+    """Packs of the same robot as one each, in the order in which the robots appear."""
+    groups: dict[Any, list[Pack]] = {}
+    for pack in packs:
+        layout = pack.layout
+        groups.setdefault((layout.joints, layout.nu, layout.hand), []).append(pack)
+    return [joined(group) for group in groups.values()]
+
+
 def _padded(pack: Pack, layout: Layout) -> Pack:
     """With objects that are not there added, so that it has the larger layout."""
     have, want = pack.layout, layout

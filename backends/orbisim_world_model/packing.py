@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from orbisim.errors import InputError
@@ -16,7 +18,7 @@ from orbisim.tasks.dataset import EpisodeFile
 from orbisim_world_model.baseline import pack_recordings, with_baseline
 from orbisim_world_model.fitting import robot_parameters
 from orbisim_world_model.layout import Layout
-from orbisim_world_model.pack import Pack, hands, joined
+from orbisim_world_model.pack import Pack, grouped, hands, joined
 from orbisim_world_model.reading import ATTRIBUTES, read_layout
 
 
@@ -38,6 +40,23 @@ def read_data(
     Raises:
       InputError: a file cannot be read, or the scenes do not fit into one model.
     """
+    return joined(_read(paths, baseline, scene, timestep))
+
+
+def read_groups(
+    paths: Sequence[str | Path],
+    *,
+    baseline: str = "none",
+    scene: str | None = None,
+    timestep: float | None = None,
+) -> list[Pack]:
+    """Like `read_data`, with a pack for each robot that the files have."""
+    return grouped(_read(paths, baseline, scene, timestep))
+
+
+def _read(
+    paths: Sequence[str | Path], baseline: str, scene: str | None, timestep: float | None
+) -> list[Pack]:
     if not paths:
         raise InputError("no data: give the files that `orbisim collect` wrote, or packs of them")
     packs, recordings = [], []
@@ -54,7 +73,7 @@ def read_data(
         packs.append(pack_recordings(recordings, scene, timestep))
     if baseline == "mujoco":
         packs = [p if p.base.shape[1] else with_baseline(p, scene) for p in packs]
-    return joined(packs)
+    return packs
 
 
 def pack_file(path: str | Path, layout: Layout | None = None) -> Pack:
@@ -65,7 +84,8 @@ def pack_file(path: str | Path, layout: Layout | None = None) -> Pack:
       layout: of its scene; read from the task's model if None.
     """
     with EpisodeFile(path) as file:
-        layout = layout or task_layout(file.task, file.control_timestep)
+        nominal = layout or task_layout(file.task, file.control_timestep)
+        layout = _with_all_objects(nominal, file)
         names = ("qpos", "qvel", "act", "ctrl", "action")
         columns: dict[str, list[Any]] = {name: [] for name in names}
         static: dict[str, list[Any]] = {"attributes": [], "world": [], "mask": []}
@@ -74,11 +94,13 @@ def pack_file(path: str | Path, layout: Layout | None = None) -> Pack:
         for index in range(len(file)):
             data = file.episode(index)
             lengths.append(len(data["ctrl"]))
+            present = _present(file, index, layout)
+            data["qpos"], data["qvel"] = _spread(file, data, index, layout, present)
             for name in names:
                 columns[name].append(_with_last(data[name], lengths[-1] + 1))
             static["attributes"].append(_attributes(file, data, index, layout))
             static["world"].append(data["descriptor/world"].reshape(-1))
-            static["mask"].append(np.ones(len(layout.objects)))
+            static["mask"].append(present.astype(float))
             subtask = file.attributes(index)["subtask"]
             groups += [subtask] if subtask not in groups else []
             group.append(groups.index(subtask))
@@ -97,7 +119,7 @@ def pack_file(path: str | Path, layout: Layout | None = None) -> Pack:
         notes={
             "groups": groups,
             "sources": [{**source, "episodes": len(lengths)}],
-            "robot": robot_parameters(_nominal(source["task"]), layout),
+            "robot": robot_parameters(_nominal(source["task"]), nominal),
         },
     )
 
@@ -114,17 +136,78 @@ def _nominal(task: str) -> mujoco.MjModel:
     return load_scene(task).model
 
 
+def _with_all_objects(layout: Layout, file: EpisodeFile) -> Layout:
+    """The layout with the objects that some episode has beyond those of the nominal scene."""
+    if not layout.objects:
+        return layout
+    seen = dict.fromkeys(name for index in range(len(file)) for name in _entities(file, index))
+    more = [name for name in seen if name not in layout.objects]
+    if not more:
+        return layout
+    steps = range(len(more))
+    return dataclasses.replace(
+        layout,
+        nq=layout.nq + 7 * len(more),
+        nv=layout.nv + 6 * len(more),
+        objects=(*layout.objects, *more),
+        object_q=(*layout.object_q, *(layout.nq + 7 * i for i in steps)),
+        object_v=(*layout.object_v, *(layout.nv + 6 * i for i in steps)),
+    )
+
+
+def _entities(file: EpisodeFile, index: int) -> list[str]:
+    return [name for name in file.entities(index) if name != "robot"]
+
+
+def _present(file: EpisodeFile, index: int, layout: Layout) -> npt.NDArray[np.bool_]:
+    """[N]: which of the layout's objects an episode has."""
+    entities = _entities(file, index)
+    return np.array([name in entities for name in layout.objects], bool)
+
+
+def _spread(
+    file: EpisodeFile,
+    data: dict[str, Any],
+    index: int,
+    layout: Layout,
+    present: npt.NDArray[np.bool_],
+) -> tuple[Any, Any]:
+    """qpos [T+1, nq] and qvel [T+1, nv] of an episode, with objects at rest where it has none.
+
+    The episode's scene has its bodies in the layout's order.
+    """
+    missing = np.flatnonzero(~present)
+    qpos, qvel = data["qpos"], data["qvel"]
+    sizes = (qpos.shape[1] + 7 * len(missing), qvel.shape[1] + 6 * len(missing))
+    if sizes != (layout.nq, layout.nv):
+        raise InputError(
+            f"{file.path}: episode {index} has {qpos.shape[1]} coordinates and "
+            f"{int(present.sum())} of the {len(layout.objects)} objects {layout.objects}; "
+            f"expected {layout.nq - 7 * len(missing)} coordinates"
+        )
+    if not len(missing):
+        return qpos, qvel
+    absent_q = (np.asarray(layout.object_q)[missing, None] + np.arange(7)).ravel()
+    absent_v = (np.asarray(layout.object_v)[missing, None] + np.arange(6)).ravel()
+    whole_q, whole_v = np.zeros((len(qpos), layout.nq)), np.zeros((len(qvel), layout.nv))
+    whole_q[:, np.setdiff1d(np.arange(layout.nq), absent_q)] = qpos
+    whole_v[:, np.setdiff1d(np.arange(layout.nv), absent_v)] = qvel
+    whole_q[:, absent_q[3::7]] = 1.0  # w of the quaternion
+    return whole_q, whole_v
+
+
 def _attributes(file: EpisodeFile, data: dict[str, Any], index: int, layout: Layout) -> Any:
-    """[N, D]: rows of the layout's objects among the file's entities."""
+    """[N, D]: rows of the layout's objects among the file's entities; zeros for absent ones."""
     if not layout.objects:
         return np.zeros((0, 0))
     columns = file.columns("descriptor/objects", index)
-    entities = [name for name in file.entities(index) if name != "robot"]
-    missing = [name for name in layout.objects if name not in entities]
-    if missing:
-        raise InputError(f"{file.path}: episode {index} has no object {missing[0]!r}")
-    rows = [entities.index(name) for name in layout.objects]
-    return data["descriptor/objects"][rows][:, [columns.index(name) for name in ATTRIBUTES]]
+    chosen = [columns.index(name) for name in ATTRIBUTES]
+    entities = _entities(file, index)
+    rows = np.zeros((len(layout.objects), len(ATTRIBUTES)))
+    for number, name in enumerate(layout.objects):
+        if name in entities:
+            rows[number] = data["descriptor/objects"][entities.index(name)][chosen]
+    return rows
 
 
 def _with_last(array: Any, rows: int) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import torch
 from orbisim.errors import InputError
 from orbisim_world_model import parallel
 from orbisim_world_model.card import write_card
-from orbisim_world_model.checkpoint import load_checkpoint, ranges, save_checkpoint
+from orbisim_world_model.checkpoint import load_for, ranges, save_checkpoint
 from orbisim_world_model.config import Config
 from orbisim_world_model.curves import draw_curves
 from orbisim_world_model.evaluate import BURN, HORIZONS, constant_velocity, evaluate
@@ -59,20 +59,20 @@ class Run:
 
 
 def train(
-    pack: Pack,
+    packs: Pack | Sequence[Pack],
     config: Config,
     run: Run,
     report: Callable[[dict[str, Any]], None] = lambda _: None,
-    held: Pack | None = None,
+    held: Pack | Sequence[Pack] | None = None,
 ) -> dict[str, Any]:
     """Trains a model and leaves a checkpoint in `run.out`; returns its manifest.
 
     Args:
-      pack: the data.
+      packs: the data; one pack for each robot (see `pack.grouped`).
       config: of model and training.
       run: budgets, folders and the like.
       report: called with each line of metrics.
-      held: episodes to evaluate on; a part of the pack if None.
+      held: episodes to evaluate on, in the same order; a part of each pack if None.
 
     Raises:
       InputError: no budget, or nothing to resume, or `out` holds another training.
@@ -80,11 +80,10 @@ def train(
     if run.steps is None and run.limit is None:
         raise InputError("a training needs a budget: give --steps, --time-limit or both")
     device = parallel.start(run.device)
-    pack = pack.to(device)
-    kept, spare = (pack, held.to(device)) if held is not None else pack.split(run.held_out)
+    kept, spare = _kept_and_held(_listed(packs), _listed(held), run, device)
     clock = Clock(run.steps, run.limit)
-    model = load_checkpoint(run.start).model.to(device) if run.start else None
-    trainer = Trainer(kept, config, clock, seed=run.seed, model=model, graph=run.graph)
+    models = [load_for(run.start, p.layout).model for p in kept] if run.start else None
+    trainer = Trainer(kept, config, clock, seed=run.seed, models=models, graph=run.graph)
     _resume(trainer, run)
     leads = parallel.rank() == 0
     if leads:
@@ -106,6 +105,26 @@ def train(
         write_card(run.out, manifest)
     parallel.stop()
     return manifest
+
+
+def _listed(packs: Pack | Sequence[Pack] | None) -> list[Pack]:
+    if packs is None:
+        return []
+    return [packs] if isinstance(packs, Pack) else list(packs)
+
+
+def _kept_and_held(
+    packs: list[Pack], held: list[Pack], run: Run, device: Any
+) -> tuple[list[Pack], list[Pack]]:
+    """Training and evaluation episodes of each robot, on the device."""
+    packs = [pack.to(device) for pack in packs]
+    if not held:
+        pairs = [pack.split(run.held_out) for pack in packs]
+        return [kept for kept, _ in pairs], [spare for _, spare in pairs]
+    robots = [[pack.layout.joints for pack in group] for group in (packs, held)]
+    if robots[0] != robots[1]:
+        raise InputError(f"training data of robots {robots[0]}, held-out data of {robots[1]}")
+    return packs, [pack.to(device) for pack in held]
 
 
 def _resume(trainer: Trainer, run: Run) -> None:
@@ -139,9 +158,10 @@ def _log(trainer: Trainer, run: Run, leads: bool, report: Callable[[dict[str, An
     report(line)
 
 
-def _save(trainer: Trainer, run: Run, held: Pack | None) -> dict[str, Any]:
+def _save(trainer: Trainer, run: Run, held: list[Pack] | None) -> dict[str, Any]:
     """Writes progress and checkpoint; with `held`, evaluates first."""
-    clock, pack = trainer.clock, trainer.pack
+    clock, packs = trainer.clock, [part.pack for part in trainer.parts]
+    pack = packs[0]
     notes = {
         "config": trainer.config.to_dict(),
         "seed": run.seed,
@@ -155,33 +175,43 @@ def _save(trainer: Trainer, run: Run, held: Pack | None) -> dict[str, Any]:
         "ranges": ranges(pack),
         "data": {
             **pack.notes,
-            "episodes": pack.episodes,
-            "control_steps": int(pack.length.sum()),
+            "groups": [name for part in packs for name in part.notes["groups"]],
+            "sources": [source for part in packs for source in part.notes["sources"]],
+            "episodes": sum(part.episodes for part in packs),
+            "control_steps": sum(int(part.length.sum()) for part in packs),
         },
+        "variants": [
+            {"ranges": ranges(other), "robot": other.notes.get("robot", {})} for other in packs[1:]
+        ],
         "training": {
             "steps": clock.done,
             "seconds": round(clock.elapsed, 1),
             "seed": run.seed,
-            "device": _device_name(pack.device),
+            "device": _device_name(trainer.device),
             "processes": parallel.size(),
             "finished": clock.progress >= 1.0,
         },
         "versions": {"torch": torch.__version__, "orbisim": _version()},
         "metrics": {},
     }
-    save_checkpoint(run.out, trainer.model, manifest)
+    save_checkpoint(run.out, trainer.models, manifest)
     if held is not None:
-        shipped = load_checkpoint(run.out).model.to(pack.device)  # as it will be used, in fp16
-        manifest["metrics"] = {
-            "held_out_episodes": held.episodes,
-            "burn": run.burn,
-            "model": evaluate(shipped, held, run.horizons, burn=run.burn),
-            "constant_velocity": evaluate(
-                constant_velocity(held, trainer.config.model), held, run.horizons, burn=run.burn
-            ),
-        }
-        save_checkpoint(run.out, trainer.model, manifest)
+        found = [_metrics(run, part, trainer.config) for part in held]
+        manifest["metrics"] = {**found[0], "variants": found[1:]}
+        save_checkpoint(run.out, trainer.models, manifest)
     return json.loads((run.out / "manifest.json").read_text())
+
+
+def _metrics(run: Run, held: Pack, config: Config) -> dict[str, Any]:
+    """Errors on held-out episodes of the checkpoint as it will be used, in fp16."""
+    shipped = load_for(run.out, held.layout).model.to(held.device)
+    still = constant_velocity(held, config.model)
+    return {
+        "held_out_episodes": held.episodes,
+        "burn": run.burn,
+        "model": evaluate(shipped, held, run.horizons, burn=run.burn),
+        "constant_velocity": evaluate(still, held, run.horizons, burn=run.burn),
+    }
 
 
 def _device_name(device: Any) -> str:

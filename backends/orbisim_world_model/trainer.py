@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -9,9 +11,9 @@ from torch import Tensor
 
 from orbisim_world_model import parallel
 from orbisim_world_model.config import Config, Stage
-from orbisim_world_model.dynamics import Dynamics
+from orbisim_world_model.dynamics import Dynamics, Transitions, fit_together
 from orbisim_world_model.graphs import Graphed
-from orbisim_world_model.losses import measure_scales
+from orbisim_world_model.losses import Scales, measure_scales
 from orbisim_world_model.optimizer import FlatAdamW
 from orbisim_world_model.pack import Pack
 from orbisim_world_model.sampling import Batch, Windows, generator_of
@@ -21,48 +23,75 @@ from orbisim_world_model.unroll import Draws, autoregressive_ratio, dynamics_los
 _PRECISION = {"bf16": torch.bfloat16}
 
 
+@dataclasses.dataclass(eq=False)
+class Part:
+    """The data of one robot, and the model that shares all but the robot's parts with the others.
+
+    Attributes:
+      scales: units of errors and noise.
+      windows: sequences of the current stage.
+    """
+
+    pack: Pack
+    model: Dynamics
+    scales: Scales
+    windows: Windows | None = None
+
+
 class Trainer:
-    """Trains one model on one pack.
+    """Trains one model on one pack, or the models of several robots on a pack each.
 
     Args:
-      pack: training episodes, on the device to train on.
+      packs: training episodes, on the device to train on.
       config: of model and training.
       clock: budgets.
       seed: of initial weights, batches and noise.
-      model: to go on from, with its scales; a new one if None.
+      models: to go on from, with their scales; new ones if None.
       graph: whether to run a step as a CUDA graph, where there is a GPU.
     """
 
     def __init__(
         self,
-        pack: Pack,
+        packs: Pack | Sequence[Pack],
         config: Config,
         clock: Clock,
         *,
         seed: int = 0,
-        model: Dynamics | None = None,
+        models: Sequence[Dynamics] | None = None,
         graph: bool = True,
     ) -> None:
-        self.pack, self.config, self.clock, self.seed = pack, config, clock, seed
-        device = torch.device(pack.device)
-        on_gpu = device.type == "cuda"
+        packs = [packs] if isinstance(packs, Pack) else list(packs)
+        self.config, self.clock, self.seed = config, clock, seed
+        self.device = torch.device(packs[0].device)
+        on_gpu = self.device.type == "cuda"
         self.graph = graph and on_gpu
         if on_gpu and config.train.precision != "fp32":
             torch.backends.cuda.matmul.allow_tf32 = True
         precision = _PRECISION.get(config.train.precision) if on_gpu else None
-        self.model = model or new_model(pack, config, seed)
-        self.model.precision = precision
-        self.model.to(device).train()
-        self.scales = _scales(self.model, pack)
-        self.optimizer = FlatAdamW(self.model, config.train.decay, config.train.clip)
-        self.ratio = torch.zeros((), device=device)
+        models = models or new_models(packs, config, seed)
+        for model in models:
+            model.precision = precision
+            model.to(self.device).train()
+            if model is not models[0]:
+                model.share(models[0])
+        self.parts = [
+            Part(pack, model, _scales(pack)) for pack, model in zip(packs, models, strict=True)
+        ]
+        everything = torch.nn.ModuleList(models)
+        self.optimizer = FlatAdamW(everything, config.train.decay, config.train.clip)
+        self.ratio = torch.zeros((), device=self.device)
         self._stage: int | None = None
         self._losses: list[Tensor] = []
+
+    @property
+    def models(self) -> list[Dynamics]:
+        """One for each robot."""
+        return [part.model for part in self.parts]
 
     def step(self) -> None:
         """One step of training; the losses are collected for `losses`."""
         config, clock = self.config.train, self.clock
-        progress = parallel.agreed(clock.progress, self.pack.device)
+        progress = parallel.agreed(clock.progress, self.device)
         number, within = stage_at(config, progress)
         if number != self._stage:
             self._prepare(number)
@@ -92,9 +121,9 @@ class Trainer:
         self._stage = number
         stage = self.config.train.stages[number]
         self._run: Any = None  # frees the graph of the stage before
-        self.windows = Windows(self.pack, stage.length, self.config.model)
-        self.share = parallel.shares(stage.batch)
-        self._buffers: tuple[Batch, Draws] | None = None
+        for part in self.parts:
+            part.windows = Windows(part.pack, stage.length, self.config.model)
+        self._buffers: list[tuple[Batch, Draws]] | None = None
         self._load(stage)
         if parallel.size() > 1:
             forward = Graphed(self._forward_backward, lambda: None, self.graph)
@@ -118,55 +147,76 @@ class Trainer:
 
     def _load(self, stage: Stage) -> None:
         """Fills the buffers with the batch and the random numbers of this step."""
-        generator = generator_of(self.pack.device, self.seed, self.clock.done)
-        row, episode = self.windows.draw(stage.batch, generator)
-        layout = self.pack.layout
-        size = noise_size(len(layout.joints), layout.na, len(layout.objects))
-        shape = (stage.length, stage.batch)
-        device = self.pack.device
-        noise = torch.randn((*shape, size), generator=generator, device=device)
-        chance = torch.rand(shape, generator=generator, device=device)
-        mine = self.share
-        batch = self.windows.batch(row[mine], episode[mine])
-        draws = Draws(noise[:, mine], chance[:, mine])
+        generator = generator_of(self.device, self.seed, self.clock.done)
+        size = -(-stage.batch // len(self.parts))
+        fresh = [self._drawn(part, stage.length, size, generator) for part in self.parts]
         if self._buffers is None or not self.graph:
-            self._buffers = batch, draws
+            self._buffers = fresh
         else:
-            _copy(self._buffers, (batch, draws))
+            _copy(self._buffers, fresh)
+
+    def _drawn(
+        self, part: Part, length: int, size: int, generator: torch.Generator
+    ) -> tuple[Batch, Draws]:
+        """This process' share of so many sequences."""
+        assert part.windows is not None
+        row, episode = part.windows.draw(size, generator)
+        layout, shape = part.pack.layout, (length, size)
+        entries = noise_size(len(layout.joints), layout.na, len(layout.objects))
+        noise = torch.randn((*shape, entries), generator=generator, device=self.device)
+        chance = torch.rand(shape, generator=generator, device=self.device)
+        mine = parallel.shares(size)
+        batch = part.windows.batch(row[mine], episode[mine])
+        return batch, Draws(noise[:, mine], chance[:, mine])
 
     def _forward_backward(self) -> Tensor:
         assert self._buffers is not None and self._stage is not None
-        batch, draws = self._buffers
         self.optimizer.zero_grad()
         config, stage = self.config, self.config.train.stages[self._stage]
-        total, state = dynamics_loss(
-            self.model,
-            batch,
-            draws,
-            self.ratio,
-            self.scales,
-            config.loss,
-            config.train.noise,
-            stage.warm,
-        )
-        total.backward()
-        return torch.stack([total.detach(), state.detach()])
+        losses = []
+        for part, (batch, draws) in zip(self.parts, self._buffers, strict=True):
+            total, state = dynamics_loss(
+                part.model,
+                batch,
+                draws,
+                self.ratio,
+                part.scales,
+                config.loss,
+                config.train.noise,
+                stage.warm,
+            )
+            (total / len(self.parts)).backward()
+            losses.append(torch.stack([total.detach(), state.detach()]))
+        return torch.stack(losses).mean(0)
 
 
 def new_model(pack: Pack, config: Config, seed: int) -> Dynamics:
     """A model with fresh weights and the scales of the pack."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        model = Dynamics(pack.layout, config.model).build(pack.controls(config.model).shape[1])
-    model.to(pack.device)
-    row, episode = pack.transitions()
-    base = pack.predictions(row) if config.model.baseline != "none" else None
-    control = pack.controls(config.model)[row]
-    model.fit(pack.states(row), pack.states(row + 1), control, pack.context(episode), base)
-    return model
+    return new_models([pack], config, seed)[0]
 
 
-def _scales(model: Dynamics, pack: Pack) -> Any:
+def new_models(packs: Sequence[Pack], config: Config, seed: int) -> list[Dynamics]:
+    """A model for each robot's pack, sharing all that is not the robot's."""
+    models: list[Dynamics] = []
+    samples: list[Transitions] = []
+    for number, pack in enumerate(packs):
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed + 1_000_003 * number)
+            model = Dynamics(pack.layout, config.model).build(pack.controls(config.model).shape[1])
+        model.to(pack.device)
+        if models:
+            model.share(models[0])
+        models.append(model)
+        row, episode = pack.transitions(200_000 // len(packs))
+        base = pack.predictions(row) if config.model.baseline != "none" else None
+        control = pack.controls(config.model)[row]
+        context = pack.context(episode)
+        samples.append(Transitions(pack.states(row), pack.states(row + 1), control, context, base))
+    fit_together(models, samples)
+    return models
+
+
+def _scales(pack: Pack) -> Scales:
     row, episode = pack.transitions()
     x, after = pack.states(row), pack.states(row + 1)
     return measure_scales(x, after, pack.context(episode).mask, pack.layout)

@@ -18,6 +18,7 @@ from orbisim_world_model.losses import (
     state_loss,
     transition_loss,
 )
+from orbisim_world_model.network.coupling import token_mask
 from orbisim_world_model.rotation import exponential, multiply, normalized
 from orbisim_world_model.sampling import Batch
 
@@ -69,6 +70,9 @@ def dynamics_loss(
     length, size = batch.control.shape[:2]
     context, layout = batch.context, model.layout
     memory = model.initial_memory(size)
+    tokens = None
+    if context.mask is not None and model.config.kind == "objects":
+        tokens = token_mask(context.mask, layout.has_robot)
     total = reconstruction = batch.control.new_zeros(())
     predicted: Entities | None = None
     for t in range(length):
@@ -91,8 +95,8 @@ def dynamics_loss(
         total = total + loss + step.penalty
         if (config.alignment or config.consistency) and model.config.kind != "dreamer":
             z = model.encode(target, memory, batch.control[t], context)
-            total = total + config.alignment * transition_loss(step.latent, z)
-            total = total + config.consistency * encoding_loss(step.latent, z)
+            total = total + config.alignment * transition_loss(step.latent, z, tokens)
+            total = total + config.consistency * encoding_loss(step.latent, z, tokens)
     return total / length, reconstruction / length
 
 

@@ -91,7 +91,7 @@ def dynamics(
     """
     training = _training()
     from orbisim_world_model.config import replaced
-    from orbisim_world_model.packing import read_data
+    from orbisim_world_model.packing import read_groups
     from orbisim_world_model.presets import preset
 
     config = replaced(preset(name), dict(map(_assignment, assignments)))
@@ -110,9 +110,9 @@ def dynamics(
         graph=graph,
     )
     how: Any = {"baseline": config.model.baseline, "scene": scene, "timestep": control_timestep}
-    pack = read_data(data, **how)
-    held = read_data(held_out_data, **how) if held_out_data else None
-    manifest = training.train(pack, config, run, report=_report, held=held)
+    packs = read_groups(data, **how)
+    held = read_groups(held_out_data, **how) if held_out_data else None
+    manifest = training.train(packs, config, run, report=_report, held=held)
     if not manifest:
         return  # another process of the group writes
     if as_json:

@@ -7,23 +7,12 @@ import pytest
 
 from orbisim import tasks
 from orbisim.errors import UnknownNameError
+from orbisim.tasks.domains import SUITE_TASKS
 from orbisim.tasks.suite import start
 from orbisim.tasks.suite_feedback import feedback
 
-DOMAINS = (
-    "pendulum-swingup",
-    "cartpole-swingup",
-    "acrobot-swingup",
-    "point_mass-easy",
-    "reacher-easy",
-    "finger-spin",
-    "cheetah-run",
-    "hopper-hop",
-    "walker-walk",
-)
 
-
-@pytest.mark.parametrize("name", DOMAINS)
+@pytest.mark.parametrize("name", SUITE_TASKS)
 def test_every_policy_gives_finite_motion_within_the_control_range(name: str) -> None:
     task = tasks.make(f"suite:{name}", steps=40)
     for subtask in task.subtasks:

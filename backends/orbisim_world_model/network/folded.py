@@ -1,0 +1,190 @@
+"""The object-centric network prepared for inference: the same function in fewer, larger products.
+
+- Keys and values of pairs are never formed. Since a pair's key is P_k p_ij, its score is
+  (P_k^T q_i) . p_ij, and P_k^T joins the products that give q, k and v; likewise P_v joins the
+  output's.
+- The scales and shifts of all AdaLN depend on the condition alone: one product for all layers.
+- A model without memory always sees the same one, which becomes a bias of the encoder.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import layer_norm
+
+from orbisim_world_model.network.coupling import Block, token_mask
+from orbisim_world_model.network.inputs import Inputs, Outputs
+from orbisim_world_model.network.objects import ObjectCentricNetwork
+
+
+class FoldedNetwork(nn.Module):
+    """Equation RSSM with the weights of a trained network; for inference alone.
+
+    Args:
+      network: whose weights are taken over; it is not changed.
+    """
+
+    def __init__(self, network: ObjectCentricNetwork) -> None:
+        super().__init__()
+        self.remembers, self.robot_token = network.remembers, bool(network.robot_token)
+        self.count = network.count
+        self.start = nn.Parameter(network.start.detach().clone())
+        encoder = network.f_enc
+        self.robot = _encoder(encoder.robot, None if self.remembers else self.start[0])
+        self.objects = _encoder(encoder.objects, None if self.remembers else self.start[1])
+        self.edge = network.f_cp.edge
+        blocks = [block for block in network.f_cp.blocks if isinstance(block, Block)]
+        norms = [norm for b in blocks for norm in (b.before_attention, b.before_mixing)]
+        self.modulation = _stacked([norm.modulation for norm in norms])
+        self.blocks = nn.ModuleList(FoldedBlock(block) for block in blocks)
+        self.norm, self.f_rec, self.f_dec = network.f_cp.norm, network.f_rec, network.f_dec
+        self.skip = network.f_tra.skip
+        layers = network.f_tra.layers
+        self.transition = layers if self.remembers else _same_twice(layers, self.skip)
+        self.robot_condition = network.robot_condition if self.robot_token else None
+        self.object_condition = network.object_condition if network.count else None
+
+    def initial_memory(self, batch: int) -> Tensor:
+        """[B, K, width]: learned, one for robots and one for objects."""
+        robot = self.start[:1].expand(int(self.robot_token), -1)
+        tokens = torch.cat([robot, self.start[1:].expand(self.count, -1)])
+        return tokens.expand(batch, -1, -1)
+
+    def encode(self, inputs: Inputs, memory: Tensor) -> Tensor:
+        """z_t = f_enc(h_t, x_t)."""
+        parts = []
+        for encoder, seen, first in (
+            (self.robot, inputs.robot[:, None], 0),
+            (self.objects, inputs.objects, int(self.robot_token)),
+        ):
+            if encoder is not None:
+                h = memory[:, first : first + seen.shape[1]]
+                parts.append(encoder(torch.cat([h, seen], -1) if self.remembers else seen))
+        return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
+
+    def condition(self, inputs: Inputs) -> Tensor:
+        """c [B, K, width] of AdaLN."""
+        world, parts = inputs.world, []
+        if self.robot_condition is not None:
+            parts.append(self.robot_condition(torch.cat([inputs.control, world], -1))[:, None])
+        if self.object_condition is not None:
+            spread = world[:, None].expand(-1, inputs.attributes.shape[1], -1)
+            parts.append(self.object_condition(torch.cat([inputs.attributes, spread], -1)))
+        return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
+
+    def forward(self, inputs: Inputs, memory: Tensor, observe: bool = True) -> Outputs:
+        """One step of equation RSSM."""
+        mask = None
+        if inputs.mask is not None:
+            mask = token_mask(inputs.mask, self.robot_token)
+        z = self.encode(inputs, memory)
+        pairs = None if self.edge is None else self.edge(inputs.edges)
+        scales = self.modulation(self.condition(inputs)).chunk(4 * len(self.blocks), dim=-1)
+        for number, block in enumerate(self.blocks):
+            z = block(z, scales[4 * number : 4 * number + 4], pairs, mask)
+        e = self.norm(z)
+        if self.f_rec is None:
+            h, latent = memory, e + self.transition(e) if self.skip else self.transition(e)
+        else:
+            h = self.f_rec(memory, e)
+            seen = torch.cat([h, e], dim=-1) if self.skip else h
+            latent = e + self.transition(seen) if self.skip else self.transition(seen)
+        robot, objects = self.f_dec(latent)
+        return Outputs(robot, objects, h, latent, latent.new_zeros(()))
+
+
+class FoldedBlock(nn.Module):
+    """Self-attention over entities and a feed-forward layer (see `coupling.Block`)."""
+
+    def __init__(self, block: Block) -> None:
+        super().__init__()
+        width, self.heads = block.qkv.in_features, block.heads
+        self.width = width
+        self.pair = 0 if block.pair is None else block.pair.in_features
+        size = width // self.heads
+        weight, bias = block.qkv.weight.detach().double(), block.qkv.bias.detach().double()
+        scale = torch.ones(3 * width, dtype=torch.double, device=weight.device)
+        scale[:width] = size**-0.5
+        weight, bias = weight * scale[:, None], bias * scale
+        out, shift = block.out.weight.detach().double(), block.out.bias.detach().double()
+        if block.pair is not None:
+            split = (self.heads, size)
+            keys, values = block.pair.weight.detach().double().chunk(2)
+            keys, values = keys.unflatten(0, split), values.unflatten(0, split)  # [H, D, P]
+            query = weight[:width].unflatten(0, split)  # [H, D, width]
+            more = (keys.transpose(1, 2) @ query).flatten(0, 1)  # [H P, width]
+            also = (keys.transpose(1, 2) @ bias[:width].view(*split, 1)).flatten()
+            weight, bias = torch.cat([weight, more]), torch.cat([bias, also])
+            shift = shift + out @ block.pair.bias.detach().double()[width:]
+            out = out.unflatten(1, split)  # [width, H, D]
+            spread = torch.einsum("whd,hdp->whp", out, values)
+            out = torch.cat([out, spread], dim=2).flatten(1)
+        self.project, self.out = _linear(weight, bias), _linear(out, shift)
+        self.mix = block.mix
+
+    def forward(
+        self, z: Tensor, scales: tuple[Tensor, ...], pairs: Tensor | None, mask: Tensor | None
+    ) -> Tensor:
+        """[B, K, width]; `scales` are gamma and beta of both AdaLN."""
+        shape = (self.width,)
+        u = scales[0] * layer_norm(z, shape) + scales[1]
+        z = z + self.out(self.attention(self.project(u), pairs, mask))
+        return z + self.mix(scales[2] * layer_norm(z, shape) + scales[3])
+
+    def attention(self, projected: Tensor, pairs: Tensor | None, mask: Tensor | None) -> Tensor:
+        """[B, K, heads * (D + P)]: what each token sees of the others and of the pairs."""
+        width, heads = self.width, self.heads
+        if projected.shape[1] == 1 and pairs is None:
+            return projected[..., 2 * width : 3 * width]
+        q, k, v, asks = projected.split((width, width, width, heads * self.pair), dim=-1)
+        split = (heads, width // heads)
+        q, k, v = q.unflatten(-1, split), k.unflatten(-1, split), v.unflatten(-1, split)
+        products = q[:, :, None] * k[:, None]  # [B, K, K, heads, D]
+        seen = v[:, None]
+        if pairs is not None:
+            asks = asks.unflatten(-1, (heads, self.pair))[:, :, None]  # [B, K, 1, heads, P]
+            told = pairs[:, :, :, None]  # [B, K, K, 1, P]
+            for part in range(0, self.pair, split[1]):  # P is a multiple of D: one sum for both
+                chosen = slice(part, part + split[1])
+                products = products + asks[..., chosen] * told[..., chosen]
+            spread = (-1, *pairs.shape[1:3], heads, -1)
+            seen = torch.cat([seen.expand(spread), told.expand(spread)], dim=-1)
+        score = products.sum(-1)  # [B, K, K, heads]
+        if mask is not None:
+            score = score.masked_fill(mask[:, None, :, None] == 0, -1e4)
+        return (score.softmax(dim=2)[..., None] * seen).sum(2).flatten(-2)
+
+
+def _linear(weight: Tensor, bias: Tensor) -> nn.Linear:
+    layer = nn.Linear(weight.shape[1], weight.shape[0], device="meta")
+    layer.weight = nn.Parameter(weight.float().contiguous())
+    layer.bias = nn.Parameter(bias.float().contiguous())
+    return layer
+
+
+def _stacked(layers: list[nn.Linear]) -> nn.Linear:
+    """One layer that gives the outputs of all of them after one another."""
+    weights = torch.cat([layer.weight.detach() for layer in layers])
+    return _linear(weights, torch.cat([layer.bias.detach() for layer in layers]))
+
+
+def _encoder(layers: nn.Sequential | None, start: Tensor | None) -> nn.Sequential | None:
+    """A perceptron that begins with the memory; a constant one becomes part of the bias."""
+    if layers is None or start is None:
+        return layers
+    first = layers[0]
+    assert isinstance(first, nn.Linear)
+    weight, width = first.weight.detach().double(), len(start)
+    bias = first.bias.detach().double() + weight[:, :width] @ start.detach().double()
+    return nn.Sequential(_linear(weight[:, width:], bias), *list(layers)[1:])
+
+
+def _same_twice(layers: nn.Sequential, skip: bool) -> nn.Sequential:
+    """The transition where h and e are the same: (W_h + W_e) e."""
+    first = layers[0]
+    if not skip:
+        return layers
+    assert isinstance(first, nn.Linear)
+    parts = first.weight.detach().double().chunk(2, dim=1)
+    return nn.Sequential(_linear(parts[0] + parts[1], first.bias.detach()), *list(layers)[1:])

@@ -1,0 +1,118 @@
+"""The step made fast is the same step."""
+
+from __future__ import annotations
+
+import shutil
+import warnings
+
+import pytest
+import torch
+from orbisim_world_model.dynamics import Dynamics, example
+from orbisim_world_model.entities import Context, Entities
+from orbisim_world_model.network.folded import FoldedNetwork
+from orbisim_world_model.stepper import Slot, Speedups, Stepper, compiled_step, plain_step
+from orbisim_world_model.trainer import new_model
+
+from tests.backends.world_model.conftest import toy
+from tests.backends.world_model.synthetic import BOX, PENDULUM, TABLE, simulate
+
+CPU = torch.device("cpu")
+
+
+def _trained_looking(xml: str, name: str = "default") -> Dynamics:
+    """A model whose weights are all different from zero."""
+    model = new_model(simulate(xml, 4, 20, 4), toy(name), 0).eval()
+    generator = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter += 0.05 * torch.randn(parameter.shape, generator=generator)
+    return model
+
+
+def _inputs(model: Dynamics, worlds: int) -> tuple[Entities, torch.Tensor, torch.Tensor, Context]:
+    generator = torch.Generator().manual_seed(2)
+    x, context = example(model.layout, worlds)
+
+    def near(values: torch.Tensor) -> torch.Tensor:
+        return values + 0.1 * torch.randn(values.shape, generator=generator)
+
+    x = x._replace(q=near(x.q), v=near(x.v), pos=near(x.pos), vel=near(x.vel), ang=near(x.ang))
+    control = near(torch.zeros(worlds, model.controls))
+    attributes = near(model.see_attributes.mean.expand_as(context.attributes))
+    world = model.see_world.mean.expand_as(context.world).clone()
+    memory = model.initial_memory(worlds).detach().clone()
+    return model.completed(x), memory, control, Context(attributes, world, None)
+
+
+@pytest.mark.parametrize(
+    ("xml", "name"),
+    [
+        (TABLE, "default"),
+        (TABLE, "no_relative"),
+        (TABLE, "no_skip"),
+        (TABLE, "recurrent"),
+        (BOX, "default"),
+        (PENDULUM, "default"),
+        (PENDULUM, "recurrent"),
+    ],
+)
+def test_combined_weights_give_the_same_step(xml: str, name: str) -> None:
+    model = _trained_looking(xml, name)
+    plain = Stepper(model, CPU, Speedups(folded=False))
+    folded = Stepper(model, CPU, Speedups())
+    assert isinstance(folded.model.network, FoldedNetwork)
+    inputs = _inputs(model, 5)
+    for expected, found in zip(plain(*inputs)[0], folded(*inputs)[0], strict=True):
+        torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(folded(*inputs)[1], plain(*inputs)[1], rtol=1e-4, atol=1e-5)
+    assert torch.equal(folded.initial_memory(3), plain.initial_memory(3))
+
+
+def test_combined_weights_respect_the_mask() -> None:
+    model = _trained_looking(TABLE)
+    x, memory, control, context = _inputs(model, 4)
+    context = context._replace(mask=torch.tensor([[1.0, 0.0]]).expand(4, 2))
+    folded = Stepper(model, CPU, Speedups()).model
+    expected = plain_step(model)(x, memory, control, context)[0]
+    found = plain_step(folded)(x, memory, control, context)[0]
+    torch.testing.assert_close(found.pos, expected.pos, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(found.v, expected.v, rtol=1e-4, atol=1e-5)
+
+
+def test_networks_without_tokens_are_left_as_they_are() -> None:
+    model = _trained_looking(TABLE, "global")
+    stepper = Stepper(model, CPU)
+    assert type(stepper.model.network) is type(model.network)
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="torch compiles for a CPU with g++")
+def test_the_compiled_step_is_the_same_step() -> None:
+    model = Stepper(_trained_looking(BOX), CPU, Speedups()).model
+    inputs = _inputs(model, 3)
+    with torch.no_grad():
+        expected = plain_step(model)(*inputs)
+        found = compiled_step(model)(*inputs)
+    for a, b in zip(found[0], expected[0], strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-5)
+
+
+def test_a_step_that_cannot_be_compiled_is_taken_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    from orbisim_world_model import stepper
+
+    def broken(*_: object) -> object:
+        def fail(*_: object) -> None:
+            raise OSError("no compiler here")
+
+        return fail
+
+    monkeypatch.setattr(stepper, "compiled_step", broken)
+    model = _trained_looking(BOX)
+    inputs = _inputs(model, 2)
+    with torch.no_grad(), pytest.warns(UserWarning, match="not compiled.*no compiler here"):
+        slot = Slot(model, Speedups(graphed=False), *inputs)
+    with torch.no_grad(), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        state, _ = slot.run()
+        expected, _ = plain_step(model)(*inputs)
+    assert not slot.compiled
+    assert torch.equal(state.pos, expected.pos)
