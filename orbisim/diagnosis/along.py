@@ -57,7 +57,9 @@ def along(bench: Bench, judged: Judged) -> tuple[Bench, Ints]:
     )
     lengths = np.array([len(rows[w]) for w in kept])
     starts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
-    cut = Windows(starts, longest, np.arange(len(kept)), lengths)
+    inside = lengths[:, None] if windows.horizon is None else windows.horizon[kept]
+    horizon = np.broadcast_to(np.minimum(inside, lengths[:, None]), (len(kept), 2 * shooter.nv))
+    cut = Windows(starts, longest, np.arange(len(kept)), horizon)
     everything = np.ones(len(cut), bool)
     local = dataclasses.replace(
         bench,

@@ -120,6 +120,12 @@ class _Search:
             return tuned
         if alone is not None:
             return alone
+        both = self._paired(nothing, single, first)
+        if both is not None:
+            both = self._renewed(self._prune(both))
+            if self._done(both):
+                return both
+            single = both
         start = single
         if single is not None and self.tunables:
             start = self._tuned(single.hypothesis) or single
@@ -129,6 +135,29 @@ class _Search:
         if start is nothing or (self._done(start) and not _strained(start)):
             return self._untuned(start)
         return self._forward(start, tuned or nothing, first)
+
+    def _paired(self, nothing: Judged, single: Judged | None, first: Screening) -> Judged | None:
+        """Two effects at once, if they do much better than the best single one."""
+        self._renew(Hypothesis())
+        self.judge.start_from(nothing)
+        fitted: list[Judged] = []
+        for pair in first.pairs[: self.settings.shortlist]:
+            one, other = (cleaned(self.bench, suspect) for suspect in pair)
+            if one is None or other is None or self._late:
+                continue
+            self.say(f"fitting {one.effect} at {one.target} and {other.effect} at {other.target}")
+            judged = self.judge.judge(Hypothesis((one, other)), self._iterations)
+            if judged is not None:
+                fitted.append(judged)
+                if self._done(judged):
+                    break
+        if not fitted:
+            return None
+        best = min(fitted, key=lambda judged: judged.cost)
+        rival = nothing if single is None else single
+        if not self._done(best) and best.ratio > _HALF * rival.ratio:
+            return None
+        return best if self._pays(rival, best) else None
 
     def _forward(self, start: Judged, base: Judged, first: Screening) -> Judged:
         """Adds effects while they pay, from one start or, if that ends worse, from the other."""
@@ -237,7 +266,7 @@ class _Search:
         self.judge.start_from(current)
         fitted: list[Judged] = []
         for instance, bic in self._suspects(current.hypothesis, suspects, screening):
-            if fitted and (self._late or self._settled(fitted, bic)):
+            if fitted and (self._late or self._settled(current, fitted, bic)):
                 break
             self.say(f"round {self.round}: fitting {instance.effect} at {instance.target}")
             judged = self.judge.judge(current.hypothesis.plus(instance), self._iterations)
@@ -260,12 +289,15 @@ class _Search:
             self.rejected.append((judged.hypothesis.effects[-1], problem))
         return None
 
-    def _settled(self, fitted: Sequence[Judged], bic: float | None) -> bool:
-        """Whether an explanation down to the noise makes clearly worse suspects idle."""
+    def _settled(self, current: Judged, fitted: Sequence[Judged], bic: float | None) -> bool:
+        """Whether an explanation down to the noise makes clearly worse suspects idle, or one that
+        leaves little those that are slow to fit."""
         best = min(fitted, key=lambda j: j.cost)
-        if len(fitted) < 2 or best.ratio > 1.15:
+        if len(fitted) < 2:
             return False
-        return bic is None or len(fitted) >= 3
+        if bic is None and best.ratio**2 - 1 < _LITTLE * (current.ratio**2 - 1):
+            return True
+        return best.ratio <= 1.15 and (bic is None or len(fitted) >= 3)
 
     def _suspects(
         self, hypothesis: Hypothesis, suspects: Sequence[Suspect], screening: Screening
@@ -428,5 +460,7 @@ def _excess(judged: Judged) -> float:
 
 
 _SHARE = 0.08
+_LITTLE = 0.1
+_HALF = 0.5
 _NEAR = 1.5
 _MOST_WINDOWS = 96

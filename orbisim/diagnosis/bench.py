@@ -209,7 +209,7 @@ def _predictable(
     every = Windows(np.array(first), length, intervals.recording[first])
     shooter = Shooter(scene, samples, intervals, every, noise)
     every = dataclasses.replace(every, horizon=_horizons(shooter, noise))
-    worth = _worth(shooter, every.reach(), noise)
+    worth = _worth(shooter, every, noise)
     telling = every.reach() >= max(4, length // 3)
     if telling.sum() >= _FEW:
         every, worth = every.some(telling), worth[telling]
@@ -220,13 +220,14 @@ def _predictable(
 _FEW = 4
 
 
-def _worth(shooter: Shooter, reach: Ints, noise: Noise) -> Floats:
+def _worth(shooter: Shooter, windows: Windows, noise: Noise) -> Floats:
     """[W]: how much moves, beyond the noise, in what can be predicted of each window."""
     sigma = np.where(np.isfinite(noise[0]), noise[0], np.inf)
+    inside = windows.predictable()[:, :, : shooter.nv]
     worth = np.zeros(len(shooter))
-    for k in range(shooter.windows.length):
+    for k in range(windows.length):
         change = np.abs(shooter.difference(shooter.qpos[:, k], shooter.qpos[:, k + 1])) / sigma
-        worth += np.where(k < reach, 0.1 + np.log1p(change.max(axis=1)), 0.0)
+        worth += np.where(inside[:, k + 1], 0.1 + np.log1p(change), 0.0).max(axis=1)
     return worth
 
 
@@ -255,8 +256,8 @@ def _apart(windows: Windows, run: Ints, worth: Floats) -> Bools:
 
 
 def _horizons(shooter: Shooter, noise: Noise) -> Ints:
-    """[W]: samples until what the noise leaves unknown of the start has grown so much, through
-    impacts, that nothing can be said: runs from starts that differ by the noise part."""
+    """[W, 2 nv]: samples until what the noise leaves unknown of the start has grown so much,
+    through impacts, that nothing can be said: runs from starts that differ by the noise part."""
     sigma, nv = np.concatenate(noise), len(noise[0])
     measured = np.isfinite(sigma)
     step = float(np.median(np.diff(shooter.time, axis=1)))
@@ -266,14 +267,14 @@ def _horizons(shooter: Shooter, noise: Noise) -> Ints:
     rng = np.random.default_rng(0)
     variant, still = Variant(shooter.declared), np.zeros((len(shooter), 2 * nv))
     base = shooter.simulate(variant, still)
-    square = np.zeros((len(shooter), shooter.windows.length + 1))
+    square = np.zeros(shooter.shape)
     for _ in range(_PROBES):
         start = size * rng.standard_normal(still.shape)
-        change = (shooter.simulate(variant, start) - base)[:, :, measured] / size[measured]
-        square += (np.nan_to_num(change, nan=np.inf) ** 2).max(axis=2) / _PROBES
+        change = (shooter.simulate(variant, start) - base) / size
+        square += np.nan_to_num(change, nan=np.inf) ** 2 / _PROBES
     lost = square > _GROWTH**2
     horizon = np.where(lost.any(axis=1), lost.argmax(axis=1) - 1, shooter.windows.length)
-    return np.maximum(horizon, _SURE)
+    return np.where(measured, np.maximum(horizon, _SURE), 0)
 
 
 _PROBES = 4

@@ -90,20 +90,26 @@ class Judge:
             return None
         means = _means(self.check, checked)
         fit_means = _means(self.fitted, fit)
-        square = max(self._typical(self.fitted, fit_means), self._typical(self.check, means))
+        trimmed = bool(fitted.effects or fitted.factors)
+        square = max(
+            self._typical(self.fitted, fit_means, trimmed),
+            self._typical(self.check, means, trimmed),
+        )
         ratio = float(np.sqrt(square))
         return Judged(
             fitted, fit, means, ratio, self._cost(fitted, fit), checked, self.fitted.windows
         )
 
-    def _typical(self, shooter: Shooter, means: Floats) -> float:
-        """Mean over windows, without the worst of those whose starts impacts make uncertain."""
+    def _typical(self, shooter: Shooter, means: Floats, trimmed: bool = True) -> float:
+        """Mean over windows, where impacts make starts uncertain without the worst of them."""
         most = round(_TRIMMED * len(means))
-        fragile = shooter.windows.fragile()
-        if not most or not fragile.any():
+        if not self.bench.contacts or not most:
             return float(means.mean())
-        worst = np.argsort(np.where(fragile, -means, np.inf))[: min(most, int(fragile.sum()))]
-        return float(np.delete(means, worst).mean())
+        if not trimmed:
+            fragile = shooter.windows.fragile()
+            most = min(most, int(fragile.sum()))
+            means = np.where(fragile, means, -means)
+        return float(np.abs(np.sort(means)[: len(means) - most]).mean())
 
     def start_from(self, judged: Judged) -> None:
         """Takes a hypothesis' window starts, and what they do, as first guesses for others."""

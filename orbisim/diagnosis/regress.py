@@ -29,7 +29,8 @@ class Windows:
 
     Attributes:
       first: [W] number of the first interval. length: number of intervals of every window.
-      recording: [W]. horizon: [W] samples after the start that can be predicted; all if None.
+      recording: [W]. horizon: [W, 2 nv] samples after the start at which each position and velocity
+        can be predicted; all if None.
     """
 
     first: Ints
@@ -49,19 +50,19 @@ class Windows:
         """[W]: number of intervals that can be predicted."""
         if self.horizon is None:
             return np.full(len(self), self.length)
-        return np.minimum(self.horizon, self.length)
+        return np.minimum(self.horizon.max(axis=1), self.length)
 
     def fragile(self) -> npt.NDArray[np.bool_]:
         """[W]: windows that end early, as impacts make what follows uncertain."""
         if self.horizon is None:
             return np.zeros(len(self), bool)
-        return np.asarray(self.horizon < self.length)
+        return np.asarray((self.horizon < self.length).any(axis=1))
 
     def predictable(self) -> npt.NDArray[np.bool_]:
-        """[W, length + 1]: samples that lie within the horizon."""
-        steps = np.arange(self.length + 1)
+        """[W, length + 1, 2 nv] or [W, length + 1, 1]: what lies within the horizon."""
+        steps = np.arange(self.length + 1)[:, None]
         if self.horizon is None:
-            return np.ones((len(self), self.length + 1), bool)
+            return np.ones((len(self), self.length + 1, 1), bool)
         return np.asarray(steps <= self.horizon[:, None])
 
 
@@ -225,11 +226,16 @@ def _chunk(
             x = np.einsum("wij,wjc->wic", intervals.A[at], x)
             x[:, :, n2:-1] += inputs[at]
             x[:, :, -1] -= intervals.defect[at]
-    seen &= windows.predictable()[:, :, None]
+    seen &= chosen(windows.predictable(), data.measured)
     design *= seen[..., None]
     target *= seen
     flat = design.reshape(w, -1, n2 + c)
     return [_project(flat[i], target[i].ravel(), n2, int(seen[i].sum())) for i in range(w)]
+
+
+def chosen(predictable: npt.NDArray[np.bool_], measured: Ints) -> npt.NDArray[np.bool_]:
+    """The measured ones of all positions and velocities."""
+    return predictable if predictable.shape[2] == 1 else predictable[:, :, measured]
 
 
 def _project(design: Floats, target: Floats, free: int, count: int) -> Normal:
@@ -252,13 +258,15 @@ def total(normals: Sequence[Normal]) -> Normal:
     return result
 
 
-def fit(normal: Normal, chosen: Sequence[int], ridge: Floats | None = None) -> tuple[Floats, float]:
+def fit(
+    normal: Normal, columns: Sequence[int], ridge: Floats | None = None
+) -> tuple[Floats, float]:
     """Least-squares coefficients of some columns and the sum of squares that is left.
 
     Args:
-      ridge: [len(chosen)] inverse prior variances.
+      ridge: [len(columns)] inverse prior variances.
     """
-    index = list(chosen)
+    index = list(columns)
     if not index:
         return np.zeros(0), normal.square
     gram = normal.gram[np.ix_(index, index)].copy()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -45,6 +46,7 @@ class Screening:
     Attributes:
       suspects: best first, one for each effect, target and options.
       ratio: residual over noise without any of them.
+      pairs: of effects, best first.
       shares: [nv] share of the residual that a missing force at each degree of freedom explains.
       force: [N, nv] missing generalized force over every sampling interval.
       intervals: the linear system along the scene that was screened.
@@ -57,6 +59,7 @@ class Screening:
     force: Floats
     intervals: Intervals
     tuned: tuple[Suspect, ...] = ()
+    pairs: tuple[tuple[Suspect, Suspect], ...] = ()
 
 
 def screen(
@@ -96,6 +99,7 @@ def screen(
         force=view.missing_force,
         intervals=intervals,
         tuned=tuple(_rank(found, tuned, bench)) if index else (),
+        pairs=tuple(_pairs(found, normal, bench)),
     )
 
 
@@ -195,6 +199,57 @@ def _rank(found: Sequence[Candidate], normal: Normal, bench: Bench) -> list[Susp
         if key not in best or suspect.bic < best[key].bic:
             best[key] = suspect
     return sorted(best.values(), key=lambda s: s.bic)
+
+
+def _pairs(
+    found: Sequence[Candidate], normal: Normal, bench: Bench
+) -> list[tuple[Suspect, Suspect]]:
+    """Two effects at once, best first: each may look small as long as the other is missing."""
+    best: dict[tuple[str, ...], tuple[float, Candidate, list[int]]] = {}
+    start = 0
+    for candidate in found:
+        index = list(range(start, start + len(candidate.columns)))
+        start += len(candidate.columns)
+        left = _solve(candidate, normal, index)[1]
+        key = (candidate.effect, candidate.target, *sorted(candidate.options.values()))
+        if np.isfinite(left) and (key not in best or left < best[key][0]):
+            best[key] = (left, candidate, index)
+    few = sorted(best.values(), key=lambda one: one[0])[:_PAIRED]
+    result: list[tuple[float, Suspect, Suspect]] = []
+    for (_, a, at_a), (_, b, at_b) in itertools.combinations(few, 2):
+        if (a.effect, a.target) == (b.effect, b.target):
+            continue
+        both, left = _together(a, at_a, b, at_b, normal)
+        first, second = a.solve(both[: len(at_a)]), b.solve(both[len(at_a) :])
+        if first is None or second is None or not np.isfinite(left):
+            continue
+        one = _suspect(a, first, left, normal, bench)
+        other = _suspect(b, second, left, normal, bench)
+        result.append((left, one, other))
+    result.sort(key=lambda pair: pair[0])
+    return [(one, other) for _, one, other in result[:_PAIRED]]
+
+
+def _together(
+    a: Candidate, at_a: list[int], b: Candidate, at_b: list[int], normal: Normal
+) -> tuple[Floats, float]:
+    """Coefficients of two candidates' columns and what is left; those of fixed ones are 1."""
+    fixed = [i for one, at in ((a, at_a), (b, at_b)) if one.fixed for i in at]
+    free = [i for one, at in ((a, at_a), (b, at_b)) if not one.fixed for i in at]
+    taken = normal.gram[:, fixed].sum(axis=1)
+    less = Normal(
+        normal.gram,
+        normal.moment - taken,
+        float(normal.square - 2 * normal.moment[fixed].sum() + taken[fixed].sum()),
+        normal.count,
+    )
+    found, left = fit(less, free)
+    both = np.ones(len(at_a) + len(at_b))
+    both[[k for k, i in enumerate([*at_a, *at_b]) if i in free]] = found
+    return both, max(left, 0.0)
+
+
+_PAIRED = 14
 
 
 def _solve(candidate: Candidate, normal: Normal, index: list[int]) -> tuple[Floats, float]:

@@ -15,7 +15,7 @@ from orbisim.cpus import usable_cpus
 from orbisim.diagnosis.hidden import Layout, carried_along
 from orbisim.diagnosis.linear import Intervals
 from orbisim.diagnosis.measurement import TRUE, Measurement
-from orbisim.diagnosis.regress import Windows
+from orbisim.diagnosis.regress import Windows, chosen
 from orbisim.diagnosis.samples import Samples
 from orbisim.effects.carry import hooks_of
 from orbisim.effects.stepping import step_batch
@@ -73,7 +73,7 @@ class Shooter:
         self.weight = 1.0 / sigma[self.measured]
         self.first_seen = np.nan_to_num(deviation[:, 0])
         picked = deviation[:, :, self.measured]
-        self.seen = np.isfinite(picked) & windows.predictable()[:, :, None]
+        self.seen = np.isfinite(picked) & chosen(windows.predictable(), self.measured)
         self.target = np.where(self.seen, picked, 0.0) * self.weight
         self.absolute = np.array([s.absolute[r : r + k + 1] for s, r in rows])
         step = float(declared.model.opt.timestep)
@@ -111,7 +111,7 @@ class Shooter:
           only: [W] the windows to simulate, all if None; what is returned of others is meaningless,
             as is what lies beyond a window's horizon.
         """
-        measurement, out = variant.measurement, np.zeros(self._shape)
+        measurement, out = variant.measurement, np.zeros(self.shape)
         out[:, 0] = start[:, : 2 * self.nv]
         for k, qpos, qvel in self._run(variant, start, only):
             out[:, k] = self._deviation(k, qpos, qvel)
@@ -127,7 +127,8 @@ class Shooter:
         return qpos, qvel
 
     @property
-    def _shape(self) -> tuple[int, int, int]:
+    def shape(self) -> tuple[int, int, int]:
+        """Of the simulated data: windows, samples, positions and velocities."""
         return len(self), self.windows.length + 1, 2 * self.nv
 
     def _run(

@@ -53,6 +53,7 @@ class MotionView:
         self.actuator_force = np.zeros((count, model.nactuator))
         self.qfrc_actuator = np.zeros((count, model.nv))
         self.qfrc_bias = np.zeros((count, model.nv))
+        self.qfrc_constraint = np.zeros((count, model.nv))
         self._moment = np.zeros((count, model.nactuator, model.nv))
         self._states: list[tuple[Floats, ...]] = []
         n = len(self.flow)
@@ -70,6 +71,10 @@ class MotionView:
             self.actuator_force[m] = data.actuator_force
             self.qfrc_actuator[m] = data.qfrc_actuator
             self.qfrc_bias[m] = data.qfrc_bias
+            if data.nefc:
+                mujoco.mj_fwdAcceleration(model, data)
+                mujoco.mj_fwdConstraint(model, data)
+                self.qfrc_constraint[m] = data.qfrc_constraint
             if model.nactuator:
                 mujoco.mju_sparse2dense(
                     dense, data.actuator_moment, data.moment_rownnz, data.moment_rowadr,

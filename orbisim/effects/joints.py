@@ -372,7 +372,10 @@ class LoadDependentFriction(JointEffect):
 
     def screen(self, view: View, target: str) -> list[Candidate]:
         dof, sign = _dof(view.model, target), _sign(view, target)
-        loads = {"actuator": view.qfrc_actuator[:, dof], "external": view.qfrc_bias[:, dof]}
+        loads = {
+            "actuator": view.qfrc_actuator[:, dof],
+            "external": (view.qfrc_constraint - view.qfrc_bias)[:, dof],
+        }
         return [
             self.candidate(
                 view,

@@ -84,6 +84,8 @@ class View(Protocol):
     """[M, nv]."""
     qfrc_bias: Floats
     """[M, nv]."""
+    qfrc_constraint: Floats
+    """[M, nv]: of contacts, limits and dry friction."""
     velocity_noise: Floats
     """[nv] standard deviation of the reference velocities."""
 
