@@ -12,6 +12,7 @@
 - cpu: one world on one core, against C MuJoCo's control step of the same scene (needs MuJoCo).
 - classical: C MuJoCo and `warp` on the same scene (needs MuJoCo; `warp` on a GPU).
 - memory: of a training step against the number of objects, 2 to 8 (GPU).
+- compile-check: what torch's compiler says to the step and its parts (see compile_check.py).
 
 Without --checkpoint, weights are random: speed does not depend on them.
 """
@@ -52,7 +53,9 @@ def main() -> int:
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--only", default="variants,batch,latency,gradient,cpu,memory")
     parser.add_argument("--variants", default=USUAL, help="in this order")
-    parser.add_argument("--patience", type=float, default=300.0, help="seconds for the variants")
+    parser.add_argument(
+        "--patience", type=float, default=300.0, help="seconds for the variants, or the check"
+    )
     parser.add_argument("--gradient-worlds", default="1,16,256,1024")
     parser.add_argument("--compile-gradient", action="store_true", help="by torch, for `gradient`")
     parser.add_argument("--use", choices=VARIANTS, help="variant for `batch`; the fastest if known")
@@ -120,6 +123,13 @@ def variants(model: Any, options: Any) -> dict[str, dict[str, Any]]:
         print("variant", name, json.dumps(row), flush=True)
     options.use = options.use or _fastest(found)
     return found
+
+
+def check(model: Any, options: Any) -> dict[str, Any]:
+    """Whether torch compiles the step and its parts."""
+    from compile_check import compile_check
+
+    return compile_check(model, options, _inputs, _median)
 
 
 def _filled(one: Any, other: Any) -> list[tuple[Any, Any]]:
@@ -324,7 +334,7 @@ from orbisim_world_model.stepper import Speedups  # noqa: E402  (needs the path 
 
 VARIANTS = {
     "eager": Speedups(folded=False, compiled=None),
-    "folded": Speedups(compiled=None),
+    "folded": Speedups(folded=True, compiled=None),
     "shipped": Speedups(),
     "fused": Speedups(compiled="fused"),
     "fused_bf16": Speedups(compiled="fused", precision="bf16"),
@@ -340,6 +350,7 @@ BENCHMARKS: dict[str, Callable[[Any, Any], Any]] = {
     "gradient": gradient,
     "cpu": cpu,
     "memory": memory,
+    "compile-check": check,
     "classical": classical,
 }
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import traceback
 import warnings
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Literal
 
 import torch
@@ -17,6 +20,7 @@ from orbisim_world_model.network.folded import FoldedNetwork
 from orbisim_world_model.network.objects import ObjectCentricNetwork
 
 Compiler = Literal["fused", "inlined", "tuned"]
+Step = Callable[[Entities, Tensor, Tensor, Context], tuple[Entities, Tensor]]
 _FUSED = {"force_pointwise_cat": True}
 _INLINED = {
     **_FUSED,
@@ -35,6 +39,10 @@ _GRAPHS = 4
 """How many batch sizes keep their CUDA graph."""
 _RECOMPILATIONS = 1000
 """Batch sizes that torch may compile the step for, in all; its own limit is 8."""
+_FOLDED_UP_TO = 1024
+"""Worlds up to which combined weights are used where torch does not compile the step. On an H200
+they take 0.60 ms against 0.61 at one world and 3.15 against 2.56 at 8,192, where the scores of
+pairs, which torch then computes term by term, take more than the products that are saved."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,13 +50,14 @@ class Speedups:
     """What is done to make a step fast; each can be switched off to measure it.
 
     Attributes:
-      folded: compute the network with its weights combined (`network.folded`).
+      folded: compute the network with its weights combined (`network.folded`); None: where that
+        is faster.
       precision: of the network, on a GPU; physics is always computed in float32.
-      compiled: how torch compiles the step; None does not compile.
+      compiled: how torch compiles the step, if it can; None does not compile.
       graphed: one CUDA graph for each number of worlds.
     """
 
-    folded: bool = True
+    folded: bool | None = None
     precision: Literal["fp16", "bf16", "fp32"] = "fp16"
     compiled: Compiler | None = "fused"
     graphed: bool = True
@@ -63,7 +72,8 @@ class Stepper:
     Args:
       model: in evaluation mode.
       device: where to compute.
-      speedups: what to do for speed; without a GPU, weights are combined and no more.
+      speedups: what to do for speed; without a GPU, weights are combined and no more. After
+        torch once failed to compile the step, it is not asked again.
     """
 
     def __init__(
@@ -71,13 +81,21 @@ class Stepper:
     ) -> None:
         self.device, self.speedups = device, speedups or Speedups()
         self.on_gpu = device.type == "cuda"
-        self.model = copy.deepcopy(model).to(device).eval()
-        if self.speedups.folded and isinstance(self.model.network, ObjectCentricNetwork):
-            self.model.network = FoldedNetwork(self.model.network)
-        self.model.requires_grad_(False)
-        if self.on_gpu:
-            self.model.network.to(_TYPES[self.speedups.precision])
+        self.model = self._made(model, folded=self.speedups.folded is not False)
+        self._many = self.model  # for many worlds, where torch does not compile
+        if self.on_gpu and self.speedups.folded is None:
+            self._many = self._made(model, folded=False)
+        self._compiler = self.speedups.compiled
         self._graphs: dict[int, Slot] = {}
+
+    def _made(self, model: Dynamics, folded: bool) -> Dynamics:
+        made = copy.deepcopy(model).to(self.device).eval()
+        if folded and isinstance(made.network, ObjectCentricNetwork):
+            made.network = FoldedNetwork(made.network)
+        made.requires_grad_(False)
+        if self.on_gpu:
+            made.network.to(_TYPES[self.speedups.precision])
+        return made
 
     def __call__(
         self, x: Entities, memory: Tensor, control: Tensor, context: Context
@@ -110,42 +128,51 @@ class Stepper:
             if len(self._graphs) >= _GRAPHS:
                 self._graphs.pop(next(iter(self._graphs)))
             with torch.no_grad():
-                self._graphs[size] = Slot(self.model, self.speedups, x, memory, control, context)
+                self._graphs[size] = self._slot(x, memory, control, context)
         return self._graphs[size]
+
+    def _slot(self, x: Entities, memory: Tensor, control: Tensor, context: Context) -> Slot:
+        graphed = self.speedups.graphed
+        if self._compiler is not None:
+            fast = compiled_step(self.model, self._compiler)
+            try:
+                with torch._dynamo.config.patch(recompile_limit=_RECOMPILATIONS):
+                    fast(x, memory, control, context)
+                return Slot(fast, True, graphed, x, memory, control, context)
+            except Exception as error:  # compilers fail in many ways; the step itself does not
+                self._compiler = None
+                text = f"step not compiled, it is slower: {cause(error)}"
+                warnings.warn(text, stacklevel=5)
+        step = plain_step(self.model if len(x.pos) <= _FOLDED_UP_TO else self._many)
+        return Slot(step, False, graphed, x, memory, control, context)
 
 
 class Slot:
     """Fixed tensors of one batch size and the graph that works on them.
 
-    Attributes:
-      compiled: whether the graph is of a compiled step.
+    Args:
+      step: what the graph is made of.
+      compiled: whether torch compiled it.
+      graphed: whether to capture a graph.
+      x, memory, control, context: values to begin with.
     """
 
     def __init__(
         self,
-        model: Dynamics,
-        speedups: Speedups,
+        step: Step,
+        compiled: bool,
+        graphed: bool,
         x: Entities,
         memory: Tensor,
         control: Tensor,
         context: Context,
     ) -> None:
+        self.compiled = compiled
         self.x = Entities(*(field.clone() for field in x))
         self.memory, self.control = memory.clone(), control.clone()
         self.context = Context(context.attributes.clone(), context.world.clone(), None)
-        self.compiled = False
         given = (self.x, self.memory, self.control, self.context)
-        if speedups.compiled is not None:
-            fast = compiled_step(model, speedups.compiled)
-            try:
-                with torch._dynamo.config.patch(recompile_limit=_RECOMPILATIONS):
-                    fast(*given)
-                self.compiled = True
-            except Exception as error:  # compilers fail in many ways; the step itself does not
-                text = " ".join(str(error).split())[:200]
-                warnings.warn(f"step not compiled, it is slower: {text}", stacklevel=4)
-        step = fast if self.compiled else plain_step(model)
-        self.run: Any = Graphed(lambda: step(*given), lambda: None, speedups.graphed)
+        self.run: Any = Graphed(lambda: step(*given), lambda: None, graphed)
 
     def load(self, x: Entities, memory: Tensor, control: Tensor, context: Context) -> None:
         """Copies inputs to where the graph reads them."""
@@ -157,8 +184,8 @@ class Slot:
         self.context.world.copy_(context.world)
 
 
-def plain_step(model: Dynamics) -> Any:
-    """The step as a function of tensors alone, giving state and memory."""
+def plain_step(model: Dynamics) -> Step:
+    """The step as a function that gives state and memory."""
 
     def step(
         x: Entities, memory: Tensor, control: Tensor, context: Context
@@ -169,9 +196,49 @@ def plain_step(model: Dynamics) -> Any:
     return step
 
 
-def compiled_step(model: Dynamics, compiler: Compiler = "fused") -> Any:
-    """`plain_step` compiled by torch for the number of worlds that it is called with."""
+def flat_step(model: Dynamics) -> Callable[..., tuple[Tensor, ...]]:
+    """The step of tensors one by one: entities, memory, control, attributes, world."""
+
+    def step(*given: Tensor) -> tuple[Tensor, ...]:
+        memory, control, attributes, world = given[-4:]
+        after = model(Entities(*given[:-4]), memory, control, Context(attributes, world, None))
+        return (*after.state, after.memory)
+
+    return step
+
+
+def compiled_step(model: Dynamics, compiler: Compiler = "fused") -> Step:
+    """`plain_step` compiled by torch for the number of worlds that it is called with.
+
+    What torch compiles takes and gives tensors alone: named tuples stay outside.
+    """
+    options = compiler_options(compiler)
+    fast = torch.compile(flat_step(model), dynamic=False, fullgraph=True, options=options)
+
+    def step(
+        x: Entities, memory: Tensor, control: Tensor, context: Context
+    ) -> tuple[Entities, Tensor]:
+        *state, after = fast(*x, memory, control, context.attributes, context.world)
+        return Entities(*state), after
+
+    return step
+
+
+def compiler_options(compiler: Compiler) -> dict[str, Any]:
+    """Options for torch's compiler, those that this version of torch has."""
     from torch._inductor import config
 
-    known = {k: v for k, v in _OPTIONS[compiler].items() if hasattr(config, k)}
-    return torch.compile(plain_step(model), dynamic=False, fullgraph=True, options=known)
+    return {k: v for k, v in _OPTIONS[compiler].items() if hasattr(config, k)}
+
+
+def cause(error: BaseException) -> str:
+    """Type, first line and place of an error; compilers' messages can be empty or pages long."""
+    lines = [line.strip() for line in str(error).split("from user code:")[0].splitlines()]
+    message = next((line for line in lines if line), "")
+    frames = traceback.extract_tb(error.__traceback__)
+    text = f"{type(error).__name__}: {message[:200]}"
+    if not frames:
+        return text
+    last = frames[-1]
+    where = "/".join(Path(last.filename).parts[-3:])
+    return f"{text} (in {where} line {last.lineno}: {(last.line or '').strip()[:120]})"

@@ -10,7 +10,7 @@ import torch
 from orbisim_world_model.dynamics import Dynamics, example
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.network.folded import FoldedNetwork
-from orbisim_world_model.stepper import Slot, Speedups, Stepper, compiled_step, plain_step
+from orbisim_world_model.stepper import Speedups, Stepper, cause, compiled_step, plain_step
 from orbisim_world_model.trainer import new_model
 
 from tests.backends.world_model.conftest import toy
@@ -108,11 +108,24 @@ def test_a_step_that_cannot_be_compiled_is_taken_as_it_is(monkeypatch: pytest.Mo
     monkeypatch.setattr(stepper, "compiled_step", broken)
     model = _trained_looking(BOX)
     inputs = _inputs(model, 2)
-    with torch.no_grad(), pytest.warns(UserWarning, match="not compiled.*no compiler here"):
-        slot = Slot(model, Speedups(graphed=False), *inputs)
+    steps = Stepper(model, CPU, Speedups(folded=False, graphed=False))
+    with pytest.warns(UserWarning, match="not compiled.*OSError: no compiler here .in"):
+        slot = steps.prepared(*inputs)
     with torch.no_grad(), warnings.catch_warnings():
         warnings.simplefilter("error")
         state, _ = slot.run()
+        steps.prepared(*_inputs(model, 3))  # does not try again
         expected, _ = plain_step(model)(*inputs)
     assert not slot.compiled
     assert torch.equal(state.pos, expected.pos)
+
+
+def test_the_cause_of_a_failure_names_its_type_and_place() -> None:
+    def inner() -> None:
+        raise AssertionError("\n\nfrom user code:\n File x, line 1")
+
+    with pytest.raises(AssertionError) as caught:
+        inner()
+    text = cause(caught.value)
+    assert text.startswith("AssertionError:  (in ") and "raise AssertionError" in text
+    assert "from user code" not in text.split("(in")[0]
