@@ -22,6 +22,7 @@ LINES = 40
 """Of a traceback, its last ones."""
 COMPILERS = ("eager", "aot_eager", "inductor", "fused")
 PARTS = ("features", "network", "step", "nested step")
+"""The nested step gives named tuples, which torch 2.11 cannot do once one was `_replace`d."""
 EACH = 45
 """Most seconds for one case."""
 
