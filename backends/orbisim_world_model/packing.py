@@ -85,20 +85,27 @@ def pack_file(path: str | Path, layout: Layout | None = None) -> Pack:
     """
     with EpisodeFile(path) as file:
         nominal = layout or task_layout(file.task, file.control_timestep)
-        layout = _with_all_objects(nominal, file)
+        entities = [_entities(file, index) if nominal.objects else [] for index in range(len(file))]
+        layout = _with_all_objects(nominal, entities)
         names = ("qpos", "qvel", "act", "ctrl", "action")
+        read: tuple[str, ...] = (*names, "descriptor/world")
+        chosen: list[int] = []
+        if layout.objects:
+            read = (*read, "descriptor/objects")
+            described = file.columns("descriptor/objects")
+            chosen = [described.index(name) for name in ATTRIBUTES]
         columns: dict[str, list[Any]] = {name: [] for name in names}
         static: dict[str, list[Any]] = {"attributes": [], "world": [], "mask": []}
         groups: list[str] = []
         group, lengths = [], []
         for index in range(len(file)):
-            data = file.episode(index)
+            data = file.episode(index, read)
             lengths.append(len(data["ctrl"]))
-            present = _present(file, index, layout)
+            present = np.array([name in entities[index] for name in layout.objects], bool)
             data["qpos"], data["qvel"] = _spread(file, data, index, layout, present)
             for name in names:
                 columns[name].append(_with_last(data[name], lengths[-1] + 1))
-            static["attributes"].append(_attributes(file, data, index, layout))
+            static["attributes"].append(_attributes(data, entities[index], layout, chosen))
             static["world"].append(data["descriptor/world"].reshape(-1))
             static["mask"].append(present.astype(float))
             subtask = file.attributes(index)["subtask"]
@@ -136,11 +143,9 @@ def _nominal(task: str) -> mujoco.MjModel:
     return load_scene(task).model
 
 
-def _with_all_objects(layout: Layout, file: EpisodeFile) -> Layout:
+def _with_all_objects(layout: Layout, entities: list[list[str]]) -> Layout:
     """The layout with the objects that some episode has beyond those of the nominal scene."""
-    if not layout.objects:
-        return layout
-    seen = dict.fromkeys(name for index in range(len(file)) for name in _entities(file, index))
+    seen = dict.fromkeys(name for names in entities for name in names)
     more = [name for name in seen if name not in layout.objects]
     if not more:
         return layout
@@ -157,12 +162,6 @@ def _with_all_objects(layout: Layout, file: EpisodeFile) -> Layout:
 
 def _entities(file: EpisodeFile, index: int) -> list[str]:
     return [name for name in file.entities(index) if name != "robot"]
-
-
-def _present(file: EpisodeFile, index: int, layout: Layout) -> npt.NDArray[np.bool_]:
-    """[N]: which of the layout's objects an episode has."""
-    entities = _entities(file, index)
-    return np.array([name in entities for name in layout.objects], bool)
 
 
 def _spread(
@@ -196,17 +195,16 @@ def _spread(
     return whole_q, whole_v
 
 
-def _attributes(file: EpisodeFile, data: dict[str, Any], index: int, layout: Layout) -> Any:
-    """[N, D]: rows of the layout's objects among the file's entities; zeros for absent ones."""
+def _attributes(
+    data: dict[str, Any], entities: list[str], layout: Layout, columns: list[int]
+) -> Any:
+    """[N, D]: rows of the layout's objects among an episode's entities; zeros for absent ones."""
     if not layout.objects:
         return np.zeros((0, 0))
-    columns = file.columns("descriptor/objects", index)
-    chosen = [columns.index(name) for name in ATTRIBUTES]
-    entities = _entities(file, index)
     rows = np.zeros((len(layout.objects), len(ATTRIBUTES)))
     for number, name in enumerate(layout.objects):
         if name in entities:
-            rows[number] = data["descriptor/objects"][entities.index(name)][chosen]
+            rows[number] = data["descriptor/objects"][entities.index(name)][columns]
     return rows
 
 

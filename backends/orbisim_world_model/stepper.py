@@ -210,7 +210,8 @@ def flat_step(model: Dynamics) -> Callable[..., tuple[Tensor, ...]]:
 def compiled_step(model: Dynamics, compiler: Compiler = "fused") -> Step:
     """`plain_step` compiled by torch for the number of worlds that it is called with.
 
-    What torch compiles takes and gives tensors alone: named tuples stay outside.
+    What torch compiles gives tensors alone: torch 2.11 fails on named tuples that were made by
+    `_replace` in the compiled code (an assertion without a message in its `side_effects.py`).
     """
     options = compiler_options(compiler)
     fast = torch.compile(flat_step(model), dynamic=False, fullgraph=True, options=options)
