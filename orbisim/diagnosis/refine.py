@@ -86,7 +86,7 @@ class Judge:
         try:
             fitted, fit = self._fitted(hypothesis, iterations)
             checked = self.score(fitted, self.check)
-        except (OrbiSimError, np.linalg.LinAlgError):
+        except (OrbiSimError, ValueError):  # also LinAlgError, and what MuJoCo will not compile
             return None
         means = _means(self.check, checked)
         fit_means = _means(self.fitted, fit)
