@@ -92,7 +92,7 @@ def prepare(recording: Recording, scene: Scene) -> Samples:
     motion = estimate_motion(bound)
     first = starts(bound, "smoothed")
     qpos = np.where(np.isfinite(motion.qpos), motion.qpos, first.qpos)
-    qvel, qacc = first.qvel, np.nan_to_num(motion.qacc)
+    qvel, qacc = _with_spin(bound, first.qvel), np.nan_to_num(motion.qacc)
     usable = np.isfinite(qpos).all(axis=1) & np.isfinite(qvel).all(axis=1)
     if usable.sum() < 3:
         raise RecordingError(
@@ -126,6 +126,24 @@ def prepare(recording: Recording, scene: Scene) -> Samples:
         usable=np.asarray(usable),
         jumps=motion.jumps,
     )
+
+
+def _with_spin(bound: Bound, qvel: Floats) -> Floats:
+    """Velocities [T, nv] with the recorded spin of spheres whose orientation is not recorded."""
+    columns = [
+        joint.angular
+        for joint in joints(bound.model)
+        if joint.id in bound.unseen_turns and joint.angular is not None
+    ]
+    found = qvel.copy()
+    for own in columns:
+        known = np.isfinite(bound.qvel[:, own]).all(axis=1)
+        if known.any():
+            nearest = np.flatnonzero(known)[
+                np.abs(bound.time[:, None] - bound.time[known]).argmin(axis=1)
+            ]
+            found[:, own] = bound.qvel[nearest, own]
+    return found
 
 
 def prepare_all(recordings: Sequence[Recording], scene: Scene) -> list[Samples]:
@@ -173,6 +191,7 @@ def _velocity_noise(bound: Bound) -> Floats:
     found = np.full(bound.model.nv, np.nan)
     for column in range(bound.model.nv):
         values = bound.qvel[:, column]
-        if np.isfinite(values).sum() >= 8:
+        known = values[np.isfinite(values)]
+        if len(known) >= 8 and np.ptp(known) > 0:  # a constant is given, not measured
             found[column] = max(float(noise_std(bound.time, values)), 1e-9)
     return found

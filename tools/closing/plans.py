@@ -1,0 +1,162 @@
+"""What is run for each measured data set, and why."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from import_measured import first_bounce
+
+from closing.metrics import Metric, end_of_run, free_run, position_after, torque_residual
+from orbisim.recording import Recording
+from orbisim.scene import Scene, load_scene
+
+ASSETS = Path(__file__).resolve().parents[2] / "mjcf_assets"
+
+
+def _same(recording: Recording) -> Recording:
+    return recording
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """How a set is diagnosed and scored.
+
+    Attributes:
+      name: of the set. left_out: what the declared scene lacks, by the set's publication.
+      window: of the diagnosis, s. why: of this window and these options.
+      metric: on the held-out recordings. reference: figures known from elsewhere, in words.
+      fit, held_out: at most so many recordings, evenly spread; None for all.
+      settings: other than the defaults.
+      recording: what is done to each recording first. shortest: in samples; others are left out.
+    """
+
+    name: str
+    left_out: str
+    window: float
+    why: str
+    metric: Metric
+    reference: str
+    fit: int | None = None
+    held_out: int | None = None
+    settings: dict[str, Any] = dataclasses.field(default_factory=dict)
+    recording: Callable[[Recording], Recording] = _same
+    shortest: int = 3
+
+    def scene(self, kind: str = "scene") -> Scene:
+        """The declared scene (`scene`) or the published one (`published`)."""
+        return load_scene(ASSETS / self.name / f"{kind}.xml", trusted=True)
+
+    @property
+    def published(self) -> bool:
+        """Whether there is a published model."""
+        return (ASSETS / self.name / "published.xml").exists()
+
+
+def pose_as_joint(recording: Recording) -> Recording:
+    """The pose of the cube as the position of its free joint [T, 7], which sensors can distort."""
+    signals = dict(recording.signals)
+    pose = np.concatenate([signals.pop("xpos/cube"), signals.pop("xquat/cube")], axis=1)
+    return recording.replace(signals={**signals, "qpos/cube": pose})
+
+
+def first_flight(recording: Recording) -> Recording:
+    """Until the sample before the first bounce; the spin is that of this flight."""
+    return recording.rows(slice(0, first_bounce(recording["xpos/ball"][:, 2])))
+
+
+def _kuka() -> Scene:
+    return load_scene(ASSETS / "kuka_kr300" / "scene.xml", trusted=True)
+
+
+PLANS = (
+    Plan(
+        "emps",
+        left_out="Coulomb and viscous friction, offset",
+        window=1.0,
+        why="a stroke takes a few seconds; friction acts within one",
+        metric=free_run(0.5, "mm", 1e3),
+        reference="force residual 70 % to 3.6 % of the force",
+        settings={"patience": 90.0, "most_effects": 4},
+    ),
+    Plan(
+        "contactnets_cube",
+        left_out="sliding friction of the board (declared: MuJoCo's default, 1)",
+        window=0.4,
+        why="a fall, the first impacts and some sliding; later the motion cannot be predicted",
+        metric=position_after(0.5),
+        reference="166 mm to 44 mm with the published friction",
+        fit=40,
+        settings={"patience": 120.0},
+        recording=pose_as_joint,
+    ),
+    Plan(
+        "table_tennis_ball",
+        left_out="air drag, Magnus force",
+        window=0.3,
+        why="cut before the first bounce: the spin is known for that flight only",
+        metric=end_of_run(),
+        reference="317 mm to 83 mm with the literature's coefficients",
+        fit=60,
+        settings={"patience": 120.0},
+        recording=first_flight,
+        shortest=16,
+    ),
+    Plan(
+        "dfki_simple_pendulum",
+        left_out="Coulomb and viscous friction, reflected rotor inertia",
+        window=1.0,
+        why="the window of the reference",
+        metric=free_run(1.0),
+        reference="energy_shaping 0.168 to 0.065 rad, ddp 0.185 to 0.078 rad",
+        settings={"patience": 90.0},
+    ),
+    Plan(
+        "dfki_double_pendulum_A",
+        left_out="Coulomb and viscous friction, reflected rotor inertia, torque lag",
+        window=0.5,
+        why="the window of the reference; chaotic over longer ones",
+        metric=free_run(0.5),
+        reference="shoulder 0.100 to 0.025 rad, elbow 0.342 to 0.081 rad",
+        settings={"patience": 120.0, "most_effects": 5},
+    ),
+    Plan(
+        "multiarm_pendulum_single",
+        left_out="bearing damping, zero offset of the encoder",
+        window=2.0,
+        why="the decay is slow; two swings show it",
+        metric=free_run(5.0),
+        reference="0.196 to 0.054 rad over 5 s",
+        settings={"patience": 60.0},
+    ),
+    Plan(
+        "multiarm_pendulum_double",
+        left_out="bearing damping, zero offset of the encoders",
+        window=1.0,
+        why="chaotic over longer windows",
+        metric=free_run(1.0),
+        reference="none",
+        settings={"patience": 60.0},
+    ),
+    Plan(
+        "kuka_kr300",
+        left_out="payload, counterbalance spring, gear friction",
+        window=0.4,
+        why="the torques are the controller's answer to the motion: open loop drifts over more",
+        metric=torque_residual(_kuka),
+        reference="799/1191/2236/167/510/226 to 178/360/383/61/52/42 N·m",
+        settings={"patience": 200.0, "most_effects": 10},
+    ),
+    Plan(
+        "sts3215_backlash",
+        left_out="play in the gear, dead band and softness of the position control",
+        window=2.0,
+        why="ten samples a second: only steady states mean something",
+        metric=free_run(2.0),
+        reference="none published",
+        settings={"patience": 60.0},
+    ),
+)
