@@ -139,6 +139,7 @@ PLANS = (
         why="chaotic over longer windows",
         metric=free_run(1.0),
         reference="none",
+        fit=5,
         settings={"patience": 60.0},
     ),
     Plan(
