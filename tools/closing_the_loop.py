@@ -65,11 +65,12 @@ def close(plan: Plan, out: Path, images: Path, reuse: bool) -> dict[str, Any]:
     """Diagnoses one set, scores the scenes, draws; returns what there is to say about it."""
     folder = out / "recordings" / plan.name
     split = json.loads((folder / "split.json").read_text())
-    fit = spread(_load(plan, folder, split["fit"]), plan.fit)
-    held = spread(_load(plan, folder, split["held_out"]), plan.held_out)
+    fit = spread(_long(plan, _load(plan, folder, split["fit"])), plan.fit)
+    kept = [name for name in split["held_out"] if name.startswith(plan.only)]
+    held = spread(_load(plan, folder, kept), plan.held_out)
     found = out / "diagnoses" / plan.name
     if not (reuse and (found / "report.json").exists()):
-        diagnose(plan, fit, held, found)
+        diagnose(plan, fit, _long(plan, held), found)
     report = json.loads((found / "report.json").read_text())
     effects = [_instance(one) for one in report["effects"]]
     scored: dict[str, Scored] = {"declared": plan.metric.measure(plan.scene(), held, ())}
@@ -78,7 +79,7 @@ def close(plan: Plan, out: Path, images: Path, reuse: bool) -> dict[str, Any]:
     if plan.published:
         scored["published"] = plan.metric.measure(plan.scene("published"), held, ())
     draw(plan.name, plan.metric, scored, images / f"{plan.name}.png")
-    kept = ("verdict", "sentence", "effects", "retuned", "alternatives", "residual", "error")
+    told = ("verdict", "sentence", "effects", "retuned", "alternatives", "residual", "error")
     return {
         "left_out": plan.left_out,
         "window_s": plan.window,
@@ -92,7 +93,7 @@ def close(plan: Plan, out: Path, images: Path, reuse: bool) -> dict[str, Any]:
         },
         "recordings": {"fit": len(fit), "held_out": len(held)},
         "seconds": json.loads((found / "seconds.json").read_text()),
-        **{key: report[key] for key in kept},
+        **{key: report[key] for key in told},
         "notes": report["notes"][:8],
     }
 
@@ -116,8 +117,11 @@ def spread(recordings: Sequence[Recording], most: int | None) -> list[Recording]
 
 
 def _load(plan: Plan, folder: Path, names: Sequence[str]) -> list[Recording]:
-    every = [plan.recording(Recording.load(folder / name)).replace(source=name) for name in names]
-    return [one for one in every if len(one) >= plan.shortest]
+    return [plan.recording(Recording.load(folder / name)).replace(source=name) for name in names]
+
+
+def _long(plan: Plan, recordings: Sequence[Recording]) -> list[Recording]:
+    return [one for one in recordings if len(one) >= plan.shortest]
 
 
 def _instance(found: dict[str, Any]) -> EffectInstance:

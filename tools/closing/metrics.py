@@ -14,6 +14,7 @@ from orbisim.diagnosis.samples import prepare_all
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.measured import correct
 from orbisim.recording import Recording
+from orbisim.recording.initial import Velocities
 from orbisim.replay import Replay, replay
 from orbisim.scene import Scene
 from orbisim.scores import Window
@@ -57,13 +58,15 @@ class Metric:
     measure: Measure
 
 
-def free_run(window: float, unit: str = "rad", factor: float = 1.0) -> Metric:
+def free_run(
+    window: float, unit: str = "rad", factor: float = 1.0, velocities: Velocities = "recorded"
+) -> Metric:
     """RMS error of the joint positions in windows that start at the measured state."""
 
     def measure(
         scene: Scene, recordings: Sequence[Recording], effects: Sequence[EffectInstance]
     ) -> Scored:
-        run = _run(scene, recordings, effects, window)
+        run = _run(scene, recordings, effects, window, velocities)
         figures = {"all": run.rms}
         if len(run.positions) > 1:
             figures |= {name.removeprefix("qpos/"): run.signals[name].rms for name in run.positions}
@@ -144,12 +147,13 @@ def _run(
     recordings: Sequence[Recording],
     effects: Sequence[EffectInstance],
     window: float,
+    velocities: Velocities = "recorded",
 ) -> Replay:
     """A free run; effects on the measurement are taken out of the recordings first."""
     measuring = [one for one in effects if find(one.effect).measurement]
     if measuring:
         recordings = [correct(one, measuring, scene) for one in recordings]
-    return replay(scene, list(recordings), window=window)
+    return replay(scene, list(recordings), window=window, velocities=velocities)
 
 
 def _trace(window: Window, run: Replay, error: float, stop: int | None = None) -> Trace:
