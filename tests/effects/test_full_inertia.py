@@ -17,6 +17,6 @@ def test_edits_of_a_full_inertia() -> None:
     heavier = retuned(scene, {mass: 1.5}).model
     assert heavier.body("link").mass[0] == pytest.approx(3.0)
     np.testing.assert_allclose(heavier.body("link").inertia, 1.5 * scene.model.body("link").inertia)
-    shift = EffectInstance("com_offset", "link", {"distance": 0.05, "x": 0.0, "y": 0.0, "z": 0.05})
+    shift = EffectInstance("com_offset", "link", {"offset": 0.05, "x": 0.0, "y": 0.0, "z": 0.05})
     moved = add_effects(scene, [shift]).model
     np.testing.assert_allclose(moved.body("link").ipos, [0, 0, -0.05], atol=1e-12)
