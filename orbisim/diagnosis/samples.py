@@ -92,7 +92,7 @@ def prepare(recording: Recording, scene: Scene) -> Samples:
     motion = estimate_motion(bound)
     first = starts(bound, "smoothed")
     qpos = np.where(np.isfinite(motion.qpos), motion.qpos, first.qpos)
-    qvel, qacc = first.qvel, np.nan_to_num(motion.qacc)
+    (qpos, qvel), qacc = _with_spin(bound, qpos, first.qvel), np.nan_to_num(motion.qacc)
     usable = np.isfinite(qpos).all(axis=1) & np.isfinite(qvel).all(axis=1)
     if usable.sum() < 3:
         raise RecordingError(
@@ -126,6 +126,27 @@ def prepare(recording: Recording, scene: Scene) -> Samples:
         usable=np.asarray(usable),
         jumps=motion.jumps,
     )
+
+
+def _with_spin(bound: Bound, qpos: Floats, qvel: Floats) -> tuple[Floats, Floats]:
+    """Positions and velocities with the recorded spin of spheres whose orientation is not recorded.
+
+    Their orientation follows from the spin; where it starts does not matter.
+    """
+    qpos, qvel = qpos.copy(), qvel.copy()
+    for joint in joints(bound.model):
+        if joint.id not in bound.unseen_turns or joint.angular is None or joint.quat is None:
+            continue
+        known = np.flatnonzero(np.isfinite(bound.qvel[:, joint.angular]).all(axis=1))
+        if not len(known):
+            continue
+        nearest = np.abs(bound.time[:, None] - bound.time[known]).argmin(axis=1)
+        qvel[:, joint.angular] = bound.qvel[known[nearest], joint.angular]
+        turned = qpos[0, joint.quat].copy()
+        for row, step in enumerate(np.diff(bound.time)):
+            mujoco.mju_quatIntegrate(turned, qvel[row, joint.angular], step)
+            qpos[row + 1, joint.quat] = turned
+    return qpos, qvel
 
 
 def prepare_all(recordings: Sequence[Recording], scene: Scene) -> list[Samples]:
@@ -169,10 +190,18 @@ def _floor(noise: Floats, dq: Floats) -> Floats:
     return np.where(measured, np.maximum(np.nan_to_num(noise), 1e-9), np.nan)
 
 
+_CONSTANT = 0.01
+"""How well a velocity that never changes is taken to be known, relative."""
+
+
 def _velocity_noise(bound: Bound) -> Floats:
     found = np.full(bound.model.nv, np.nan)
     for column in range(bound.model.nv):
         values = bound.qvel[:, column]
-        if np.isfinite(values).sum() >= 8:
-            found[column] = max(float(noise_std(bound.time, values)), 1e-9)
+        known = values[np.isfinite(values)]
+        if len(known) < 8:
+            continue
+        found[column] = max(float(noise_std(bound.time, values)), 1e-9)
+        if not np.ptp(known):  # one estimate for all samples
+            found[column] = max(found[column], _CONSTANT * abs(known[0]))
     return found

@@ -14,16 +14,6 @@ from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
 
-_WRONG = (
-    "are these degrees?",
-    "are they in degrees per second?",
-    "are the positions in degrees?",
-    "are they in revolutions per minute?",
-    "is its sign reversed?",
-    "stays zero although",
-    "as a vector of the world frame",
-)
-
 
 def refuse(recording: Recording, scene: Scene) -> list[str]:
     """Notes about a recording.
@@ -32,11 +22,11 @@ def refuse(recording: Recording, scene: Scene) -> list[str]:
       RecordingError: it does not fit the scene, or a signal is clearly not what its name says.
     """
     bound = recording.bind(scene)
-    for note in bound.notes:
-        if any(text in note for text in _WRONG):
+    for one in bound.suspicions:
+        if one.wrong:
             raise RecordingError(
                 recording.source,
-                note,
+                one.text,
                 remedy="correct the recording; effects fitted to it would be wrong",
             )
     _still(bound)

@@ -518,6 +518,7 @@ def write_inertial(
         ("ipos", pos),
         ("iquat", quat),
         ("inertia", inertia),
+        ("fullinertia", np.full(6, np.nan)),  # not given
     ):
         setattr(body, name, value)
 

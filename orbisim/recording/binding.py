@@ -19,6 +19,7 @@ from orbisim.recording.held import filled
 from orbisim.recording.joints import Joint, body_label, joints
 
 if TYPE_CHECKING:
+    from orbisim.recording.checks import Suspicion
     from orbisim.recording.recording import Recording
     from orbisim.scene import Scene
 
@@ -43,6 +44,7 @@ class Bound:
       measured: numbers of the joints whose positions were measured (not inferred from others).
       unseen_turns: numbers of free joints whose orientation is not recorded and does not matter.
       notes: what was ignored, assumed or looks wrong.
+      suspicions: those of the notes that say what looks wrong.
     """
 
     recording: Recording
@@ -60,6 +62,7 @@ class Bound:
     measured: frozenset[int]
     unseen_turns: frozenset[int]
     notes: tuple[str, ...]
+    suspicions: tuple[Suspicion, ...] = ()
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -85,7 +88,9 @@ def bind(recording: Recording, scene: Scene) -> Bound:
         )
     binder = _Binder(recording, scene)
     bound = binder.bind()
-    return dataclasses.replace(bound, notes=(*bound.notes, *suspicions(bound)))
+    found = tuple(suspicions(bound))
+    notes = (*bound.notes, *(one.text for one in found))
+    return dataclasses.replace(bound, notes=notes, suspicions=found)
 
 
 class _Binder(Assembly):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -24,13 +25,26 @@ _MOST = 0.5
 _CHUNKS = 200
 
 
-def suspicions(bound: Bound) -> list[str]:
-    """One sentence for each thing that looks wrong.
+@dataclasses.dataclass(frozen=True)
+class Suspicion:
+    """Something that looks wrong.
+
+    Attributes:
+      text: one sentence. wrong: whether a signal is clearly not what its name says, so that
+        nothing should be fitted to it.
+    """
+
+    text: str
+    wrong: bool = False
+
+
+def suspicions(bound: Bound) -> list[Suspicion]:
+    """What looks wrong.
 
     Raises:
       RecordingError: a quaternion is x, y, z, w, as its recorded angular velocity shows.
     """
-    found: list[str] = []
+    found: list[Suspicion] = []
     for joint in joints(bound.model):
         if joint.scalar:
             found += _range(bound, joint)
@@ -42,7 +56,7 @@ def suspicions(bound: Bound) -> list[str]:
     return found
 
 
-def _range(bound: Bound, joint: Joint) -> Iterator[str]:
+def _range(bound: Bound, joint: Joint) -> Iterator[Suspicion]:
     """Positions outside the joint's range; degrees among them."""
     if not bound.model.jnt_limited[joint.id] or joint.id not in bound.measured:
         return
@@ -61,20 +75,21 @@ def _range(bound: Bound, joint: Joint) -> Iterator[str]:
         and ((turned >= low - margin) & (turned <= high + margin)).all()
     )
     hint = "; in degrees it would be within: are these degrees?" if degrees else ""
-    yield (
+    yield Suspicion(
         f"'qpos/{joint.label}' goes from {values.min():.4g} to {values.max():.4g} {joint.unit}; "
-        f"the joint's range is {low:.4g} to {high:.4g}{hint}"
+        f"the joint's range is {low:.4g} to {high:.4g}{hint}",
+        wrong=bool(degrees),
     )
 
 
-def _rate(bound: Bound, joint: Joint) -> Iterator[str]:
+def _rate(bound: Bound, joint: Joint) -> Iterator[Suspicion]:
     """Recorded velocities that are not the derivative of the recorded positions."""
     ratio = _slope_ratio(bound.time, bound.qpos[:, joint.q.start], bound.qvel[:, joint.v.start])
     if ratio is None or 0.8 <= ratio <= 1.25:
         return
     name = f"'qvel/{joint.label}'"
     if ratio == 0:
-        yield f"{name} stays zero although 'qpos/{joint.label}' moves"
+        yield Suspicion(f"{name} stays zero although 'qpos/{joint.label}' moves", wrong=True)
         return
     causes = {
         -1.0: "is its sign reversed?",
@@ -83,9 +98,10 @@ def _rate(bound: Bound, joint: Joint) -> Iterator[str]:
         60 / (2 * np.pi): "are they in revolutions per minute?",
     }
     close = [text for value, text in causes.items() if abs(ratio / value - 1) < 0.1]
-    yield (
+    yield Suspicion(
         f"{name} is {ratio:.3g} times the derivative of 'qpos/{joint.label}'"
-        + (f"; {close[0]}" if close else "")
+        + (f"; {close[0]}" if close else ""),
+        wrong=bool(close),
     )
 
 
@@ -108,7 +124,7 @@ def _slope_ratio(time: Floats, position: Floats, velocity: Floats) -> float | No
     return float((dq * dv).sum() / (dq**2).sum())
 
 
-def _turning(bound: Bound, joint: Joint) -> Iterator[str]:
+def _turning(bound: Bound, joint: Joint) -> Iterator[Suspicion]:
     """Orientation against the recorded angular velocity: order of components, frame."""
     assert joint.quat is not None
     assert joint.angular is not None
@@ -139,9 +155,10 @@ def _turning(bound: Bound, joint: Joint) -> Iterator[str]:
             remedy="record quaternions as w, x, y, z",
         )
     if fit["wxyz", "world"] < _MOST and fit["wxyz", "world"] < 0.3 * fit["wxyz", "body"]:
-        yield (
+        yield Suspicion(
             f"the angular part of 'qvel/{joint.label}' fits {name!r} as a vector of the world "
-            "frame; the scene needs it in the body's frame"
+            "frame; the scene needs it in the body's frame",
+            wrong=True,
         )
 
 
@@ -154,20 +171,20 @@ def _misfit(before: Floats, after: Floats, step: Floats, rate: Floats, frame: st
     return float(np.sqrt(np.median(((found - rate) ** 2).sum(axis=1)))) / max(size, 1e-12)
 
 
-def _poses(bound: Bound) -> Iterator[str]:
+def _poses(bound: Bound) -> Iterator[Suspicion]:
     """Quaternions that look like x, y, z, w: nearly 0, 0, 0, 1 where the scene has 1, 0, 0, 0."""
     rows = {bound.model.body(body).name: values for body, values in bound.xquat.items()}
     for name, values in rows.items():
         seen = values[np.isfinite(values).all(axis=1)]
         near = np.abs(seen[:, 3]) > 0.99
         if len(seen) and near.mean() > 0.5 and not (np.abs(seen[:, 0]) > 0.99).any():
-            yield (
+            yield Suspicion(
                 f"'xquat/{name}' is nearly (0, 0, 0, 1), half a turn about z; if the body is "
                 "upright, the components are x, y, z, w and must be w, x, y, z"
             )
 
 
-def _controls(bound: Bound) -> Iterator[str]:
+def _controls(bound: Bound) -> Iterator[Suspicion]:
     """Controls that the scene will clamp."""
     model = bound.model
     for actuator in actuators(model):
@@ -179,7 +196,7 @@ def _controls(bound: Bound) -> Iterator[str]:
             margin = 1e-6 * (high - low)
             beyond = ((values < low - margin) | (values > high + margin)).mean()
             if beyond > 0:
-                yield (
+                yield Suspicion(
                     f"'ctrl/{actuator.label}' goes from {values.min():.4g} to {values.max():.4g}, "
                     f"beyond the actuator's range {low:.4g} to {high:.4g} in {beyond:.1%} of the "
                     "samples; the simulation clamps it"

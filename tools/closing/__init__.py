@@ -1,0 +1,1 @@
+"""Closing the loop on measured data: what to run, how to score, what to show."""
