@@ -7,10 +7,9 @@ import orbisim
 from orbisim.diagnosis.retune import retuned, tunables
 from orbisim.effects import EffectInstance, add_effects
 
-SCENE = """<mujoco><worldbody>
-<body name="link"><joint name="hinge" axis="0 1 0"/>
-<inertial pos="0 0 -.1" mass="2" fullinertia=".03 .025 .02 .001 0 0"/>
-</body></worldbody></mujoco>"""
+SCENE = """<mujoco><worldbody><body name="link"><joint name="hinge" axis="0 1 0"/>
+<inertial pos="0 0 -.1" mass="2" fullinertia=".03 .025 .02 .001 0 0"/></body>
+</worldbody></mujoco>"""
 
 
 def test_edits_of_a_full_inertia() -> None:
