@@ -121,13 +121,13 @@ def effects_of(
         kind = find(effect.effect)
         fewer = hypothesis.without(i)
         without = score(fewer.scene(scene), held, window, fewer.effects, backend).rms
-        parameters = {}
+        parameters, units = {}, kind.units(scene.model, effect)
         for p in kind.parameters(scene.model, effect.target):
             value = float(effect.values[p.name])
             ci = intervals.get(f"{i}.{p.name}", _propagated(found, i, p.name, intervals))
             grid = kind.resolution(scene.model, p.name) / 2
             low, high = min(ci[0], value - grid), max(ci[1], value + grid)
-            parameters[p.name] = Estimate(value, p.unit, (low, high))
+            parameters[p.name] = Estimate(value, units[p.name], (low, high))
         result.append(
             FoundEffect(
                 effect.effect,

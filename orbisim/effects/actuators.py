@@ -11,6 +11,7 @@ from orbisim.effects.base import (
     Hook,
     Moment,
     Parameter,
+    actuator_unit,
     index_of,
     spec_element,
 )
@@ -65,7 +66,7 @@ class TorqueBias(ActuatorEffect):
     phrase = "an offset in the output"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (Parameter("offset", "N*m or N", -_LARGE, _LARGE, 0.1),)
+        return (Parameter("offset", actuator_unit(model, target), -_LARGE, _LARGE, 0.1),)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         actuator = spec_element(spec, "actuator", instance.target)
@@ -85,7 +86,7 @@ class TorqueSaturation(ActuatorEffect):
     phrase = "a limit of the output"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (Parameter("limit", "N*m or N", 1e-9, _LARGE, 1.0),)
+        return (Parameter("limit", actuator_unit(model, target), 1e-9, _LARGE, 1.0),)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         actuator = spec_element(spec, "actuator", instance.target)

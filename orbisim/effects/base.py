@@ -131,6 +131,10 @@ class Effect(abc.ABC):
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         """The effect's parameters at a target; the first is the one that reports quote."""
 
+    def units(self, model: mujoco.MjModel, instance: EffectInstance) -> Mapping[str, str]:
+        """Unit of each parameter, where it depends on the options too."""
+        return {p.name: p.unit for p in self.parameters(model, instance.target)}
+
     def targets(self, model: mujoco.MjModel) -> tuple[str, ...]:
         """Names of everything in the model that can have this effect."""
         return tuple(name for name in names_of_kind(model, self.kind) if self.possible(model, name))
@@ -308,6 +312,35 @@ def joint_unit(model: mujoco.MjModel, target: str, angular: str, linear: str) ->
     """The unit that applies to a hinge or to a slide."""
     kind = model.jnt_type[index_of(model, "joint", target)]
     return linear if kind == mujoco.mjtJoint.mjJNT_SLIDE else angular
+
+
+def actuator_unit(model: mujoco.MjModel, target: str) -> str:
+    """Unit of an actuator's output force: N where it pushes along a line, N*m where it turns."""
+    actuator = index_of(model, "actuator", target)
+    transmission = mujoco.mjtTrn(int(model.actuator_trntype[actuator]))
+    number = int(model.actuator_trnid[actuator, 0])
+    if transmission in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT):
+        kind = mujoco.mjtJoint(int(model.jnt_type[number]))
+        turns = kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_BALL)
+        if kind == mujoco.mjtJoint.mjJNT_FREE:
+            turns = not model.actuator_gear[actuator, :3].any()
+    elif transmission == mujoco.mjtTrn.mjTRN_SITE:
+        turns = not model.actuator_gear[actuator, :3].any()
+    elif transmission == mujoco.mjtTrn.mjTRN_TENDON:
+        turns = _tendon_turns(model, number)
+    else:
+        turns = False
+    return "N*m" if turns else "N"
+
+
+def _tendon_turns(model: mujoco.MjModel, tendon: int) -> bool:
+    """Whether a tendon's length is an angle: a fixed tendon of hinges only."""
+    first = int(model.tendon_adr[tendon])
+    parts = slice(first, first + int(model.tendon_num[tendon]))
+    if (model.wrap_type[parts] != mujoco.mjtWrap.mjWRAP_JOINT).any():
+        return False
+    kinds = model.jnt_type[model.wrap_objid[parts]]
+    return bool((kinds == mujoco.mjtJoint.mjJNT_HINGE).all())
 
 
 def is_scalar_joint(model: mujoco.MjModel, target: str) -> bool:

@@ -15,6 +15,7 @@ from orbisim.effects.base import (
     Values,
     index_of,
     is_scalar_joint,
+    joint_unit,
     names_of_kind,
     spec_element,
 )
@@ -193,8 +194,10 @@ class PeriodicDisturbance(Effect):
         return (*joints, *(name for name in free if name not in joints))
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        joint = target in names_of_kind(model, "joint")
+        unit = joint_unit(model, target, "N*m", "N") if joint else "N"
         return (
-            Parameter("amplitude", "N*m or N", 0.0, _LARGE, 0.1),
+            Parameter("amplitude", unit, 0.0, _LARGE, 0.1),
             Parameter("frequency", "Hz", 1e-3, 1e4, 2.0),
             Parameter("phase", "rad", -10.0, 10.0, 0.0),
         )

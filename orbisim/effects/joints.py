@@ -403,7 +403,21 @@ class JointCoupling(JointEffect):
         return found if len(found) > 1 else ()
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (Parameter("coefficient", "SI", -_LARGE, _LARGE, 0.1),)
+        force = joint_unit(model, target, "N*m", "N")
+        return (Parameter("coefficient", f"{force} per unit", -_LARGE, _LARGE, 0.1),)
+
+    def units(self, model: mujoco.MjModel, instance: EffectInstance) -> Mapping[str, str]:
+        """Of the coefficient: this joint's force by what the other joint has."""
+        force = joint_unit(model, instance.target, "N*m", "N")
+        other = instance.options["other"]
+        torque = joint_unit(model, other, "N*m", "N")
+        angle = joint_unit(model, other, "rad", "m")
+        by = {
+            "torque": {("N*m", "N"): "m", ("N", "N*m"): "1/m"}.get((force, torque), "1"),
+            "position": f"{force}/{angle}",
+            "velocity": f"{force}*s/{angle}",
+        }
+        return {"coefficient": by[instance.options.get("by", "torque")]}
 
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Coupling(model, instance)
