@@ -29,6 +29,7 @@ from orbisim.diagnosis.scoring import score
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.split import bounded, split
 from orbisim.diagnosis.suspicious import refuse
+from orbisim.diagnosis.thinning import thinned
 from orbisim.effects import add_effects, find
 from orbisim.errors import InputError
 from orbisim.progress import status
@@ -81,13 +82,13 @@ def diagnose(
     settings = settings or Settings()
     with status("diagnosing") if progress else contextlib.nullcontext(_nothing) as say:
         say("reading the recordings")
-        samples = prepare_all(bounded(fit, notes), loaded)
+        samples = prepare_all(bounded(thinned(fit, window, notes), notes), loaded)
         bench = make_bench(loaded, samples, window)
         found = attribute(bench, settings, say)
         if found.cut_short:
             notes.append(f"the search was ended after {settings.patience:g} s; more may be found")
         say("checking on held-out data")
-        found = _confirmed(found, bounded(held, notes), window)
+        found = _confirmed(found, bounded(thinned(held, window, notes), notes), window)
         result = _result(loaded, named, found, settings, fit, held, window, backend, notes)
         if out is not None:
             say("writing the report")

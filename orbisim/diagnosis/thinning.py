@@ -1,0 +1,64 @@
+"""Fewer samples where a recording has many more than a search of its windows needs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.recording import Recording, names
+
+Floats = npt.NDArray[np.float64]
+
+MOST_SAMPLES = 200
+"""Sampling intervals of a window at most."""
+
+
+def thinned(recordings: Sequence[Recording], window: float, notes: list[str]) -> list[Recording]:
+    """Recordings with at most `MOST_SAMPLES` intervals to a window: every so many samples is kept.
+
+    Controls and torques become their means over what is left out, so that their impulse stays.
+
+    Args:
+      window: duration, s. notes: gets a line if anything is left out.
+    """
+    found, left_out = [], 0
+    for one in recordings:
+        every = _every(one, window)
+        found.append(one if every == 1 else _kept(one, every))
+        left_out += len(one) - len(found[-1])
+    if left_out:
+        total = sum(len(one) for one in recordings)
+        notes.append(
+            f"windows of {window:g} s have more than {MOST_SAMPLES} samples: the search takes "
+            f"{total - left_out} of {total}, with the mean of the controls in between"
+        )
+    return found
+
+
+def _every(one: Recording, window: float) -> int:
+    """How many samples make one."""
+    if len(one) < 2:
+        return 1
+    step = float(np.median(np.diff(one.time)))
+    return max(1, int(np.ceil(window / step / MOST_SAMPLES - 1e-6)))
+
+
+def _kept(one: Recording, every: int) -> Recording:
+    rows = np.arange(0, len(one), every)
+    part = one.rows(rows)
+    held = {
+        name: _means(one.time, values, rows)
+        for name, values in one.signals.items()
+        if names.split(name)[0] in names.HELD
+    }
+    return part.replace(signals={**part.signals, **held})
+
+
+def _means(time: Floats, values: Floats, rows: npt.NDArray[np.intp]) -> Floats:
+    """Means of a held signal from each row to the next; missing where a sample is missing."""
+    columns = values.reshape(len(values), -1)
+    step = np.diff(time, append=time[-1] + (time[-1] - time[-2]))[:, None]
+    total = np.add.reduceat(columns * step, rows, axis=0)
+    return np.asarray((total / np.add.reduceat(step, rows, axis=0)).reshape(-1, *values.shape[1:]))

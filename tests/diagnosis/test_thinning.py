@@ -1,0 +1,42 @@
+"""Thinning of recordings that are sampled much faster than a window needs."""
+
+import numpy as np
+import pytest
+
+from orbisim.diagnosis.thinning import MOST_SAMPLES, thinned
+from orbisim.recording import Recording
+
+TIME = np.arange(0, 4, 1e-3)
+
+
+def test_windows_have_at_most_so_many_samples() -> None:
+    rng = np.random.default_rng(0)
+    fast = Recording(
+        TIME,
+        {
+            "qpos/a": np.sin(TIME),
+            "ctrl/m": rng.normal(size=len(TIME)),
+            "xpos/b": rng.normal(size=(len(TIME), 3)),
+        },
+    )
+    notes: list[str] = []
+    (slow,) = thinned([fast], 1.0, notes)
+    assert 1.0 / np.diff(slow.time).mean() == pytest.approx(MOST_SAMPLES, rel=1e-6)
+    assert np.array_equal(slow["qpos/a"], fast["qpos/a"][::5])
+    assert slow["xpos/b"].shape == (len(slow), 3)
+    assert slow["ctrl/m"][7] == pytest.approx(fast["ctrl/m"][35:40].mean())
+    assert f"{len(slow)} of {len(fast)}" in notes[0]
+
+
+def test_missing_controls_stay_missing() -> None:
+    control = np.ones(len(TIME))
+    control[12] = np.nan
+    (slow,) = thinned([Recording(TIME, {"qpos/a": TIME, "ctrl/m": control})], 1.0, [])
+    assert np.flatnonzero(np.isnan(slow["ctrl/m"])).tolist() == [2]
+
+
+def test_slow_recordings_stay_as_they_are() -> None:
+    notes: list[str] = []
+    one = Recording(TIME, {"qpos/a": TIME})
+    assert thinned([one], MOST_SAMPLES * 1e-3, notes)[0] is one
+    assert not notes
