@@ -137,7 +137,7 @@ class Shooter:
         """Number of the sample, and positions and velocities there, one sample after the other."""
         model, clock = variant.scene.model, variant.measurement.clock
         place = Layout(self.declared.model, model)
-        batch = mujoco.batch.Batch(model, len(self), min(len(self), usable_cpus()))
+        batch = mujoco.batch.Batch(model, len(self), self._threads(model.nv))
         qpos, qvel = self._moved(start)
         batch.bind("qpos")[:] = model.qpos0
         batch.bind("qpos")[:, place.q] = qpos
@@ -163,6 +163,12 @@ class Shooter:
             ids = np.flatnonzero(last > k)
             step_batch(model, batch, hooks, self.ctrl[:, k], int(self.substeps), ids)
             yield k + 1, qpos[:, place.q], qvel[:, place.v]
+
+    def _threads(self, nv: int) -> int:
+        """Few worlds of few joints are stepped sooner by one thread than by several that wait for
+        each other."""
+        work = len(self) * nv * int(self.substeps)
+        return int(np.clip(work // _WORTH_A_THREAD, 1, min(len(self), usable_cpus())))
 
     def _last(self, only: Bools | None) -> Ints:
         """[W]: number of samples to simulate of each window."""
@@ -242,3 +248,5 @@ class Shooter:
 
 
 _LOST = 1e6
+_WORTH_A_THREAD = 200
+"""Worlds times degrees of freedom times timesteps that keep a thread busy."""
