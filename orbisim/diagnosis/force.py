@@ -8,6 +8,7 @@ acceleration through the inertia matrix.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Sequence
 
@@ -17,6 +18,8 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.hidden import Layout, carried_along
 from orbisim.diagnosis.samples import Samples
+from orbisim.effects.carry import hooks_of
+from orbisim.effects.running import ACCELERATION_STAGE, HookRunner
 from orbisim.recording import estimate_motion
 from orbisim.scene import Scene
 
@@ -44,14 +47,14 @@ def force_residual(samples: Sequence[Samples], scene: Scene) -> list[ForceResidu
 
     Args:
       samples: the recordings, prepared with the declared scene.
-      scene: the declared scene, or one with effects added. Joints that an effect added rest;
-        effects that MuJoCo cannot express natively are not taken into account.
+      scene: the declared scene, or one with effects added. Joints that an effect added rest.
     """
     return [_one(sample, scene) for sample in samples]
 
 
 def _one(one: Samples, scene: Scene) -> ForceResidual:
-    model, declared = scene.model, one.bound.model
+    model, declared = copy.copy(scene.model), one.bound.model
+    hooked = _Hooked(model)
     data, place = mujoco.MjData(model), Layout(declared, model)
     spread = np.nan_to_num(estimate_motion(one.bound).qacc_std)
     act, history = carried_along(one, declared, model)
@@ -67,12 +70,64 @@ def _one(one: Samples, scene: Scene) -> ForceResidual:
         if model.nhistory:
             data.history[:] = history[row]
         data.time = one.time[row]
+        added = hooked.force(data)
         mujoco.mj_inverse(model, data)
         mujoco.mj_fwdActuation(model, data)
         mujoco.mj_fullM(model, data, full)
         inertia = full[np.ix_(place.v, place.v)]
         out["total"][row] = data.qfrc_inverse[place.v]
-        missing = data.qfrc_inverse - data.qfrc_actuator
+        missing = data.qfrc_inverse - data.qfrc_actuator - added
         out["force"][row] = missing[place.v] - one.force[row]
         out["std"][row] = np.sqrt((inertia**2) @ spread[row] ** 2)
     return ForceResidual(one.time, out["force"], out["std"], out["total"])
+
+
+class _Hooked:
+    """What effects that MuJoCo cannot express add in one state.
+
+    Args:
+      model: a copy, whose fields they may change.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model, hooks = model, hooks_of(model)
+        self._runner = HookRunner(model, hooks, 1) if hooks else None
+        self._base = {
+            name: getattr(model, name).copy()[None]
+            for name in (self._runner.fields if self._runner else ())
+        }
+
+    def force(self, data: mujoco.MjData) -> Floats:
+        """Their generalized force [nv]; controls and model fields are changed in place."""
+        model, found = self._model, np.zeros(self._model.nv)
+        if self._runner is None:
+            return found
+        for name, values in self._base.items():
+            getattr(model, name)[:] = values[0]
+        if self._runner.derived:
+            mujoco.mj_fwdPosition(model, data)
+            mujoco.mj_fwdVelocity(model, data)
+        if self._runner.derived & ACCELERATION_STAGE:
+            mujoco.mj_fwdActuation(model, data)
+            mujoco.mj_inverse(model, data)
+        none = {
+            "qfrc_applied": np.zeros((1, model.nv)),
+            "xfrc_applied": np.zeros((1, model.nbody, 6)),
+        }
+        moment = self._runner.inputs(
+            lambda name: (
+                np.atleast_1d(getattr(data, name))[None]
+                if name != "time"
+                else np.array([data.time])
+            ),
+            data.ctrl[None],
+            none,
+            self._base,
+        )
+        data.ctrl[:] = moment.ctrl[0]
+        for name, values in moment.fields.items():
+            getattr(model, name)[:] = values[0]
+        for body in np.flatnonzero(moment.xfrc[0].any(axis=1)):
+            push = moment.xfrc[0, body]
+            mujoco.mj_applyFT(model, data, push[:3], push[3:], data.xipos[body], int(body), found)
+        return np.asarray(found + moment.qfrc[0])

@@ -1,0 +1,40 @@
+"""The residual in force space is the missing effect, also where MuJoCo has no such effect."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import orbisim
+from orbisim.diagnosis.force import force_residual
+from orbisim.diagnosis.samples import prepare
+from orbisim.effects import EffectInstance, add_effects
+from orbisim.testing import inject_effect
+
+ARM = Path(__file__).parents[2] / "mjcf_assets" / "arm2" / "scene.xml"
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        EffectInstance("coulomb_friction", "elbow", {"torque": 0.5}),
+        EffectInstance(
+            "load_dependent_friction", "shoulder", {"coefficient": 0.1}, {"load": "external"}
+        ),
+        EffectInstance("linear_drag", "forearm", {"coefficient": 1.0}),
+        EffectInstance(
+            "joint_coupling", "elbow", {"coefficient": 0.3}, {"other": "shoulder", "by": "velocity"}
+        ),
+        EffectInstance("deadband", "elbow", {"width": 0.4}),
+    ],
+    ids=lambda effect: effect.effect,
+)
+def test_an_effect_takes_its_residual_away(effect: EffectInstance) -> None:
+    declared = orbisim.load_scene(ARM)
+    (run,) = inject_effect(declared, effect, duration=2.0, episodes=1, noise=0.0)
+    samples = [prepare(run, declared)]
+    sizes = [
+        np.sqrt(np.nanmean(force_residual(samples, scene)[0].force[10:-10] ** 2))
+        for scene in (declared, add_effects(declared, [effect]))
+    ]
+    assert sizes[1] < 0.3 * sizes[0]
