@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import mujoco
@@ -11,6 +12,7 @@ import numpy.typing as npt
 
 from orbisim.backend import Backend, Capability, Linearization
 from orbisim.cpus import usable_cpus
+from orbisim.effects.base import Hook
 from orbisim.effects.carry import hooks_of
 from orbisim.effects.stepping import step_batch
 from orbisim.errors import CapacityError, DivergedError, InputError
@@ -47,6 +49,7 @@ class MujocoBackend(Backend):
       nworld: number of worlds to prepare for.
       device: `cpu` or None.
       nthread: number of threads; 0 for one per usable core.
+      hooks: makes hooks for a model that is loaded, besides those of the effects that it carries.
     """
 
     name = "mujoco"
@@ -72,16 +75,20 @@ class MujocoBackend(Backend):
         nworld: int = 1,
         device: str | None = None,
         nthread: int = 0,
+        hooks: Callable[[mujoco.MjModel], Sequence[Hook]] | None = None,
     ) -> None:
         if device not in (None, "cpu"):
             raise InputError(f"backend 'mujoco' runs on the CPU only; got device {device!r}")
         super().__init__(nworld=nworld, device="cpu")
         self._nthread = nthread
+        self._further_hooks = hooks
         self._batch: mujoco.batch.Batch | None = None
 
     def load(self, scene: Scene) -> None:
         """Prepares to simulate `scene`; every scene that MuJoCo compiles is supported."""
         self._hooks = hooks_of(scene.model)
+        if self._further_hooks is not None:
+            self._hooks += self._further_hooks(scene.model)
         self._scene = scene
         self._batch = None
 

@@ -8,14 +8,15 @@ from collections.abc import Callable, Iterable, Sequence
 import mujoco
 import numpy as np
 import numpy.typing as npt
-from orbisim_mujoco import MujocoBackend
 
+from orbisim.backend import Backend
 from orbisim.effects import EffectInstance, Hook, add_effects, find
 from orbisim.effects.measured import distort, longest_delay
 from orbisim.errors import DivergedError, InputError
 from orbisim.recording import Recording
 from orbisim.recording import quaternions as quat
 from orbisim.recording.joints import Joint, joints
+from orbisim.registry import make_backend
 from orbisim.scene import Scene
 from orbisim.state import State
 from orbisim.testing.excitation import Excitation, default_duration, excite
@@ -170,19 +171,6 @@ class _Run:
     ctrl: Floats
 
 
-class _HookedBackend(MujocoBackend):
-    """C MuJoCo with further hooks."""
-
-    def __init__(self, make: Callable[[mujoco.MjModel], Sequence[Hook]] | None, nworld: int):
-        super().__init__(nworld=nworld)
-        self._make = make
-
-    def load(self, scene: Scene) -> None:
-        super().load(scene)
-        if self._make is not None:
-            self._hooks = [*self._hooks, *self._make(scene.model)]
-
-
 def _simulate(
     scene: Scene,
     true: Scene,
@@ -193,8 +181,7 @@ def _simulate(
     """Runs the true scene; `steps`: timesteps of a control, and between recorded states."""
     nstep, stride = steps
     count, worlds = planned.reference.shape[1], len(planned.qpos)
-    engine = _HookedBackend(hooks, worlds)
-    engine.load(true)
+    engine = make_backend("mujoco", true, nworld=worlds, hooks=hooks)
     layout = _Layout(scene.model, true.model)
     limits = _limits(scene.model)
     ctrl = np.clip(planned.control(0, planned.qpos, planned.qvel), *limits)
@@ -242,7 +229,7 @@ class _Layout:
                 self.v[own.v] = np.arange(joint.v.start, joint.v.stop)
 
 
-def _initial(engine: MujocoBackend, layout: _Layout, planned: Excitation, ctrl: Floats) -> State:
+def _initial(engine: Backend, layout: _Layout, planned: Excitation, ctrl: Floats) -> State:
     """The state at the start: as planned, and hidden states as after a long rest."""
     state, model = engine.reset(len(planned.qpos)), engine.model
     qpos, qvel = np.array(state.qpos), np.array(state.qvel)
