@@ -7,7 +7,13 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
+from blind import mechanism
+from blind.identities import identical
+from orbisim.effects import EffectInstance
+
+Floats = npt.NDArray[np.float64]
 Found = Mapping[str, Any]
 
 NEAR_ONE = ("torque_gain", "sensor_scale", "clock_skew")
@@ -39,75 +45,45 @@ def same(found: Found, truth: Found) -> bool:
 
 
 def equivalent(found: Found, truth: Found, model: mujoco.MjModel) -> bool:
-    """The same force by another name: identities of mechanics, not likenesses.
-
-    Accepted besides `same` (and counted apart from it):
-    - a constant force straight up at a body's centre of mass is buoyancy, and the other way round;
-    - where a body's centre of mass moves with a single hinge or slide, at a constant distance, drag
-      on the body is damping of that joint of the same power;
-    - on the only body that moves, another direction of gravity is a constant force of the weight's
-      change, if that is what was found;
-    - on a horizontal slide, a mass more on the body is armature of the slide, and a force along it
-      is an offset of the motor that drives it.
+    """Whether what was found is the injected effect by another name that is exact in this scene
+    (`identities.identical`), with numbers to match; counted apart from `same`.
     """
-    return any(
-        rule(*pair, model)
-        for rule in (_lift, _lone_drag, _tilted, _level_slide)
-        for pair in ((found, truth), (truth, found))
-    )
+    return any(_near(found, one, model) for one in identical(_instance(truth), model))
 
 
-def _lift(a: Found, b: Found, model: mujoco.MjModel) -> bool:
-    if (a["effect"], b["effect"]) != ("constant_force", "buoyancy") or a["target"] != b["target"]:
+NEAR = 0.1
+"""How far the numbers of an identical effect may be off, relative."""
+
+
+def _near(found: Found, wanted: EffectInstance, model: mujoco.MjModel) -> bool:
+    if key(found) != (wanted.effect, wanted.target):
         return False
-    parts = np.array([_number(a["parameters"][axis]) for axis in "xyz"])
-    return bool(parts[2] > 0.98 * np.linalg.norm(parts))
+    numbers = {name: _number(value) for name, value in found["parameters"].items()}
+    if not set("xyz") <= set(wanted.values):
+        return all(abs(numbers[n] - v) <= NEAR * abs(v) for n, v in wanted.values.items())
+    without = np.array(model.opt.gravity) if wanted.effect == "gravity_tilt" else np.zeros(3)
+    is_ = _felt(_vector(numbers) - without, wanted.target, model)
+    should = _felt(_vector(wanted.values) - without, wanted.target, model)
+    return bool(np.linalg.norm(is_ - should) <= NEAR * np.linalg.norm(should))
 
 
-def _lone_drag(a: Found, b: Found, model: mujoco.MjModel) -> bool:
-    pairs = {("linear_drag", "viscous_damping"), ("quadratic_drag", "quadratic_damping")}
-    return (a["effect"], b["effect"]) in pairs and _only_joint(model, a["target"]) == b["target"]
+def _felt(push: Floats, target: str, model: mujoco.MjModel) -> Floats:
+    """A constant force [3] on a target without the part along which it cannot move."""
+    joint = None if target == "world" else mechanism.only_joint(model, target)
+    if joint is not None and mechanism.slides(model, joint):
+        along = mechanism.axis(model, joint)
+        return along * (along @ push)
+    normal = mechanism.planar_normal(model)
+    return push if normal is None else push - normal * (normal @ push)
 
 
-def _tilted(a: Found, b: Found, model: mujoco.MjModel) -> bool:
-    if (a["effect"], b["effect"]) != ("constant_force", "gravity_tilt") or model.nbody != 2:
-        return False
-    force = np.array([_number(a["parameters"][axis]) for axis in "xyz"])
-    gravity = np.array([_number(b["parameters"][axis]) for axis in "xyz"])
-    change = float(model.body_mass[1]) * (gravity - model.opt.gravity)
-    return bool(np.linalg.norm(force - change) <= 0.1 * np.linalg.norm(change))
+def _vector(numbers: Mapping[str, float]) -> Floats:
+    return np.array([numbers[axis] for axis in "xyz"])
 
 
-def _level_slide(a: Found, b: Found, model: mujoco.MjModel) -> bool:
-    names = (a["effect"], b["effect"])
-    if names not in {("payload", "armature"), ("constant_force", "torque_bias")}:
-        return False
-    joint = _only_joint(model, a["target"])
-    if joint is None or model.joint(joint).type[0] != int(mujoco.mjtJoint.mjJNT_SLIDE):
-        return False
-    if abs(model.joint(joint).axis @ model.opt.gravity) > 1e-9:
-        return False
-    if names[0] == "payload":
-        return bool(b["target"] == joint)
-    driven = model.actuator(b["target"]).trnid[0]
-    return bool(model.joint(int(driven)).name == joint)
-
-
-def _only_joint(model: mujoco.MjModel, body: str) -> str | None:
-    """The joint that alone moves a body, if it is a single hinge or slide."""
-    try:
-        number = model.body(body).id
-    except KeyError:
-        return None
-    found: list[int] = []
-    while number:
-        first, count = int(model.body_jntadr[number]), int(model.body_jntnum[number])
-        found += range(first, first + count) if count else []
-        number = int(model.body_parentid[number])
-    scalar = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
-    if len(found) != 1 or int(model.jnt_type[found[0]]) not in scalar:
-        return None
-    return str(model.joint(found[0]).name)
+def _instance(effect: Found) -> EffectInstance:
+    values = {name: _number(value) for name, value in effect["parameters"].items()}
+    return EffectInstance(str(effect["effect"]), str(effect["target"]), values)
 
 
 def _number(value: Any) -> float:
