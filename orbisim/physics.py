@@ -27,7 +27,7 @@ from orbisim.mirror import Mirror
 from orbisim.registry import backend_class, make_backend, make_renderer
 from orbisim.renderer import Renderer
 from orbisim.scene import Scene, load_scene
-from orbisim.state import State
+from orbisim.state import MEMORY, State
 
 _NATIVE = "mujoco"
 P = TypeVar("P")
@@ -353,22 +353,10 @@ def adopt(physics: P, *, scene: Scene | None = None) -> P:
 # ---------------------------------------------------------------------------------------------
 # MjData and State
 
-_MEMORY = (
-    "qacc_warmstart",
-    "history",
-    "plugin_state",
-    "qfrc_applied",
-    "xfrc_applied",
-    "eq_active",
-    "mocap_pos",
-    "mocap_quat",
-    "userdata",
-)
-
 
 def read_state(model: mujoco.MjModel, data: mujoco.MjData) -> State:
     """The state held in MjData, as one world."""
-    memory = {name: getattr(data, name) for name in _MEMORY}
+    memory = {name: getattr(data, name) for name in MEMORY}
     return State(
         time=np.array([data.time]),
         qpos=data.qpos[None].copy(),
@@ -383,7 +371,7 @@ def write_state(model: mujoco.MjModel, data: mujoco.MjData, state: State, world:
     data.time = float(state.time[world])
     for name in ("qpos", "qvel", "act"):
         getattr(data, name)[:] = _host(getattr(state, name)[world])
-    for name in _MEMORY:
+    for name in MEMORY:
         if name in state.memory and getattr(data, name).size:
             getattr(data, name)[:] = _host(state.memory[name][world])
 

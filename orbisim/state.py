@@ -17,6 +17,19 @@ from orbisim.errors import InputError
 Array: TypeAlias = Any
 """A NumPy array; a differentiable or on-device backend may use torch tensors instead."""
 
+MEMORY = (
+    "qacc_warmstart",
+    "history",
+    "plugin_state",
+    "qfrc_applied",
+    "xfrc_applied",
+    "eq_active",
+    "mocap_pos",
+    "mocap_quat",
+    "userdata",
+)
+"""Fields of MjData that a step of MuJoCo reads besides time, positions, velocities and controls."""
+
 _PHYSICAL = ("time", "qpos", "qvel", "act")
 
 

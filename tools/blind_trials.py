@@ -1,12 +1,13 @@
 """Blind trials of the diagnosis.
 
-    python tools/blind_trials.py generate --out trials
-    python tools/blind_trials.py run --trials trials --out results.jsonl --workers 16
-    python tools/blind_trials.py peer --trials trials --out peer.jsonl --workers 16
+    python tools/blind_trials.py generate --out trials --workers 16
+    python tools/blind_trials.py run --trials trials --out results.jsonl --workers 15
     python tools/blind_trials.py score --trials trials --results results.jsonl --out scores
 
-`generate` writes `trials/<name>/` (a declared scene and recordings: all that `run` and `peer`
-open) and, apart from them, `truth/`. Names of trials say nothing. `--sample` takes a fixed few.
+`generate` writes `trials/<name>/` (a declared scene and recordings: all that `run` opens) and,
+apart from them, `truth/`. Names of trials say nothing. `run` lets the diagnosis and its peer,
+mujoco.sysid with four parameters a joint, work on each trial, one after the other. Both commands go
+on where they were stopped. `--sample` takes a fixed few.
 """
 
 from __future__ import annotations
@@ -17,12 +18,15 @@ import os
 import sys
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "backends"))
+
+from blind.running import TOOLS, run_all, run_one
 
 
 def generate(args: argparse.Namespace) -> int:
@@ -37,14 +41,17 @@ def generate(args: argparse.Namespace) -> int:
     else:
         wishes = every({name: motion_of(name) for name in RIGS}, args.seed)
         jobs = [(wish, f"t{i:04d}") for i, wish in enumerate(wishes)]
-        jobs += [(wish, f"s{i:02d}") for i, wish in enumerate(SAMPLE)]
     if args.limit:
         jobs = jobs[: args.limit]
     entries: list[dict[str, Any]] = []
     with ProcessPoolExecutor(args.workers, initializer=single_threaded) as pool:
         waiting = [pool.submit(make, wish, name, out) for wish, name in jobs]
         for done in as_completed(waiting):
-            entries.append(done.result())
+            try:
+                entries.append(done.result())
+            except BrokenProcessPool:
+                print("a worker has died: run this again, it goes on from here", file=sys.stderr)
+                return 1
             if len(entries) % 20 == 0 or len(entries) == len(jobs):
                 print(f"{len(entries)} of {len(jobs)}", file=sys.stderr, flush=True)
     entries.sort(key=lambda entry: entry["trial"])
@@ -78,33 +85,17 @@ def from_source() -> None:
         register_backend("mujoco", MujocoBackend)
 
 
-def run(args: argparse.Namespace) -> int:
-    from blind.running import run_all
-
-    return run_all(args, "diagnose")
-
-
-def peer(args: argparse.Namespace) -> int:
-    from blind.running import run_all
-
-    return run_all(args, "peer")
-
-
 def one(args: argparse.Namespace) -> int:
-    """A single trial, in a process of its own (used by `run` and `peer`)."""
+    """A single trial, in a process of its own (used by `run`)."""
     single_threaded(args.core)
-    from blind.running import run_one
-
-    return run_one(Path(args.folder), args.tool)
+    return run_one(Path(args.folder), args.tool, args.seconds)
 
 
 def score(args: argparse.Namespace) -> int:
     from_source()
     from blind.scoring import write_scores
 
-    return write_scores(
-        Path(args.trials), Path(args.results), Path(args.out), args.peer and Path(args.peer)
-    )
+    return write_scores(Path(args.trials), Path(args.results), Path(args.out))
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -117,29 +108,30 @@ def main(argv: list[str] | None = None) -> int:
     making.add_argument("--limit", type=int, default=0)
     making.add_argument("--sample", action="store_true", help="only the fixed few")
     making.set_defaults(work=generate)
-    for name, work, what in (
-        ("run", run, "diagnose trials"),
-        ("peer", peer, "fit four parameters a joint with mujoco.sysid"),
-    ):
-        running = commands.add_parser(name, help=what)
-        running.add_argument("--trials", required=True, help="what `generate` wrote")
-        running.add_argument("--out", required=True, help="one JSON line for each trial")
-        running.add_argument("--workers", type=int, default=1)
-        running.add_argument("--only", nargs="*", default=[], help="names of trials or scenes")
-        running.add_argument("--limit", type=int, default=0)
-        running.add_argument("--sample", action="store_true", help="only the fixed few")
-        running.add_argument("--timeout", type=float, default=900.0, help="s, for each trial")
-        running.add_argument("--again", action="store_true", help="also those that have failed")
-        running.set_defaults(work=work)
+    running = commands.add_parser("run", help="diagnose trials, and let the peer fit them")
+    running.add_argument("--trials", required=True, help="what `generate` wrote")
+    running.add_argument("--out", required=True, help="one JSON line for each trial and tool")
+    running.add_argument("--workers", type=int, default=1)
+    running.add_argument("--tools", nargs="+", choices=TOOLS, default=list(TOOLS))
+    running.add_argument("--only", nargs="*", default=[], help="names of trials or scenes")
+    running.add_argument("--limit", type=int, default=0, help="so many trials, in their order")
+    running.add_argument("--sample", action="store_true", help="only the fixed few")
+    running.add_argument("--timeout", type=float, default=900.0, help="s, for each diagnosis")
+    running.add_argument("--peer-timeout", type=float, default=300.0, help="s, for each peer's fit")
+    running.add_argument(
+        "--time-limit", type=float, default=0.0, help="s, for all; what is cut off is left undone"
+    )
+    running.add_argument("--again", action="store_true", help="also what has failed")
+    running.set_defaults(work=run_all)
     single = commands.add_parser("one")
     single.add_argument("folder")
-    single.add_argument("--tool", default="diagnose")
+    single.add_argument("--tool", choices=TOOLS, default=TOOLS[0])
+    single.add_argument("--seconds", type=float, default=300.0)
     single.add_argument("--core", type=int)
     single.set_defaults(work=one)
     scoring = commands.add_parser("score", help="open the truth and count")
     scoring.add_argument("--trials", required=True)
     scoring.add_argument("--results", required=True)
-    scoring.add_argument("--peer", default="", help="what `peer` wrote")
     scoring.add_argument("--out", required=True)
     scoring.set_defaults(work=score)
     args = parser.parse_args(argv)

@@ -17,21 +17,10 @@ from orbisim.effects.carry import hooks_of
 from orbisim.effects.stepping import step_batch
 from orbisim.errors import CapacityError, DivergedError, InputError
 from orbisim.scene import Scene
-from orbisim.state import State
+from orbisim.state import MEMORY, State
 from orbisim.trajectory import Trajectory
 
 _PHYSICAL = ("time", "qpos", "qvel", "act")
-_MEMORY = (
-    "qacc_warmstart",
-    "history",
-    "plugin_state",
-    "qfrc_applied",
-    "xfrc_applied",
-    "eq_active",
-    "mocap_pos",
-    "mocap_quat",
-    "userdata",
-)
 _TIME = int(mujoco.mjtState.mjSTATE_TIME)
 _DIVERGED = [
     int(mujoco.mjtWarning.mjWARN_BADQPOS),
@@ -188,7 +177,7 @@ class MujocoBackend(Backend):
             threads = self._nthread or min(nworld, usable_cpus())
             self._batch = mujoco.batch.Batch(model, nworld, threads, persistent=sleeps)
             defaults = mujoco.MjData(model)
-            self._defaults = {name: np.array(getattr(defaults, name)) for name in _MEMORY}
+            self._defaults = {name: np.array(getattr(defaults, name)) for name in MEMORY}
         return self._batch
 
     def _write(self, state: State) -> mujoco.batch.Batch:
@@ -196,13 +185,13 @@ class MujocoBackend(Backend):
         batch = self._batch_of(state.nworld)
         for name in _PHYSICAL:
             batch.bind(name)[:] = getattr(state, name)
-        for name in _MEMORY:
+        for name in MEMORY:
             batch.bind(name)[:] = state.memory.get(name, self._defaults[name])
         return batch
 
     def _read(self, batch: mujoco.batch.Batch, reported: bool = True) -> State:
         memory: dict[str, Any] = {
-            name: np.array(batch.bind(name)) for name in _MEMORY if self._defaults[name].size
+            name: np.array(batch.bind(name)) for name in MEMORY if self._defaults[name].size
         }
         if reported:
             memory |= {name: np.array(batch.bind(name)) for name in self.report}

@@ -27,21 +27,12 @@ from orbisim.errors import (
     UnsupportedSceneError,
 )
 from orbisim.scene import Scene
-from orbisim.state import State
+from orbisim.state import MEMORY, State
 from orbisim.trajectory import Trajectory
 from orbisim_warp import kernels
 
 _PHYSICAL = ("qpos", "qvel", "act")
-_MEMORY = (
-    "qacc_warmstart",
-    "history",
-    "qfrc_applied",
-    "xfrc_applied",
-    "eq_active",
-    "mocap_pos",
-    "mocap_quat",
-    "userdata",
-)
+_MEMORY = tuple(name for name in MEMORY if name != "plugin_state")
 _BODY_FORCES = frozenset({"cacc", "cfrc_ext", "cfrc_int"})
 _TOO_SMALL = int(
     mjw.OverflowType.NEFC

@@ -170,15 +170,13 @@ def _one(effect: str, scene: str, target: str, **more: object) -> Wish:
 
 _SAMPLE = (
     Wish("none", "arm2", noise=5e-4, seed=101),
-    Wish("none", "servo_pendulum", velocities=False, seed=102),
     _one("coulomb_friction", "arm2", "elbow", velocities=False, seed=103),
-    _one("viscous_damping", "cart_pole", "cart", noise=5e-4, wrong="mass", seed=104),
     _one("torque_gain", "arm2", "shoulder", noise=5e-4, seed=105),
-    _one("actuator_lag", "servo_pendulum", "servo", seed=106),
-    _one("quadratic_damping", "cart_pole", "pole", seed=107),
-    _one("sliding_friction", "puck", "puck", seed=108),
-    _one("payload", "servo_pendulum", "rod", velocities=False, seed=109),
+    _one("viscous_damping", "cart_pole", "cart", noise=5e-4, wrong="mass", seed=104),
     _one("clock_skew", "cart_pole", "recording", seed=110),
+    _one("actuator_lag", "servo_pendulum", "servo", seed=106),
+    _one("payload", "servo_pendulum", "rod", velocities=False, seed=109),
+    _one("quadratic_drag", "bouncing_ball", "ball", seed=113),
     Wish(
         "pair",
         "arm2",

@@ -3,8 +3,9 @@
 # ruff: noqa: D102 (overrides are documented in the base class)
 from __future__ import annotations
 
+import abc
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
@@ -18,8 +19,14 @@ from orbisim.effects.base import index_of
 Floats = npt.NDArray[np.float64]
 
 
-class JointHook(Hook):
-    """A force at a joint that `law(position, velocity, time)` gives, each [nworld]."""
+class JointHook(Hook, abc.ABC):
+    """A force at a joint that `law(position, velocity, time)` gives, each [nworld].
+
+    Attributes:
+      repeatable: whether state and time decide about it alone: not by chance, nor by a memory.
+    """
+
+    repeatable = True
 
     def __init__(self, model: mujoco.MjModel, joint: str, values: Mapping[str, float]) -> None:
         super().__init__(values)
@@ -33,9 +40,9 @@ class JointHook(Hook):
             np.array(moment.qpos[:, self._q]), np.array(moment.qvel[:, self._dof]), moment.time
         )
 
+    @abc.abstractmethod
     def law(self, q: Floats, v: Floats, time: Floats) -> Floats:
         """The force."""
-        raise NotImplementedError
 
 
 class CubicSpring(JointHook):
@@ -47,6 +54,8 @@ class CubicSpring(JointHook):
 
 class Bristles(JointHook):
     """Hysteresis: bristles of a stiffness that slip at a level (LuGre without Stribeck)."""
+
+    repeatable = False
 
     def __init__(self, model: mujoco.MjModel, joint: str, values: Mapping[str, float]) -> None:
         super().__init__(model, joint, values)
@@ -63,6 +72,8 @@ class Bristles(JointHook):
 
 class RandomForce(JointHook):
     """An Ornstein-Uhlenbeck force of a standard deviation and a correlation time."""
+
+    repeatable = False
 
     def __init__(self, model: mujoco.MjModel, joint: str, values: Mapping[str, float]) -> None:
         super().__init__(model, joint, values)
@@ -103,8 +114,10 @@ class OneSidedCord(JointHook):
         )
 
 
-class ControlHook(Hook):
-    """A gain of one actuator's control that `law` gives."""
+class ControlHook(Hook, abc.ABC):
+    """A factor on one actuator's control that `gain` gives."""
+
+    repeatable = True
 
     def __init__(self, model: mujoco.MjModel, actuator: str, values: Mapping[str, float]) -> None:
         super().__init__(values)
@@ -117,23 +130,29 @@ class ControlHook(Hook):
     def control(self, moment: Moment) -> None:
         moment.ctrl[:, self._control] *= self.gain(moment)
 
+    @abc.abstractmethod
+    def gain(self, moment: Moment) -> Floats:
+        """The factor [nworld]."""
+
 
 class PlaceGain(ControlHook):
     """The gain of the actuator changes with its position: 1 + a sin(n q)."""
 
-    def gain(self, moment: Moment) -> Any:
+    def gain(self, moment: Moment) -> Floats:
         return 1 + self.value("depth") * np.sin(self.value("periods") * moment.qpos[:, self._q])
 
 
 class DriftingGain(ControlHook):
     """The gain falls slowly, as a motor or battery warms or empties: 1 - a (1 - exp(-t / T))."""
 
-    def gain(self, moment: Moment) -> Any:
+    def gain(self, moment: Moment) -> Floats:
         return 1 - self.value("depth") * (1 - np.exp(-moment.time / self.value("time")))
 
 
 class Gusts(Hook):
     """A random force on a free body in the horizontal plane."""
+
+    repeatable = False
 
     def __init__(self, model: mujoco.MjModel, body: str, values: Mapping[str, float]) -> None:
         super().__init__(values)
@@ -154,6 +173,8 @@ class Gusts(Hook):
 
 class Vortex(Hook):
     """A wind that turns about a vertical line: drag against a velocity that depends on place."""
+
+    repeatable = True
 
     def __init__(self, model: mujoco.MjModel, body: str, values: Mapping[str, float]) -> None:
         super().__init__(values)
@@ -183,12 +204,17 @@ class Outside:
         """What applies it."""
         return [KINDS[self.kind](model, self.target, self.values)]
 
+    @property
+    def repeatable(self) -> bool:
+        """Whether a recorded state decides about all that follows."""
+        return KINDS[self.kind].repeatable
+
     def to_json(self) -> dict[str, Any]:
         """For the truth's file."""
         return {"kind": self.kind, "target": self.target, "values": dict(self.values)}
 
 
-KINDS: Mapping[str, Callable[..., Hook]] = {
+KINDS: Mapping[str, Any] = {
     cls.__name__: cls
     for cls in (
         CubicSpring,

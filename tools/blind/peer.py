@@ -3,11 +3,13 @@
 Armature, friction loss, damping and stiffness of every hinge and slide are fitted to windows of the
 recordings, starting from the declared values with bounds up to a multiple of what the joint's
 inertia and torques suggest. Free joints have no such parameters: those scenes stay as declared.
+A fit whose time is over ends with the best values so far.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,21 +33,27 @@ KINDS = ("armature", "frictionloss", "damping", "stiffness")
 __all__ = ["fit", "sysid"]
 
 
-def fit(scene: Path, recordings: Sequence[Path], held_out: Sequence[Path]) -> dict[str, Any]:
-    """Fits, and scores the fitted scene on held-out recordings by free-running replay."""
+class _TimeUp(Exception):
+    """The time for the fit is over."""
+
+
+def fit(
+    scene: Path, recordings: Sequence[Path], held_out: Sequence[Path], seconds: float
+) -> dict[str, Any]:
+    """Fits for at most so many seconds, and scores the fitted scene on held-out recordings: free
+    runs over the windows that the diagnosis is scored on.
+    """
+    started = time.perf_counter()
     declared = load_scene(scene, trusted=True)
     seen = [Recording.load(path) for path in recordings]
     held = [Recording.load(path) for path in held_out]
     before = replay(declared, held, window=WINDOW).rms
-    parameters = _parameters(declared)
+    parameters, verdict = _parameters(declared), "nothing to fit"
     values: dict[str, float] = {}
     fitted = declared
     if parameters.size:
         sequences = _sequences(declared, seen)
-        function = residual.build_residual_fn(models_sequences=[sequences], n_threads=1)
-        found, _ = optimize.optimize(
-            parameters, function, optimizer="mujoco", verbose=False, max_iters=30
-        )
+        found, verdict = _optimum(parameters, sequences, started + seconds)
         spec = declared.spec
         for one in found.values():
             one.apply_modifier(spec)
@@ -53,10 +61,41 @@ def fit(scene: Path, recordings: Sequence[Path], held_out: Sequence[Path]) -> di
         fitted = Scene.from_spec(spec, source=declared.source)
     after = replay(fitted, held, window=WINDOW).rms
     return {
-        "verdict": "fitted" if values else "nothing to fit",
+        "verdict": verdict,
         "values": values,
         "error": {"held_out": {"before": before, "after": after}, "window_s": WINDOW},
     }
+
+
+def _optimum(
+    parameters: parameter.ParameterDict, sequences: trajectory.ModelSequences, until: float
+) -> tuple[parameter.ParameterDict, str]:
+    """The fitted parameters, and `fitted`; or the best ones when time is up, and `stopped`."""
+    best: list[Floats] = []
+    try:
+        found, _ = optimize.optimize(
+            parameters,
+            _until(residual.build_residual_fn(models_sequences=[sequences], n_threads=1), until),
+            optimizer="mujoco",
+            verbose=False,
+            max_iters=30,
+            iter_callback=lambda trace: best.append(np.ravel(trace[-1].candidate)),
+        )
+    except _TimeUp:
+        found = parameters.copy()
+        if best:
+            found.update_from_vector(best[-1])
+        return found, "stopped"
+    return found, "fitted"
+
+
+def _until(function: Callable[..., Any], until: float) -> Callable[..., Any]:
+    def timed(*args: Any, **kwargs: Any) -> Any:
+        if time.perf_counter() > until:
+            raise _TimeUp
+        return function(*args, **kwargs)
+
+    return timed
 
 
 def _parameters(scene: Scene) -> parameter.ParameterDict:

@@ -1,13 +1,17 @@
-"""Runs a tool on trials, each in a process of its own, and keeps one JSON line for each."""
+"""Runs the diagnosis and its peer on trials, each in a process of its own, and keeps one JSON line
+for each. What has a line is not run again, so that a run can be stopped and continued.
+"""
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import subprocess
 import sys
 import time
 import traceback
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from queue import Queue
@@ -15,22 +19,42 @@ from typing import Any
 
 ENTRY = Path(__file__).resolve().parent.parent / "blind_trials.py"
 
+TOOLS = ("diagnose", "peer")
+AROUND = 60.0
+"""What the peer's process may take besides the fit: to start, to read and to score, s."""
 
-def names_of(args: argparse.Namespace) -> list[str]:
-    """Names of the trials that are asked for and not yet done."""
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """A tool on a trial. seconds: for the process; of the peer, which stops itself, for the fit."""
+
+    trial: str
+    tool: str
+    seconds: float
+
+    @property
+    def limit(self) -> float:
+        """When the process is ended, s after its start."""
+        return self.seconds + AROUND if self.tool == "peer" else self.seconds
+
+
+def jobs_of(args: argparse.Namespace) -> list[Job]:
+    """What is asked for and not yet done: all tools on a trial before the next trial."""
     folder = Path(args.trials) / "trials"
     names = sorted(path.name for path in folder.iterdir() if (path / "scene.xml").exists())
     if args.sample:
         names = [name for name in names if name.startswith("s")]
     if args.only:
         names = [n for n in names if n in args.only or _scene_of(folder / n) in args.only]
-    done = {entry["trial"] for entry in read_lines(Path(args.out)) if not _again(args, entry)}
-    names = [name for name in names if name not in done]
-    return names[: args.limit] if args.limit else names
-
-
-def _again(args: argparse.Namespace, entry: dict[str, Any]) -> bool:
-    return bool(args.again and entry.get("failure"))
+    names = names[: args.limit] if args.limit else names
+    done = {
+        (entry["trial"], entry["tool"])
+        for entry in read_lines(Path(args.out))
+        if not (args.again and entry["failure"])
+    }
+    seconds = {"diagnose": args.timeout, "peer": args.peer_timeout}
+    every = [Job(name, tool, seconds[tool]) for name in names for tool in args.tools]
+    return [job for job in every if (job.trial, job.tool) not in done]
 
 
 def _scene_of(folder: Path) -> str:
@@ -39,64 +63,88 @@ def _scene_of(folder: Path) -> str:
 
 
 def read_lines(path: Path) -> list[dict[str, Any]]:
-    """Entries of a file of JSON lines; the last one of a trial counts; none if it is missing."""
-    if not path.exists():
-        return []
-    lines = [json.loads(line) for line in path.read_text().splitlines() if line.strip()]
-    return list({entry["trial"]: entry for entry in lines}.values())
+    """Entries of a file of JSON lines; the last one of a trial and tool counts; none without file.
+
+    A line that a killed run left unfinished is passed over.
+    """
+    found: dict[tuple[str, str], dict[str, Any]] = {}
+    for line in path.read_text().splitlines() if path.exists() else ():
+        try:
+            entry = json.loads(line)
+        except ValueError:
+            continue
+        found[entry["trial"], entry["tool"]] = entry
+    return list(found.values())
 
 
-def run_all(args: argparse.Namespace, tool: str) -> int:
-    """Runs a tool on all trials that are asked for; appends to the file of results."""
-    names, out = names_of(args), Path(args.out)
+def run_all(args: argparse.Namespace) -> int:
+    """Does all jobs that are asked for; appends to the file of results."""
+    jobs, out = jobs_of(args), Path(args.out)
     out.parent.mkdir(parents=True, exist_ok=True)
-    folder = Path(args.trials) / "trials"
-    failed, started = 0, time.perf_counter()
+    started, failed, done = time.perf_counter(), 0, 0
+    until = started + args.time_limit if args.time_limit else float("inf")
     cores: Queue[int] = Queue()
     for core in range(args.workers):
         cores.put(core)
     with ThreadPoolExecutor(args.workers) as pool, out.open("a") as stream:
-        waiting = [pool.submit(_in_process, folder / n, tool, args.timeout, cores) for n in names]
-        for number, done in enumerate(as_completed(waiting), 1):
-            entry = done.result()
+        stream.write("\n" if jobs else "")  # ends a line that a killed run has left unfinished
+        folder = Path(args.trials) / "trials"
+        waiting = [pool.submit(_in_process, folder, job, cores, until) for job in jobs]
+        for finished in as_completed(waiting):
+            entry = finished.result()
+            if entry is None:
+                continue
             stream.write(json.dumps(entry) + "\n")
             stream.flush()
-            failed += entry["failure"] is not None
-            what = entry["failure"] or _brief(entry)
-            spent = time.perf_counter() - started
-            print(
-                f"[{number}/{len(names)}, {spent:.0f} s] {entry['trial']} {entry['scene']} "
-                f"{entry['seconds']:.1f} s: {what}",
-                file=sys.stderr,
-                flush=True,
-            )
-    print(f"{len(names)} trials, {failed} failed, {time.perf_counter() - started:.0f} s")
+            done, failed = done + 1, failed + (entry["failure"] is not None)
+            _tell(entry, f"{done}/{len(jobs)}, {time.perf_counter() - started:.0f} s")
+    print(
+        f"{done} of {len(jobs)} done, {failed} of these failed, "
+        f"{time.perf_counter() - started:.0f} s"
+    )
     return 0
+
+
+def _tell(entry: dict[str, Any], where: str) -> None:
+    what = entry["failure"] or _brief(entry)
+    words = (entry["trial"], entry["scene"], entry["tool"], f"{entry['seconds']:.1f} s: {what}")
+    print(f"[{where}]", *words, file=sys.stderr, flush=True)
 
 
 def _brief(entry: dict[str, Any]) -> str:
     report = entry["report"]
     effects = ", ".join(f"{e['effect']}({e['target']})" for e in report.get("effects", []))
     error = report["error"]["held_out"]
-    return f"{report['verdict']} {effects} {error['before']:.3g} -> {error['after']:.3g}"
+    before, after = (float("nan") if error[n] is None else error[n] for n in ("before", "after"))
+    return f"{report['verdict']} {effects} {before:.3g} -> {after:.3g}"
 
 
-def _in_process(folder: Path, tool: str, timeout: float, cores: Queue[int]) -> dict[str, Any]:
+def _in_process(folder: Path, job: Job, cores: Queue[int], until: float) -> dict[str, Any] | None:
+    """The entry of a job; None if the time for the whole run was over first."""
     core = cores.get()
     try:
-        return _on_core(folder, tool, timeout, core)
+        return _on_core(folder / job.trial, job, core, until)
     finally:
         cores.put(core)
 
 
-def _on_core(folder: Path, tool: str, timeout: float, core: int) -> dict[str, Any]:
-    command = [sys.executable, str(ENTRY), "one", str(folder), "--tool", tool, "--core", str(core)]
-    entry = {"trial": folder.name, "scene": _scene_of(folder), "failure": None, "report": None}
+def _on_core(folder: Path, job: Job, core: int, until: float) -> dict[str, Any] | None:
+    entry = {"trial": job.trial, "tool": job.tool, "scene": _scene_of(folder),
+             "failure": None, "report": None}  # fmt: skip
     started = time.perf_counter()
+    limit = min(job.limit, until - started)
+    if limit <= 0:
+        return None
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
+        done = subprocess.run(
+            _command(folder, job, core), capture_output=True, text=True, timeout=limit, check=False
+        )
     except subprocess.TimeoutExpired:
-        entry["failure"] = f"took more than {timeout:g} s"
+        if time.perf_counter() >= until:
+            return None
+        entry["failure"] = f"took more than {limit:g} s"
+    except OSError as error:  # this machine could not start it
+        entry["failure"] = repr(error)
     else:
         try:
             answer = json.loads(done.stdout.strip().splitlines()[-1])
@@ -106,10 +154,15 @@ def _on_core(folder: Path, tool: str, timeout: float, core: int) -> dict[str, An
     return entry | {"seconds": round(time.perf_counter() - started, 2)}
 
 
-def run_one(folder: Path, tool: str) -> int:
+def _command(folder: Path, job: Job, core: int) -> Sequence[str]:
+    what = ("--tool", job.tool, "--seconds", str(job.seconds), "--core", str(core))
+    return [sys.executable, str(ENTRY), "one", str(folder), *what]
+
+
+def run_one(folder: Path, tool: str, seconds: float) -> int:
     """Runs a tool on one trial and prints a JSON object. Only this folder is read."""
     try:
-        report = _diagnosed(folder) if tool == "diagnose" else _fitted(folder)
+        report = _diagnosed(folder) if tool == "diagnose" else _fitted(folder, seconds)
         print(json.dumps({"report": report, "failure": None}))
     except Exception as error:
         lines = traceback.format_exc().splitlines()
@@ -138,7 +191,8 @@ def _diagnosed(folder: Path) -> dict[str, Any]:
     return {key: found[key] for key in KEPT if key in found}
 
 
-def _fitted(folder: Path) -> dict[str, Any]:
+def _fitted(folder: Path, seconds: float) -> dict[str, Any]:
     from blind.peer import fit
 
-    return fit(folder / "scene.xml", recordings_of(folder, "fit"), recordings_of(folder, "held"))
+    held = recordings_of(folder, "held")
+    return fit(folder / "scene.xml", recordings_of(folder, "fit"), held, seconds)

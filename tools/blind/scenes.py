@@ -17,6 +17,7 @@ class Rig:
 
     Attributes:
       name: of its folder. fit, held: number of recordings. duration: of each, s. rate: Hz.
+      brief: duration where a few short recordings must do, s.
       planar: whether nothing ever moves along y.
       bodies: bodies that forces act on and that have payloads.
       medium: bodies with drag from the air. spinning: with a Magnus force. floating: buoyant.
@@ -27,6 +28,7 @@ class Rig:
     fit: int = 3
     held: int = 2
     duration: float = 8.0
+    brief: float = 4.0
     rate: float = 100.0
     planar: bool = False
     bodies: tuple[str, ...] = ()
@@ -41,19 +43,13 @@ class Rig:
         return ASSETS / self.name / "scene.xml"
 
     def shorter(self) -> Rig:
-        """With about a quarter of the recordings."""
-        return dataclasses.replace(
-            self, fit=max(2, self.fit // 2), held=max(1, self.held // 2), duration=_shorter(self)
-        )
+        """With few and short recordings."""
+        fit, held = max(2, self.fit // 2), max(1, self.held // 2)
+        return dataclasses.replace(self, fit=fit, held=held, duration=self.brief)
 
     def scene(self) -> Scene:
         """The scene as it is declared when nothing is declared wrongly."""
         return load_scene(self.path, trusted=True)
-
-
-def _shorter(rig: Rig) -> float:
-    """Half as long; throws, which are short, stay as they are."""
-    return rig.duration / 2 if rig.duration > 2 else rig.duration
 
 
 RIGS: dict[str, Rig] = {
@@ -69,6 +65,7 @@ RIGS: dict[str, Rig] = {
             fit=8,
             held=4,
             duration=0.8,
+            brief=0.8,
             bodies=("puck",),
             medium=("puck",),
             # adhesion of a puck on a level table is the same as more sliding friction
@@ -84,6 +81,7 @@ RIGS: dict[str, Rig] = {
             fit=8,
             held=4,
             duration=1.5,
+            brief=0.6,
             rate=200.0,
             bodies=("ball",),
             medium=("ball",),

@@ -80,6 +80,9 @@ _REAL = 0.95
 leaves much more than the noise of an encoder, the published ones too; with the default of 0.35 the
 diagnosis says `unexplained` and names nothing. Held-out data still has to confirm what is found."""
 
+_HARD: dict[str, Any] = {"most_left": _REAL, "windows": 24}
+"""Settings for a real machine with motion that is dear to simulate."""
+
 _DRIVE = (
     "coulomb_friction",
     "viscous_damping",
@@ -121,11 +124,10 @@ PLANS = (
         metric=position_after(0.5),
         reference="166 mm to 44 mm with the published friction",
         fit=24,
-        settings={
+        settings=_HARD
+        | {
             "patience": 100.0,
             "most_effects": 4,
-            "most_left": _REAL,
-            "windows": 24,
             # what contacts and cameras do
             "effects": (
                 "sliding_friction",
@@ -164,12 +166,7 @@ PLANS = (
         why="balancing upright is unstable: over 1 s errors grow beyond what can be fitted",
         metric=free_run(1.0, velocities="smoothed"),
         reference="energy_shaping 0.168 to 0.065 rad, ddp 0.185 to 0.078 rad",
-        settings={
-            "patience": 70.0,
-            "most_left": _REAL,
-            "windows": 24,
-            "effects": _DRIVE,
-        },
+        settings=_HARD | {"patience": 70.0, "effects": _DRIVE},
     ),
     Plan(
         "dfki_double_pendulum_A",
@@ -189,7 +186,7 @@ PLANS = (
         why="the decay is slow; two swings show it",
         metric=free_run(5.0),
         reference="0.196 to 0.054 rad over 5 s",
-        settings={"patience": 45.0, "most_left": _REAL, "windows": 24, "effects": _BEARING},
+        settings=_HARD | {"patience": 45.0, "effects": _BEARING},
     ),
     Plan(
         "multiarm_pendulum_double",
@@ -199,7 +196,7 @@ PLANS = (
         metric=free_run(1.0),
         reference="none",
         fit=5,
-        settings={"patience": 45.0, "most_left": _REAL, "windows": 24, "effects": _BEARING},
+        settings=_HARD | {"patience": 45.0, "effects": _BEARING},
     ),
     Plan(
         "kuka_kr300",
@@ -208,11 +205,10 @@ PLANS = (
         why="the torques are the controller's answer to the motion: open loop drifts over more",
         metric=torque_residual(_kuka),
         reference="799/1191/2236/167/510/226 to 178/360/383/61/52/42 N·m",
-        settings={
+        settings=_HARD
+        | {
             "patience": 120.0,
             "most_effects": 12,
-            "most_left": _REAL,
-            "windows": 24,
             "shortlist": 3,
             # those with a native MJCF form, as the metric needs: inverse dynamics by MuJoCo
             "effects": (
@@ -235,6 +231,6 @@ PLANS = (
         why="ten samples a second: only steady states mean something",
         metric=free_run(2.0),
         reference="none published",
-        settings={"patience": 45.0, "most_left": _REAL, "windows": 24},
+        settings=_HARD | {"patience": 45.0},
     ),
 )

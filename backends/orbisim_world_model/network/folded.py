@@ -16,9 +16,10 @@ from torch.nn.functional import layer_norm
 from orbisim_world_model.network.coupling import Block, token_mask
 from orbisim_world_model.network.inputs import Inputs, Outputs
 from orbisim_world_model.network.objects import ObjectCentricNetwork
+from orbisim_world_model.network.tokens import TokenNetwork
 
 
-class FoldedNetwork(nn.Module):
+class FoldedNetwork(TokenNetwork):
     """Equation RSSM with the weights of a trained network; for inference alone.
 
     Args:
@@ -27,8 +28,8 @@ class FoldedNetwork(nn.Module):
 
     def __init__(self, network: ObjectCentricNetwork) -> None:
         super().__init__()
-        self.remembers, self.robot_token = network.remembers, bool(network.robot_token)
-        self.count = network.count
+        self.remembers = network.remembers
+        self.robot_token, self.count = network.robot_token, network.count
         self.start = nn.Parameter(network.start.detach().clone())
         encoder = network.f_enc
         self.robot = _encoder(encoder.robot, None if self.remembers else self.start[0])
@@ -42,42 +43,26 @@ class FoldedNetwork(nn.Module):
         self.skip = network.f_tra.skip
         layers = network.f_tra.layers
         self.transition = layers if self.remembers else _same_twice(layers, self.skip)
-        self.robot_condition = network.robot_condition if self.robot_token else None
-        self.object_condition = network.object_condition if network.count else None
-
-    def initial_memory(self, batch: int) -> Tensor:
-        """[B, K, width]: learned, one for robots and one for objects."""
-        robot = self.start[:1].expand(int(self.robot_token), -1)
-        tokens = torch.cat([robot, self.start[1:].expand(self.count, -1)])
-        return tokens.expand(batch, -1, -1)
+        self.robot_condition = network.robot_condition
+        self.object_condition = network.object_condition
 
     def encode(self, inputs: Inputs, memory: Tensor) -> Tensor:
         """z_t = f_enc(h_t, x_t)."""
         parts = []
         for encoder, seen, first in (
             (self.robot, inputs.robot[:, None], 0),
-            (self.objects, inputs.objects, int(self.robot_token)),
+            (self.objects, inputs.objects, self.robot_token),
         ):
             if encoder is not None:
                 h = memory[:, first : first + seen.shape[1]]
                 parts.append(encoder(torch.cat([h, seen], -1) if self.remembers else seen))
         return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
 
-    def condition(self, inputs: Inputs) -> Tensor:
-        """c [B, K, width] of AdaLN."""
-        world, parts = inputs.world, []
-        if self.robot_condition is not None:
-            parts.append(self.robot_condition(torch.cat([inputs.control, world], -1))[:, None])
-        if self.object_condition is not None:
-            spread = world[:, None].expand(-1, inputs.attributes.shape[1], -1)
-            parts.append(self.object_condition(torch.cat([inputs.attributes, spread], -1)))
-        return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
-
     def forward(self, inputs: Inputs, memory: Tensor, observe: bool = True) -> Outputs:
         """One step of equation RSSM."""
         mask = None
         if inputs.mask is not None:
-            mask = token_mask(inputs.mask, self.robot_token)
+            mask = token_mask(inputs.mask, bool(self.robot_token))
         z = self.encode(inputs, memory)
         pairs = None if self.edge is None else self.edge(inputs.edges)
         scales = self.modulation(self.condition(inputs)).chunk(4 * len(self.blocks), dim=-1)

@@ -11,10 +11,11 @@ from orbisim_world_model.network.decoder import Decoder
 from orbisim_world_model.network.encoder import Encoder
 from orbisim_world_model.network.inputs import Inputs, Outputs, Sizes
 from orbisim_world_model.network.recurrence import Recurrence
+from orbisim_world_model.network.tokens import TokenNetwork
 from orbisim_world_model.network.transition import Transition
 
 
-class ObjectCentricNetwork(nn.Module):
+class ObjectCentricNetwork(TokenNetwork):
     """Equation RSSM: one token for each entity, with its own latent z and memory h.
 
     The robot's token is conditioned on the action and the world, an object's on its own
@@ -36,26 +37,9 @@ class ObjectCentricNetwork(nn.Module):
         self.robot_condition = _condition(sizes.control + sizes.world, width)
         self.object_condition = _condition(sizes.attributes + sizes.world, width)
 
-    def initial_memory(self, batch: int) -> Tensor:
-        """[B, K, width]: learned, one for robots and one for objects."""
-        robot = self.start[:1].expand(self.robot_token, -1)
-        tokens = torch.cat([robot, self.start[1:].expand(self.count, -1)])
-        return tokens.expand(batch, -1, -1)
-
     def encode(self, inputs: Inputs, memory: Tensor) -> Tensor:
         """z_t = f_enc(h_t, x_t)."""
         return self.f_enc(memory, inputs.robot, inputs.objects)
-
-    def condition(self, inputs: Inputs) -> Tensor:
-        """c [B, K, width] of AdaLN."""
-        world = inputs.world
-        parts = []
-        if self.robot_token:
-            parts.append(self.robot_condition(torch.cat([inputs.control, world], -1))[:, None])
-        if self.count:
-            spread = world[:, None].expand(-1, inputs.attributes.shape[1], -1)
-            parts.append(self.object_condition(torch.cat([inputs.attributes, spread], -1)))
-        return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
 
     def forward(self, inputs: Inputs, memory: Tensor, observe: bool = True) -> Outputs:
         """One step of equation RSSM."""
