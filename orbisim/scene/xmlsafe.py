@@ -122,6 +122,8 @@ def _as_utf8(data: bytes | str, source: str, limits: XmlLimits) -> bytes:
     if data[:2] in _UTF16_MARKS:
         return data
     data = data.removeprefix(_UTF8_MARK).lstrip()  # a declaration after blanks is let pass
+    if data.strip(b"\0"):
+        data = data.rstrip(b"\0")  # so is the end of a C string
     zero = data.find(b"\0")
     if zero >= 0:
         raise SceneError(

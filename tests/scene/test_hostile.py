@@ -79,6 +79,7 @@ FILES: Mapping[str, tuple[str, bytes, str]] = {
     "latin-1 urdf": ("s.urdf", "<robot name='é'/>".encode("latin-1"), "0xe9 is not UTF-8"),
     "utf-16 urdf": ("s.urdf", "<robot name='r'/>".encode("utf-16"), "XML|no <link>"),
     "NUL in urdf": ("s.urdf", b"<robot name='r'>\0</robot>", "NUL"),
+    "NUL alone in urdf": ("s.urdf", b"\0\0", "NUL"),
     "html": ("s.urdf", b"<html><body>404</body></html>", "starts with <robot>; got <html>"),
     "urdf as xml": ("s.xml", b"<robot name='r'/>", "holds URDF .*rename it"),
     "mjcf as urdf": ("s.urdf", b"<mujoco/>", "got <mujoco>; rename it to end in .xml"),

@@ -255,6 +255,12 @@ def test_missing_yourdfpy_is_reported_as_such(
         load_scene(file)
 
 
+def test_a_file_that_ends_like_a_c_string_loads(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_bytes(two_links().encode() + b"\r\n\0")
+    assert load_scene(path).model.njnt == 1
+
+
 def test_a_robot_without_a_name_is_called_robot() -> None:
     assert read(two_links().replace(" name='r'", "", 1)).name == "robot"
 
