@@ -106,7 +106,7 @@ def make_bench(
     intervals = linearize(IntervalMap(scene, samples, kept))
     windows = _without_lost(windows, intervals)
     if not len(windows):
-        raise InputError("the recordings are too short, or too full of gaps, for a single window")
+        raise InputError(_TOO_SHORT)
     if contacts:
         noise = _lower(estimate_noise(samples, intervals, windows), samples)
         windows = _without_lost(
@@ -117,6 +117,12 @@ def make_bench(
     return Bench(
         scene, tuple(samples), tuple(kept), intervals, windows, ~held, held, noise, contacts
     )
+
+
+_TOO_SHORT = (
+    "no stretch of the recordings is as long as a window; record longer, without gaps, or choose "
+    "a shorter window"
+)
 
 
 def touches(scene: Scene, samples: Sequence[Samples]) -> bool:
@@ -158,8 +164,9 @@ def _cut(
     if budget is not None and len(windows) * windows.length > budget:
         keep = np.zeros(len(windows), bool)
         count = max(3, budget // (2 * windows.length))
-        pairs = np.unique(np.linspace(0, len(windows) - 2, count).round().astype(int))
-        keep[pairs] = keep[pairs + 1] = True
+        last = len(windows) - 1
+        pairs = np.unique(np.linspace(0, max(last - 1, 0), count).round().astype(int))
+        keep[pairs] = keep[np.minimum(pairs + 1, last)] = True
         windows = windows.some(keep)
         inside = np.zeros(len(row), bool)
         for first in windows.first:
@@ -206,6 +213,8 @@ def _predictable(
         places = places[places >= start]
         first += list(places)
         run += [number] * len(places)
+    if not first:
+        raise InputError(_TOO_SHORT)
     every = Windows(np.array(first), length, intervals.recording[first])
     shooter = Shooter(scene, samples, intervals, every, noise)
     every = dataclasses.replace(every, horizon=_horizons(shooter, noise))
