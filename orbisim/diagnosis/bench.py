@@ -276,19 +276,22 @@ def _horizons(shooter: Shooter, noise: Noise) -> Ints:
     rng = np.random.default_rng(0)
     variant, still = Variant(shooter.declared), np.zeros((len(shooter), 2 * nv))
     base = shooter.simulate(variant, still)
-    square = np.zeros(shooter.shape)
+    growth, bend = np.zeros(shooter.shape), np.zeros(shooter.shape)
     for _ in range(_PROBES):
-        start = size * rng.standard_normal(still.shape)
-        change = (shooter.simulate(variant, start) - base) / size
-        square += np.nan_to_num(change, nan=np.inf) ** 2 / _PROBES
-    lost = square > _GROWTH**2
+        start = _KNOWN * size * rng.standard_normal(still.shape)
+        one, other = ((shooter.simulate(variant, s) - base) / size for s in (start, -start))
+        growth += np.nan_to_num(one - other, nan=np.inf) ** 2 / (4 * _PROBES)
+        bend += np.nan_to_num(one + other, nan=np.inf) ** 2 / (4 * _PROBES)
+    lost = (growth > _GROWTH**2) | (bend > _BEND**2)
     horizon = np.where(lost.any(axis=1), lost.argmax(axis=1) - 1, shooter.windows.length)
     return np.where(measured, np.maximum(horizon, _SURE), 0)
 
 
-_PROBES = 4
+_PROBES = 3
 _GROWTH = 60.0
-_SURE = 4
+_BEND = 1.0
+_KNOWN = 0.5
+_SURE = 1
 
 
 def _without_lost(windows: Windows, intervals: Intervals) -> Windows:
