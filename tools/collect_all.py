@@ -23,6 +23,11 @@ from orbisim.tasks.domains import SUITE_TASKS
 TRAIN, TEST = 0, 1
 """Seeds."""
 
+SUBSTEPS = {"finger": 2, "hopper": 4, "walker": 5}
+"""Parts of a control step that the model takes one at a time, where contacts come and go within."""
+EPISODES = {"acrobot": 4000, "finger": 4000, "cheetah": 6000, "hopper": 4000, "walker": 4000}
+"""Training episodes of the suite where a thousand are too few."""
+
 
 @dataclasses.dataclass(frozen=True)
 class DataSet:
@@ -59,8 +64,10 @@ def data_sets() -> list[DataSet]:
     ]
     for name in SUITE_TASKS:
         short, task = name.partition("-")[0], f"suite:{name}"
-        sets.append(DataSet(f"suite_{short}_train", task, 1000))
-        sets.append(DataSet(f"suite_{short}_test", task, 40, TEST, changes={"steps": 1000}))
+        fine = {"substeps": SUBSTEPS.get(short, 1)}
+        sets.append(DataSet(f"suite_{short}_train", task, EPISODES.get(short, 1000), changes=fine))
+        long = {**fine, "steps": 1000}
+        sets.append(DataSet(f"suite_{short}_test", task, 40, TEST, changes=long))
     return sets
 
 
