@@ -61,7 +61,7 @@ class SuiteTask(Task):
         "smooth": 300,
         "rhythm": 150,
         "reach": 150,
-        "feedback": 200,
+        "feedback": 400,
     }
     default_subtask = "smooth"
     config: SuiteConfig = SuiteConfig()
