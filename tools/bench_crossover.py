@@ -41,6 +41,8 @@ def main() -> int:
     options = _parser().parse_args()
     warnings.simplefilter("ignore")
     found: dict[str, Any] = {"device": bench_learned._device_name(options.device), "rows": []}
+    if options.after:
+        found["rows"] += json.loads(options.after.read_text())["rows"]
     for name in options.only.split(","):
         for row in RUNS[name](options):
             print(json.dumps(row), flush=True)
@@ -194,6 +196,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--most", type=int, default=200_000, help="worlds times control steps")
     parser.add_argument("--repeats", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=2.0, help="of each learned measurement")
+    parser.add_argument("--after", type=Path, help="--json of what ran just before, to go with it")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--plot", type=Path)
     return parser

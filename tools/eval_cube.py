@@ -116,6 +116,7 @@ def main() -> int:
     parser.add_argument("--compiled", action="store_true", help="training steps, by torch")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--model", action="append", default=[], help="learned:PATH or hybrid:PATH")
+    parser.add_argument("--diagnosed", type=Path, help="scene.xml that `orbisim diagnose` wrote")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
@@ -286,14 +287,17 @@ def measure(options: Any) -> dict[str, Any]:
     rows |= {"mujoco, published friction": ("mujoco", PUBLISHED), "mujoco, tuned": ("mujoco", best)}
     rows |= {model: (model, best) for model in options.model}
     errors = {label: _errors(pack, *row) for label, row in rows.items()}
+    if options.diagnosed:
+        errors["mujoco, after diagnosis"] = _errors(pack, "mujoco", options.diagnosed)
     return {"tosses": pack.episodes, "tuned": best._asdict(), "errors": errors}
 
 
-def _errors(pack: Any, name: str, contact: Contact) -> dict[str, float]:
+def _errors(pack: Any, name: str, contact: Contact | Path) -> dict[str, float]:
     from orbisim import load_scene, make_backend
     from orbisim.state import State
 
-    backend = make_backend(name, load_scene(scene(contact)))
+    where = str(contact) if isinstance(contact, Path) else scene(contact)
+    backend = make_backend(name, load_scene(where))
     nstep = max(1, round(STEP / backend.timestep))
     longest = int(pack.length.max())
     start = pack.start.numpy()

@@ -77,8 +77,8 @@ class Trainer:
         self.device = torch.device(packs[0].device)
         on_gpu = self.device.type == "cuda"
         self.graph = graph and on_gpu
-        if on_gpu and config.train.precision != "fp32":
-            torch.backends.cuda.matmul.allow_tf32 = True
+        if on_gpu:
+            torch.backends.cuda.matmul.allow_tf32 = config.train.precision != "fp32"
         precision = _PRECISION.get(config.train.precision) if on_gpu else None
         models = models or new_models(packs, config, seed)
         for model in models:
