@@ -111,6 +111,7 @@ def main() -> int:
     parser.add_argument("--limit", type=float, default=300.0, help="seconds of training")
     parser.add_argument("--count", type=int, help="train on so many tosses alone")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--contact", help="friction,seconds that MuJoCo is tuned to; no search")
     parser.add_argument("--symmetric", action="store_true", help="see every toss in 48 ways")
     parser.add_argument("--copies", type=int, default=0, help="of each state, with noise (hybrid)")
     parser.add_argument("--compiled", action="store_true", help="training steps, by torch")
@@ -147,7 +148,9 @@ def packed(options: Any, tosses: list[str], contact: Contact, baseline: str = "n
 
 
 def tuned(options: Any, tosses: list[str]) -> Contact:
-    """The contact of the grid with the least mean position error."""
+    """The contact of the grid with the least mean position error, or the one that is given."""
+    if options.contact:
+        return Contact(*map(float, options.contact.split(",")))
     pack = packed(options, tosses[:GRID_TOSSES], PUBLISHED)
     return min(GRID, key=lambda contact: _errors(pack, "mujoco", contact)["position_mm"])
 
@@ -199,7 +202,7 @@ def symmetric(pack: Any) -> Any:
             if base.shape[1]:
                 base = torch.cat(relabelled(base[:, :7], base[:, 7:], rotation, mirrored), 1)
             seen.append(dataclasses.replace(pack, qpos=qpos, qvel=qvel, base=base))
-    return joined(seen)
+    return dataclasses.replace(joined(seen), notes=pack.notes, group=pack.group.repeat(len(seen)))
 
 
 def relabelled(qpos: Any, qvel: Any, rotation: Any, mirrored: bool) -> tuple[Any, Any]:

@@ -59,8 +59,8 @@ def _tree(model: mujoco.MjModel, scalar: list[int]) -> tuple[list[int], list[Any
     bases: list[Any] = []
     places: dict[int, tuple[int, Floats]] = {0: (-1, np.eye(4))}
     for body in range(1, model.nbody):
-        last, fixed = places[int(model.body_parentid[body])]
-        fixed = fixed @ transform(model.body_pos[body], model.body_quat[body])
+        last, outer = places[int(model.body_parentid[body])]
+        fixed: Any = outer @ transform(model.body_pos[body], model.body_quat[body])
         first = int(model.body_jntadr[body])
         for joint in range(first, first + int(model.body_jntnum[body])):
             hinge = int(model.jnt_type[joint]) == _HINGE

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -163,11 +164,13 @@ class Trainer:
         """Has the losses compiled for this stage; goes on without where that fails."""
         if self._each is moment_loss:
             return
+        began = time.monotonic()
         try:
             self._forward_backward()
         except Exception as error:  # compilers fail in many ways; the losses themselves do not
             self._each = moment_loss
             warnings.warn(f"training not compiled, it is slower: {cause(error)}", stacklevel=2)
+        self.clock.skip(time.monotonic() - began)
 
     def _load(self, stage: Stage) -> None:
         """Fills the buffers with the batch and the random numbers of this step."""
