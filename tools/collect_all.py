@@ -18,10 +18,13 @@ from typing import Any
 
 from orbisim.cli.common import quiet_engine
 from orbisim.tasks.collect import collect
-from orbisim.tasks.domains import SUITE_TASKS
+from orbisim.tasks.domains import SUBSTEPS, SUITE_TASKS
 
 TRAIN, TEST = 0, 1
 """Seeds."""
+
+MANY = {"acrobot": 2000, "finger": 1200, "cheetah": 2000, "hopper": 1000, "walker": 1000}
+"""Training episodes of the suite where a thousand of 250 control steps are too few; of 500 each."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,8 +62,11 @@ def data_sets() -> list[DataSet]:
     ]
     for name in SUITE_TASKS:
         short, task = name.partition("-")[0], f"suite:{name}"
-        sets.append(DataSet(f"suite_{short}_train", task, 1000))
-        sets.append(DataSet(f"suite_{short}_test", task, 40, TEST, changes={"steps": 1000}))
+        fine = {"substeps": SUBSTEPS.get(short, 1)}
+        train = {**fine, "steps": 500} if short in MANY else fine
+        sets.append(DataSet(f"suite_{short}_train", task, MANY.get(short, 1000), changes=train))
+        long = {**fine, "steps": 1000}
+        sets.append(DataSet(f"suite_{short}_test", task, 40, TEST, changes=long))
     return sets
 
 

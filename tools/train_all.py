@@ -25,7 +25,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "backends")]
 
-from orbisim.tasks.domains import SUITE_DOMAINS  # noqa: E402  (needs the path above)
+from orbisim.tasks.domains import SUBSTEPS, SUITE_DOMAINS  # noqa: E402  (needs the path above)
 
 LARGEST = 15 * 1024 * 1024
 SHIPPED = ("model.safetensors", "manifest.json", "card.md", "metrics.jsonl", "curves.png")
@@ -66,21 +66,35 @@ _EXACT = (
     ("train.noise", 0.0),
 )
 """For a motion whose bounces are resolved within the control step: noise would blur them."""
-_LEGS = (
-    ("train.precision", "tf32"),
-    ("train.stages", "0.3x1x8192,0.4x8x2048ar,0.3x24x2048arf"),
-    ("model.width", 192),
+_TOUCH = (
+    ("model.touch", True),
     ("model.layers", 3),
+    ("loss.alignment", 0.0),
+    ("loss.consistency", 0.0),
     ("train.noise", 0.003),
 )
-"""For legs that hit the ground: less noise, wider, more of the time autoregressive.
-
-On an H200 a control step of 256 sequences took 1.2 ms of training and one of 1,024 took 1.6 (it is
-thousands of small kernels), so batches are large; 50 steps of 256 gave 300 updates in 19 s.
-"""
+_LEGS = (
+    *_TOUCH,
+    ("model.width", 192),
+    ("train.precision", "tf32"),
+    ("train.stages", "0.4x1x2048,0.3x8x2048ar,0.3x25x2048arf"),
+)
+"""For legs that hit the ground: contact features, wider, less noise. One batch size for all stages,
+so that torch compiles the losses once."""
+_SMOOTH = (
+    *_TOUCH,
+    ("train.precision", "fp32"),
+    ("train.stages", "0.4x1x2048,0.3x8x2048ar,0.3x32x2048arf"),
+)
+"""For motion that is smooth most of the time, where precision decides."""
 _CUBES = (("train.stages", "0.35x1x8192,0.4x8x2048ar,0.25x24x1024arf"),)
 """Larger batches than usual: they are halved between the two robots."""
-_WITH_LEGS = ("cheetah", "hopper", "walker")
+_SUITE_SETTINGS = {
+    "acrobot": _SMOOTH,
+    "finger": _SMOOTH,
+    **dict.fromkeys(("cheetah", "hopper", "walker"), _LEGS),
+}
+_SUITE_WEIGHTS = {"acrobot": 3.0, "finger": 3.0, "cheetah": 5.0, "hopper": 3.0, "walker": 6.0}
 BASELINES = ("paper", "global", "dreamer")
 ABLATIONS = (
     "recurrent",
@@ -101,9 +115,9 @@ JOBS: dict[str, Job] = {
     **{
         name: Job(
             (f"suite_{name}",),
-            settings=_LEGS if name in _WITH_LEGS else _SMALL,
-            weight=6.0 if name in _WITH_LEGS else 2.0,
-            horizons=(10, 50, 100, 1000),
+            settings=_SUITE_SETTINGS.get(name, _SMALL),
+            weight=_SUITE_WEIGHTS.get(name, 2.0),
+            horizons=tuple(n * SUBSTEPS.get(name, 1) for n in (10, 50, 100, 1000)),
             burn=0,
         )
         for name in SUITE_DOMAINS
@@ -175,6 +189,7 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
         save_every=45.0,
         resume=options.resume,
         start=options.work / job.start if job.start else None,
+        compiled=options.compiled,
         horizons=job.horizons,
         burn=job.burn,
     )
@@ -279,6 +294,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--overhead", type=float, default=6.0, help="seconds a job for evaluation")
     parser.add_argument("--log-every", type=int, default=500)
     parser.add_argument("--resume", action="store_true")
+    parser.add_argument("--compiled", action="store_true", help="training steps, by torch")
     return parser
 
 

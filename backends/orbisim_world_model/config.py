@@ -29,6 +29,8 @@ class ModelConfig:
       skip: the transition also sees e_t directly, not only through the memory.
       baseline: `mujoco` for a correction of MuJoCo's own step (the backend `hybrid`).
       contact: see the heights of the corners of boxes over the ground, on a logarithmic scale.
+      touch: see where the robot's capsules are, how they move, how far they are from the floor and
+        from each other, and how far joints are from their limits.
     """
 
     kind: Kind = "objects"
@@ -44,6 +46,7 @@ class ModelConfig:
     relative: bool = True
     skip: bool = True
     contact: bool = True
+    touch: bool = False
     baseline: Literal["none", "mujoco"] = "none"
 
 

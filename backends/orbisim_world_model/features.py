@@ -13,7 +13,9 @@ from torch import Tensor, nn
 from orbisim_world_model.config import ModelConfig
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.layout import Layout
+from orbisim_world_model.normalization import fine
 from orbisim_world_model.rotation import product, rotate_back, to_matrix
+from orbisim_world_model.touch import Touch
 
 _LINEAR, _ANGULAR, _HEIGHT, _NEAR = 0.02, 0.2, 0.005, 0.05
 """Scales below which velocities (m/s, rad/s), heights and distances (m) are seen finely."""
@@ -40,6 +42,7 @@ class Features(nn.Module):
         self._index("sizes", [layout.attributes.index(s) for s in sizes] if self.boxes else [])
         self._index("servos", servos)
         self._index("served", [layout.servo[u] for u in servos])
+        self.touch = Touch(layout) if config.touch and layout.limbs.joints else None
         self.register_buffer("corners", torch.tensor(_CORNERS).T.contiguous(), persistent=False)
 
     def robot(self, x: Entities) -> Tensor:
@@ -48,6 +51,8 @@ class Features(nn.Module):
             return x.hand[:, :15]  # position, rotation matrix, linear velocity
         angles = x.q.index_select(1, self.turning)
         parts = [x.q.index_select(1, self.plain), angles.sin(), angles.cos(), x.v, x.act, x.hand]
+        if self.touch is not None:
+            parts.append(self.touch(x.q, x.v))
         return torch.cat(parts, dim=-1)
 
     def objects(self, x: Entities, context: Context) -> Tensor:
@@ -125,8 +130,3 @@ def servo_controls(layout: Layout, config: ModelConfig) -> list[int]:
     if not (config.relative and config.extended and config.control == "ctrl"):
         return []
     return [u for u, joint in enumerate(layout.servo) if joint >= 0]
-
-
-def fine(values: Tensor, scale: float) -> Tensor:
-    """Linear below the scale, logarithmic above it."""
-    return torch.asinh(values / scale)

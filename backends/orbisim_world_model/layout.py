@@ -16,6 +16,33 @@ from orbisim_world_model.rotation import normalized, rotate, rotate_back, to_mat
 
 
 @dataclasses.dataclass(frozen=True)
+class Limbs:
+    """The moving parts of a robot whose joints are all hinges and slides.
+
+    J joints, C capsules (a sphere is one without length).
+
+    Attributes:
+      parents: [J] the joint before each joint, or -1. bases: [J, 4, 4, 4] as `Layout.chain`, from
+        the parent joint's frame.
+      joints: [C] the joint that moves each capsule. ends: [C, 2, 3] the ends of its axis in that
+        joint's frame, m. radii: [C], m.
+      grounded: capsules that can touch the floor. height: of the floor, m.
+      pairs: pairs of capsules that can touch each other.
+      limits: [J, 2] range of each joint, rad or m; both 0 where it has none.
+    """
+
+    parents: tuple[int, ...] = ()
+    bases: tuple[Any, ...] = ()
+    joints: tuple[int, ...] = ()
+    ends: tuple[Any, ...] = ()
+    radii: tuple[float, ...] = ()
+    grounded: tuple[int, ...] = ()
+    height: float = 0.0
+    pairs: tuple[tuple[int, int], ...] = ()
+    limits: tuple[tuple[float, float], ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
 class Layout:
     """Where the entities stand in (qpos, qvel, act, ctrl).
 
@@ -36,6 +63,7 @@ class Layout:
       ground: height of the plane on which objects come to rest, m.
       invariant: whether moving and turning everything in the horizontal plane changes nothing.
       timestep: the control step, s.
+      limbs: the robot's moving parts and what they can touch.
     """
 
     nq: int
@@ -62,6 +90,7 @@ class Layout:
     servo: tuple[int, ...] = ()
     ground: float = 0.0
     invariant: bool = False
+    limbs: Limbs = Limbs()
 
     @property
     def has_robot(self) -> bool:
@@ -80,7 +109,9 @@ class Layout:
     @staticmethod
     def from_dict(values: Mapping[str, Any]) -> Layout:
         """From JSON."""
-        return Layout(**{name: _tuples(value) for name, value in values.items()})
+        fields = {name: _tuples(value) for name, value in values.items() if name != "limbs"}
+        limbs = {name: _tuples(value) for name, value in values.get("limbs", {}).items()}
+        return Layout(**fields, limbs=Limbs(**limbs))
 
     # -- states --------------------------------------------------------------------------------
 

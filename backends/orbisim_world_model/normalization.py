@@ -48,3 +48,8 @@ class Normalizer(nn.Module):
     def undo(self, values: Tensor) -> Tensor:
         """Back to SI units."""
         return values * self.std + self.mean
+
+
+def fine(values: Tensor, scale: float) -> Tensor:
+    """Linear below the scale, logarithmic above it."""
+    return torch.asinh(values / scale)

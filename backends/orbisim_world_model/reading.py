@@ -10,7 +10,9 @@ import numpy.typing as npt
 
 from orbisim.errors import UnsupportedSceneError
 from orbisim.tasks import descriptors
+from orbisim_world_model.frames import axis_frame, motion, nested, transform
 from orbisim_world_model.layout import Layout
+from orbisim_world_model.reading_limbs import read_limbs
 
 Floats = npt.NDArray[np.float64]
 
@@ -78,6 +80,7 @@ def read_layout(
         servo=tuple(_servo(model, u, scalar) for u in range(model.nu)),
         ground=_ground(model, surface),
         invariant=level and not scalar,
+        limbs=read_limbs(model, scalar),
     )
 
 
@@ -128,50 +131,19 @@ def _chain(model: mujoco.MjModel, hand: str, scalar: list[int]) -> tuple[tuple, 
     bases: list[list[Floats]] = []
     members: list[int] = []
     for body in reversed(path):
-        fixed = fixed @ _transform(model.body_pos[body], model.body_quat[body])
+        fixed = fixed @ transform(model.body_pos[body], model.body_quat[body])
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         for joint in range(first, first + count):
-            frame = _axis_frame(model.jnt_axis[joint], model.jnt_pos[joint])
+            frame = axis_frame(model.jnt_axis[joint], model.jnt_pos[joint])
             hinge = int(model.jnt_type[joint]) == _SCALAR[1]
             if not hinge:
                 frame[:3, 3] = 0.0
             reference = float(model.qpos0[model.jnt_qposadr[joint]])
-            bases.append([fixed @ frame @ term for term in _motion(hinge, reference)])
+            bases.append([fixed @ frame @ term for term in motion(hinge, reference)])
             members.append(scalar.index(joint))
             fixed = np.linalg.inv(frame)
-    tip = fixed @ _transform(model.site_pos[site], model.site_quat[site])
-    return _nested(np.array(bases)), tuple(members), _nested(tip)
-
-
-def _motion(hinge: bool, reference: float) -> list[Floats]:
-    """Coefficients of 1, sin q, cos q and q in the motion about (along) z by q - reference."""
-    still, sine, cosine, linear = np.zeros((4, 4, 4))
-    if not hinge:
-        still = np.eye(4)
-        still[2, 3], linear[2, 3] = -reference, 1.0
-        return [still, sine, cosine, linear]
-    still[2, 2] = still[3, 3] = 1.0
-    turn, cross = np.diag([1.0, 1, 0, 0]), np.zeros((4, 4))
-    cross[1, 0], cross[0, 1] = 1.0, -1.0
-    c, s = np.cos(reference), np.sin(reference)
-    return [still, s * turn + c * cross, c * turn - s * cross, linear]
-
-
-def _axis_frame(axis: Floats, anchor: Floats) -> Floats:
-    quat, frame = np.zeros(4), np.eye(4)
-    mujoco.mju_quatZ2Vec(quat, np.ascontiguousarray(axis))
-    return _transform(anchor, quat) @ frame
-
-
-def _transform(pos: Floats, quat: Floats) -> Floats:
-    matrix, flat = np.eye(4), np.zeros(9)
-    mujoco.mju_quat2Mat(flat, np.ascontiguousarray(quat))
-    matrix[:3, :3], matrix[:3, 3] = flat.reshape(3, 3), pos
-    return matrix
-
-
-def _nested(array: Floats) -> tuple:  # type: ignore[type-arg]
-    return tuple(_nested(a) if a.ndim else float(a) for a in array)
+    tip = fixed @ transform(model.site_pos[site], model.site_quat[site])
+    return nested(np.array(bases)), tuple(members), nested(tip)
 
 
 def _servo(model: mujoco.MjModel, control: int, scalar: list[int]) -> int:

@@ -40,6 +40,7 @@ class Run:
       resume: go on with what stands in `out`.
       start: checkpoint whose weights are fine-tuned.
       graph: run a training step as one CUDA graph.
+      compiled: have torch compile what a training step computes (see `Trainer`).
       horizons, burn: of the evaluation.
     """
 
@@ -54,6 +55,7 @@ class Run:
     resume: bool = False
     start: Path | None = None
     graph: bool = True
+    compiled: bool = False
     horizons: tuple[int, ...] = HORIZONS
     burn: int = BURN
 
@@ -83,7 +85,15 @@ def train(
     kept, spare = _kept_and_held(_listed(packs), _listed(held), run, device)
     clock = Clock(run.steps, run.limit)
     models = [load_for(run.start, p.layout).model for p in kept] if run.start else None
-    trainer = Trainer(kept, config, clock, seed=run.seed, models=models, graph=run.graph)
+    trainer = Trainer(
+        kept,
+        config,
+        clock,
+        seed=run.seed,
+        models=models,
+        graph=run.graph,
+        compiled=run.compiled,
+    )
     _resume(trainer, run)
     leads = parallel.rank() == 0
     if leads:

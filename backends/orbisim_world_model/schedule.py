@@ -32,6 +32,12 @@ class Clock:
         """Seconds spent on the training, earlier runs included."""
         return self.spent + time.monotonic() - self._since
 
+    def skip(self, seconds: float) -> None:
+        """Takes seconds that were no training off the budget, so that the schedule has the rest."""
+        self._since += seconds
+        if self.limit is not None:
+            self.limit = max(self.limit - seconds, 1.0)
+
     @property
     def progress(self) -> float:
         """0 at the start, 1 at the end."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import time
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,6 +12,7 @@ import torch
 from torch import Tensor
 
 from orbisim_world_model import parallel
+from orbisim_world_model.compiling import CompiledMoment
 from orbisim_world_model.config import Config, Stage
 from orbisim_world_model.dynamics import Dynamics, Transitions, fit_together
 from orbisim_world_model.graphs import Graphed
@@ -18,7 +21,15 @@ from orbisim_world_model.optimizer import FlatAdamW
 from orbisim_world_model.pack import Pack
 from orbisim_world_model.sampling import Batch, Windows, generator_of
 from orbisim_world_model.schedule import Clock, learning_rate, stage_at
-from orbisim_world_model.unroll import Draws, autoregressive_ratio, dynamics_loss, noise_size
+from orbisim_world_model.stepper import cause
+from orbisim_world_model.unroll import (
+    Draws,
+    Objective,
+    autoregressive_ratio,
+    dynamics_loss,
+    moment_loss,
+    noise_size,
+)
 
 _PRECISION = {"bf16": torch.bfloat16}
 
@@ -48,6 +59,7 @@ class Trainer:
       seed: of initial weights, batches and noise.
       models: to go on from, with their scales; new ones if None.
       graph: whether to run a step as a CUDA graph, where there is a GPU.
+      compiled: whether torch compiles the losses, once for each batch size; half a minute or more.
     """
 
     def __init__(
@@ -59,14 +71,15 @@ class Trainer:
         seed: int = 0,
         models: Sequence[Dynamics] | None = None,
         graph: bool = True,
+        compiled: bool = False,
     ) -> None:
         packs = [packs] if isinstance(packs, Pack) else list(packs)
         self.config, self.clock, self.seed = config, clock, seed
         self.device = torch.device(packs[0].device)
         on_gpu = self.device.type == "cuda"
         self.graph = graph and on_gpu
-        if on_gpu and config.train.precision != "fp32":
-            torch.backends.cuda.matmul.allow_tf32 = True
+        if on_gpu:
+            torch.backends.cuda.matmul.allow_tf32 = config.train.precision != "fp32"
         precision = _PRECISION.get(config.train.precision) if on_gpu else None
         models = models or new_models(packs, config, seed)
         for model in models:
@@ -80,6 +93,7 @@ class Trainer:
         everything = torch.nn.ModuleList(models)
         self.optimizer = FlatAdamW(everything, config.train.decay, config.train.clip)
         self.ratio = torch.zeros((), device=self.device)
+        self._each: Any = CompiledMoment() if compiled else moment_loss
         self._stage: int | None = None
         self._losses: list[Tensor] = []
 
@@ -125,6 +139,7 @@ class Trainer:
             part.windows = Windows(part.pack, stage.length, self.config.model)
         self._buffers: list[tuple[Batch, Draws]] | None = None
         self._load(stage)
+        self._compile()
         if parallel.size() > 1:
             forward = Graphed(self._forward_backward, lambda: None, self.graph)
 
@@ -144,6 +159,18 @@ class Trainer:
             return losses
 
         self._run = Graphed(whole, lambda: self.optimizer.restore(saved), self.graph)
+
+    def _compile(self) -> None:
+        """Has the losses compiled for this stage; goes on without where that fails."""
+        if self._each is moment_loss:
+            return
+        began = time.monotonic()
+        try:
+            self._forward_backward()
+        except Exception as error:  # compilers fail in many ways; the losses themselves do not
+            self._each = moment_loss
+            warnings.warn(f"training not compiled, it is slower: {cause(error)}", stacklevel=2)
+        self.clock.skip(time.monotonic() - began)
 
     def _load(self, stage: Stage) -> None:
         """Fills the buffers with the batch and the random numbers of this step."""
@@ -175,15 +202,9 @@ class Trainer:
         config, stage = self.config, self.config.train.stages[self._stage]
         losses = []
         for part, (batch, draws) in zip(self.parts, self._buffers, strict=True):
+            objective = Objective(part.model, part.scales, config.loss, config.train.noise)
             total, state = dynamics_loss(
-                part.model,
-                batch,
-                draws,
-                self.ratio,
-                part.scales,
-                config.loss,
-                config.train.noise,
-                stage.warm,
+                objective, batch, draws, self.ratio, stage.warm, self._each
             )
             (total / len(self.parts)).backward()
             losses.append(torch.stack([total.detach(), state.detach()]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -10,7 +11,7 @@ from torch import Tensor
 
 from orbisim_world_model.config import LossConfig, Stage
 from orbisim_world_model.dynamics import Dynamics
-from orbisim_world_model.entities import Entities, choose
+from orbisim_world_model.entities import Context, Entities, choose
 from orbisim_world_model.losses import (
     Scales,
     encoding_loss,
@@ -49,54 +50,112 @@ def autoregressive_ratio(stage: Stage, progress: float) -> float:
     return 0.5 * (1.0 - math.cos(math.pi * min(max(progress, 0.0), 1.0)))
 
 
+class Moment(NamedTuple):
+    """One step of a rollout.
+
+    Attributes:
+      truth, target: the true states before and after it.
+      predicted: the prediction for `truth`, or None at the start.
+      memory, control, base: as `Dynamics.forward` takes them.
+      noise, chance: of this step (see `Draws`).
+      ratio: [] share of ground truth that is replaced by `predicted`.
+    """
+
+    truth: Entities
+    target: Entities
+    predicted: Entities | None
+    memory: Tensor
+    control: Tensor
+    base: Entities | None
+    noise: Tensor
+    chance: Tensor
+    ratio: Tensor
+
+
+class MomentLoss(NamedTuple):
+    """What a step predicts, its loss [], and the part of it that is L_dec."""
+
+    state: Entities
+    memory: Tensor
+    loss: Tensor
+    reconstruction: Tensor
+
+
+class Objective(NamedTuple):
+    """What does not change from step to step.
+
+    Attributes:
+      model: to be trained.
+      scales: units of errors and noise.
+      config: weights of the losses.
+      noise: standard deviation on inputs, in these units.
+    """
+
+    model: Dynamics
+    scales: Scales
+    config: LossConfig
+    noise: float
+
+
+def moment_loss(objective: Objective, moment: Moment, context: Context) -> MomentLoss:
+    """The losses of one step."""
+    model, scales, config, noise = objective
+    layout, x = model.layout, moment.truth
+    if noise:
+        x = model.completed(perturbed(x, moment.noise * noise, scales))
+    if moment.predicted is not None:
+        x = choose(moment.chance < moment.ratio, moment.predicted, x)
+    step = model(x, moment.memory, moment.control, context, base=moment.base)
+    mask, target = context.mask, moment.target
+    assert mask is not None
+    if config.scaled:
+        state = scaled_state_loss(step.state, target, mask, layout, scales, config.beta).mean()
+    else:
+        state = state_loss(step.state, target, mask, layout).mean()
+    total = state + step.penalty
+    if (config.alignment or config.consistency) and model.config.kind != "dreamer":
+        objects = model.config.kind == "objects"
+        tokens = token_mask(mask, layout.has_robot) if objects else None
+        z = model.encode(target, step.memory, moment.control, context)
+        total = total + config.alignment * transition_loss(step.latent, z, tokens)
+        total = total + config.consistency * encoding_loss(step.latent, z, tokens)
+    return MomentLoss(step.state, step.memory, total, state)
+
+
 def dynamics_loss(
-    model: Dynamics,
+    objective: Objective,
     batch: Batch,
     draws: Draws,
     ratio: Tensor,
-    scales: Scales,
-    config: LossConfig,
-    noise: float,
     warm: int,
+    each: Callable[[Objective, Moment, Context], MomentLoss] = moment_loss,
 ) -> tuple[Tensor, Tensor]:
     """Equation L_dyn, mean over steps and sequences, and the part of it that is L_dec.
 
     Args:
       ratio: [] share of ground truth replaced (see `autoregressive_ratio`).
-      scales: units of errors and noise.
-      noise: standard deviation on inputs, in these units.
       warm: how many steps see ground truth in any case.
+      each: `moment_loss`, or the same compiled.
     """
     length, size = batch.control.shape[:2]
-    context, layout = batch.context, model.layout
-    memory = model.initial_memory(size)
-    tokens = None
-    if context.mask is not None and model.config.kind == "objects":
-        tokens = token_mask(context.mask, layout.has_robot)
+    memory = objective.model.initial_memory(size)
     total = reconstruction = batch.control.new_zeros(())
     predicted: Entities | None = None
     for t in range(length):
-        x = batch.states.at(t)
-        if noise:
-            x = model.completed(perturbed(x, draws.noise[t] * noise, scales))
-        if predicted is not None and t >= warm:
-            x = choose(draws.chance[t] < ratio, predicted, x)
-        base = None if batch.base is None else batch.base.at(t)
-        step = model(x, memory, batch.control[t], context, base=base)
-        memory, predicted = step.memory, step.state
-        target = batch.states.at(t + 1)
-        if config.scaled:
-            loss = scaled_state_loss(
-                predicted, target, context.mask, layout, scales, config.beta
-            ).mean()
-        else:
-            loss = state_loss(predicted, target, context.mask, layout).mean()
-        reconstruction = reconstruction + loss
-        total = total + loss + step.penalty
-        if (config.alignment or config.consistency) and model.config.kind != "dreamer":
-            z = model.encode(target, memory, batch.control[t], context)
-            total = total + config.alignment * transition_loss(step.latent, z, tokens)
-            total = total + config.consistency * encoding_loss(step.latent, z, tokens)
+        moment = Moment(
+            batch.states.at(t),
+            batch.states.at(t + 1),
+            predicted if t >= warm else None,
+            memory,
+            batch.control[t],
+            None if batch.base is None else batch.base.at(t),
+            draws.noise[t],
+            draws.chance[t],
+            ratio,
+        )
+        found = each(objective, moment, batch.context)
+        memory, predicted = found.memory, found.state
+        total, reconstruction = total + found.loss, reconstruction + found.reconstruction
     return total / length, reconstruction / length
 
 

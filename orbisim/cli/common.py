@@ -96,24 +96,19 @@ def _cell(value: object) -> str:
 @contextlib.contextmanager
 def quiet_engine() -> Iterator[None]:
     """Sends MuJoCo's and dm_control's warnings to standard error once each, and to no log file."""
-    import mujoco
+    from orbisim.engine_log import engine_warnings
 
     seen: set[str] = set()
 
-    def once(message: Any) -> None:
-        text = message.decode(errors="replace") if isinstance(message, bytes) else str(message)
+    def once(text: str) -> None:
         kind = text.split(" Time =")[0]
         if kind not in seen:
             seen.add(kind)
-            note(f"warning: {' '.join(text.split())}")
+            note(f"warning: {text}")
 
     logging.getLogger("absl").setLevel(logging.ERROR)
-    previous = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(once)
-    try:
+    with engine_warnings(once):
         yield
-    finally:
-        mujoco.set_mju_user_warning(previous)
 
 
 def engine_command(function: F) -> F:

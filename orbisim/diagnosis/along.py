@@ -22,9 +22,9 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 
-def along(bench: Bench, judged: Judged) -> tuple[Bench, Ints]:
+def along(bench: Bench, judged: Judged) -> tuple[Bench, Ints] | None:
     """The fitted windows of a hypothesis, each as a recording whose reference is the hypothesis'
-    own free run; and the numbers that the intervals had."""
+    own free run; and the numbers that the intervals had. None if all runs diverge at once."""
     hypothesis, windows = judged.hypothesis, judged.windows
     shooter = Shooter(bench.scene, bench.samples, bench.intervals, windows, bench.noise)
     start = judged.fit.start
@@ -46,7 +46,9 @@ def along(bench: Bench, judged: Judged) -> tuple[Bench, Ints]:
         )
         rows.append(np.arange(first, first + length))
         numbers.append(windows.first[w] + np.arange(length))
-    kept = [w for w in range(len(windows)) if len(rows[w]) >= 4]
+    kept = [w for w in range(len(windows)) if len(rows[w]) >= _SHORTEST]
+    if not kept:
+        return None
     longest = max(len(rows[w]) for w in kept)
     flow = IntervalMap(
         bench.scene,
@@ -71,6 +73,10 @@ def along(bench: Bench, judged: Judged) -> tuple[Bench, Ints]:
         check=everything,
     )
     return local, np.concatenate([numbers[w] for w in kept])
+
+
+_SHORTEST = 4
+"""Intervals of a free run that can be screened."""
 
 
 def _moved(one: Samples, shooter: Shooter, first: int, qpos: Floats, qvel: Floats) -> Samples:

@@ -122,10 +122,11 @@ class _Search:
             return alone
         both = self._paired(nothing, single, first)
         if both is not None:
-            both = self._renewed(self._prune(both))
-            if self._done(both):
-                return both
-            single = both
+            single = self._renewed(self._prune(both))
+            if self._done(single):
+                return single
+        elif single is not None:
+            single = self._renewed(single)
         start = single
         if single is not None and self.tunables:
             start = self._tuned(single.hypothesis) or single
@@ -206,9 +207,12 @@ class _Search:
 
     def _screen(self, judged: Judged) -> Screening:
         only, hypothesis = self.settings.effects, judged.hypothesis
-        if not self.bench.contacts or is_structural(hypothesis):
+        fitted = None
+        if self.bench.contacts and not is_structural(hypothesis):
+            fitted = along(self.bench, judged)
+        if fitted is None:
             return screen(self.bench, hypothesis, self.intervals, only, self.columns)
-        bench, numbers = along(self.bench, judged)
+        bench, numbers = fitted
         columns = None if self.columns is None else factor_columns(bench, self.tunables)
         force = missing_force(self.intervals)[numbers]
         return screen(bench, hypothesis, bench.intervals, only, columns, force)

@@ -106,7 +106,7 @@ def make_bench(
     intervals = linearize(IntervalMap(scene, samples, kept))
     windows = _without_lost(windows, intervals)
     if not len(windows):
-        raise InputError("the recordings are too short, or too full of gaps, for a single window")
+        raise InputError(_TOO_SHORT)
     if contacts:
         noise = _lower(estimate_noise(samples, intervals, windows), samples)
         windows = _without_lost(
@@ -117,6 +117,12 @@ def make_bench(
     return Bench(
         scene, tuple(samples), tuple(kept), intervals, windows, ~held, held, noise, contacts
     )
+
+
+_TOO_SHORT = (
+    "no stretch of the recordings is as long as a window; record longer, without gaps, or choose "
+    "a shorter window"
+)
 
 
 def touches(scene: Scene, samples: Sequence[Samples]) -> bool:
@@ -158,8 +164,9 @@ def _cut(
     if budget is not None and len(windows) * windows.length > budget:
         keep = np.zeros(len(windows), bool)
         count = max(3, budget // (2 * windows.length))
-        pairs = np.unique(np.linspace(0, len(windows) - 2, count).round().astype(int))
-        keep[pairs] = keep[pairs + 1] = True
+        last = len(windows) - 1
+        pairs = np.unique(np.linspace(0, max(last - 1, 0), count).round().astype(int))
+        keep[pairs] = keep[np.minimum(pairs + 1, last)] = True
         windows = windows.some(keep)
         inside = np.zeros(len(row), bool)
         for first in windows.first:
@@ -206,6 +213,8 @@ def _predictable(
         places = places[places >= start]
         first += list(places)
         run += [number] * len(places)
+    if not first:
+        raise InputError(_TOO_SHORT)
     every = Windows(np.array(first), length, intervals.recording[first])
     shooter = Shooter(scene, samples, intervals, every, noise)
     every = dataclasses.replace(every, horizon=_horizons(shooter, noise))
@@ -267,19 +276,22 @@ def _horizons(shooter: Shooter, noise: Noise) -> Ints:
     rng = np.random.default_rng(0)
     variant, still = Variant(shooter.declared), np.zeros((len(shooter), 2 * nv))
     base = shooter.simulate(variant, still)
-    square = np.zeros(shooter.shape)
+    growth, bend = np.zeros(shooter.shape), np.zeros(shooter.shape)
     for _ in range(_PROBES):
-        start = size * rng.standard_normal(still.shape)
-        change = (shooter.simulate(variant, start) - base) / size
-        square += np.nan_to_num(change, nan=np.inf) ** 2 / _PROBES
-    lost = square > _GROWTH**2
+        start = _KNOWN * size * rng.standard_normal(still.shape)
+        one, other = ((shooter.simulate(variant, s) - base) / size for s in (start, -start))
+        growth += np.nan_to_num(one - other, nan=np.inf) ** 2 / (4 * _PROBES)
+        bend += np.nan_to_num(one + other, nan=np.inf) ** 2 / (4 * _PROBES)
+    lost = (growth > _GROWTH**2) | (bend > _BEND**2)
     horizon = np.where(lost.any(axis=1), lost.argmax(axis=1) - 1, shooter.windows.length)
     return np.where(measured, np.maximum(horizon, _SURE), 0)
 
 
-_PROBES = 4
+_PROBES = 3
 _GROWTH = 60.0
-_SURE = 4
+_BEND = 1.0
+_KNOWN = 0.5
+_SURE = 1
 
 
 def _without_lost(windows: Windows, intervals: Intervals) -> Windows:

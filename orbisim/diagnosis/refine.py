@@ -86,7 +86,7 @@ class Judge:
         try:
             fitted, fit = self._fitted(hypothesis, iterations)
             checked = self.score(fitted, self.check)
-        except (OrbiSimError, ValueError):  # also LinAlgError, and what MuJoCo will not compile
+        except (OrbiSimError, np.linalg.LinAlgError):
             return None
         means = _means(self.check, checked)
         fit_means = _means(self.fitted, fit)
@@ -101,15 +101,17 @@ class Judge:
         )
 
     def _typical(self, shooter: Shooter, means: Floats, trimmed: bool = True) -> float:
-        """Mean over windows, where impacts make starts uncertain without the worst of them."""
-        most = round(_TRIMMED * len(means))
-        if not self.bench.contacts or not most:
+        """Mean over windows; with contacts, without the worst few.
+
+        Args:
+          trimmed: whether any window may be left out, or only those that impacts cut short.
+        """
+        if not self.bench.contacts:
             return float(means.mean())
-        if not trimmed:
-            fragile = shooter.windows.fragile()
-            most = min(most, int(fragile.sum()))
-            means = np.where(fragile, means, -means)
-        return float(np.abs(np.sort(means)[: len(means) - most]).mean())
+        may_go = np.ones(len(means), bool) if trimmed else shooter.windows.fragile()
+        worst_first = np.flatnonzero(may_go)[np.argsort(-means[may_go])]
+        kept = np.delete(means, worst_first[: round(_TRIMMED * len(means))])
+        return float(kept.mean())
 
     def start_from(self, judged: Judged) -> None:
         """Takes a hypothesis' window starts, and what they do, as first guesses for others."""

@@ -31,6 +31,7 @@ from orbisim.diagnosis.split import bounded, split
 from orbisim.diagnosis.suspicious import refuse
 from orbisim.diagnosis.thinning import thinned
 from orbisim.effects import add_effects, find
+from orbisim.engine_log import engine_warnings, ignore
 from orbisim.errors import InputError
 from orbisim.progress import status
 from orbisim.recording import Recording
@@ -80,7 +81,10 @@ def diagnose(
         notes += refuse(one, loaded)
     fit, held = _sets(given, kept)
     settings = settings or Settings()
-    with status("diagnosing") if progress else contextlib.nullcontext(_nothing) as say:
+    with (
+        engine_warnings(ignore),  # about suspects that make the scene unstable: they just lose
+        status("diagnosing") if progress else contextlib.nullcontext(_nothing) as say,
+    ):
         say("reading the recordings")
         samples = prepare_all(bounded(thinned(fit, window, notes), notes), loaded)
         bench = make_bench(loaded, samples, window)

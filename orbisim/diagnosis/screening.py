@@ -45,7 +45,6 @@ class Screening:
 
     Attributes:
       suspects: best first, one for each effect, target and options.
-      ratio: residual over noise without any of them.
       pairs: of effects, best first.
       shares: [nv] share of the residual that a missing force at each degree of freedom explains.
       force: [N, nv] missing generalized force over every sampling interval.
@@ -54,7 +53,6 @@ class Screening:
     """
 
     suspects: tuple[Suspect, ...]
-    ratio: float
     shares: Floats
     force: Floats
     intervals: Intervals
@@ -94,7 +92,6 @@ def screen(
     tuned = profiled(normal, index, np.full(len(index), 1 / SPREAD**2))
     return Screening(
         suspects=tuple(_rank(found, normal, bench)),
-        ratio=float(np.sqrt(normal.square / max(normal.count, 1))),
         shares=_shares(normal, first, len(columns) - first),
         force=view.missing_force,
         intervals=intervals,

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
+from orbisim.engine_log import engine_warnings
 from orbisim.errors import InputError, SceneError
 from orbisim.scene.descriptor import SceneDescriptor, describe
 from orbisim.scene.guard import COMPILING
@@ -216,20 +217,13 @@ def _collect_warnings() -> Iterator[list[str]]:
     """Collects MuJoCo's warnings, which otherwise go to standard error and a log file."""
     collected: list[str] = []
 
-    def keep(message: Any) -> None:
-        text = message.decode(errors="replace") if isinstance(message, bytes) else str(message)
-        collected.append(" ".join(text.split()))
-
     with COMPILING, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        previous = mujoco.get_mju_user_warning()
-        mujoco.set_mju_user_warning(keep)
         try:
-            yield collected
+            with engine_warnings(collected.append):
+                yield collected
         finally:
-            mujoco.set_mju_user_warning(previous)
-            for warning in caught:
-                keep(warning.message)
+            collected += [" ".join(str(warning.message).split()) for warning in caught]
 
 
 _FULL_DIGITS = 17

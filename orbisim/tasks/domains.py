@@ -17,3 +17,6 @@ SUITE_TASKS = (
 
 SUITE_DOMAINS = {name.partition("-")[0]: name.partition("-")[2] for name in SUITE_TASKS}
 """The task of each domain."""
+
+SUBSTEPS = {"finger": 2, "hopper": 4, "walker": 5}
+"""Parts of a control step that the model takes one at a time, where contacts come and go within."""

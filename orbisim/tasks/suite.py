@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.episodes import Episodes
+from orbisim.errors import InputError
 from orbisim.scene import Scene
 from orbisim.tasks.base import Scripted, Task
 from orbisim.tasks.episode import Episode, Rollout, check_stable, clock
@@ -33,11 +34,14 @@ class SuiteConfig:
       spread: share of the episodes that start from anywhere in the range of the joints, instead of
         where the task starts.
       noise: largest size of the noise on feedback policies, as a share of the control range.
+      substeps: states that are kept of each control step; the control is held over all of them, and
+        a control step of the data is the task's divided by it.
     """
 
     steps: int = 250
     spread: float = 0.6
     noise: float = 0.4
+    substeps: int = 1
 
 
 class SuiteTask(Task):
@@ -57,7 +61,7 @@ class SuiteTask(Task):
         "smooth": 300,
         "rhythm": 150,
         "reach": 150,
-        "feedback": 200,
+        "feedback": 400,
     }
     default_subtask = "smooth"
     config: SuiteConfig = SuiteConfig()
@@ -67,9 +71,11 @@ class SuiteTask(Task):
 
         super().__init__(**changes)
         self.domain, self.task = suite.split_name(task)
-        model, self.control_timestep = _nominal(self.domain, self.task)
+        model, self._held = _nominal(self.domain, self.task)
         self._controlled = model.nu > 0
-        self.horizon = self.config.steps * self.control_timestep
+        self.control_timestep = self._held / self.config.substeps
+        self.horizon = self.config.steps * self._held
+        _check_substeps(self.label, self.control_timestep / model.opt.timestep)
 
     @property
     def subtasks(self) -> Mapping[str, int]:
@@ -120,7 +126,7 @@ class SuiteTask(Task):
 
     def policy(self, subtask: str, model: mujoco.MjModel, rng: np.random.Generator) -> Policy:
         """The policy of a subtask; randomised by `rng`."""
-        step = self.control_timestep
+        step = self._held
         if subtask == "feedback":
             size = rng.uniform(0, self.config.noise) * float(rng.random() < 0.7)
             return noisy(feedback(self.domain, model, step), model, rng, size)
@@ -134,24 +140,45 @@ class SuiteTask(Task):
         if rng.random() < self.config.spread:
             spread_out(model, data, rng)
         policy = self.policy(subtask, model, rng)
-        return simulate(model, data, policy, self.config.steps, self.control_timestep)
+        steps, substeps = self.config.steps, self.config.substeps
+        return simulate(model, data, policy, steps, self._held, substeps)
+
+
+def _check_substeps(label: str, ratio: float) -> None:
+    if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
+        raise InputError(
+            f"{label}: a control step in so many parts has {ratio:g} timesteps in each; expected a "
+            "whole number"
+        )
 
 
 def simulate(
-    model: mujoco.MjModel, data: mujoco.MjData, policy: Policy, steps: int, control_timestep: float
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    policy: Policy,
+    steps: int,
+    control_timestep: float,
+    substeps: int = 1,
 ) -> Rollout:
-    """Runs a policy from the state in `data`; its clock restarts at 0."""
+    """Runs a policy from the state in `data`; its clock restarts at 0.
+
+    Args:
+      steps: controls that the policy gives, each held for `control_timestep` seconds.
+      substeps: states that are kept of each.
+    """
     data.time = 0.0
-    substeps = round(control_timestep / model.opt.timestep)
+    timesteps = round(control_timestep / substeps / model.opt.timestep)
     states = [(data.qpos.copy(), data.qvel.copy(), data.act.copy())]
     ctrl = np.empty((steps, model.nu))
     for t in range(steps):
         ctrl[t] = data.ctrl[:] = policy(data)
-        mujoco.mj_step(model, data, substeps)
-        states.append((data.qpos.copy(), data.qvel.copy(), data.act.copy()))
+        for _ in range(substeps):
+            mujoco.mj_step(model, data, timesteps)
+            states.append((data.qpos.copy(), data.qvel.copy(), data.act.copy()))
     check_stable(data)
     qpos, qvel, act = (np.array(part) for part in zip(*states, strict=True))
-    time = clock(steps, control_timestep)
+    time = clock(steps * substeps, control_timestep / substeps)
+    ctrl = np.repeat(ctrl, substeps, axis=0)
     return Rollout(time, qpos, qvel, act, ctrl, ctrl)
 
 

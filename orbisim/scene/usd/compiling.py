@@ -6,6 +6,7 @@ import warnings
 
 import mujoco
 
+from orbisim.engine_log import engine_warnings, ignore
 from orbisim.scene.guard import COMPILING
 from orbisim.scene.mjcf import as_scene_error
 
@@ -18,15 +19,8 @@ def compiled(spec: mujoco.MjSpec, source: str) -> mujoco.MjModel:
     """
     with COMPILING, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # `Scene` collects them when the scene is whole
-        previous = mujoco.get_mju_user_warning()
-        mujoco.set_mju_user_warning(_ignore)
         try:
-            return spec.copy().compile()
+            with engine_warnings(ignore):
+                return spec.copy().compile()
         except (ValueError, mujoco.FatalError) as error:
             raise as_scene_error(error, source) from None
-        finally:
-            mujoco.set_mju_user_warning(previous)
-
-
-def _ignore(message: object) -> None:
-    """Takes a warning and says nothing."""
