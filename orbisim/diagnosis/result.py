@@ -14,6 +14,7 @@ from orbisim.scene import Scene
 
 if TYPE_CHECKING:
     from orbisim.diagnosis.attribution import Attribution
+    from orbisim.diagnosis.rest import Rest
     from orbisim.recording import Recording
 
 SCHEMA = "orbisim.diagnosis/1"
@@ -84,6 +85,7 @@ class Diagnosis:
       augmented_scene: the scene with the effects.
       notes: what was ignored, assumed or looks wrong.
       attribution: the search behind it.
+      rest: a learned force for what is left, if it was asked for; it is no effect.
     """
 
     scene: Scene
@@ -101,6 +103,7 @@ class Diagnosis:
     augmented_scene: Scene
     notes: tuple[str, ...]
     attribution: Attribution
+    rest: Rest | None = None
 
     @property
     def sentence(self) -> str:
@@ -128,6 +131,7 @@ class Diagnosis:
             "alternatives": [dataclasses.asdict(one) for one in self.alternatives],
             "error": dict(self.error),
             "augmented_scene": "augmented/scene.xml",
+            "rest": None if self.rest is None else self.rest.to_json(),
             "notes": list(self.notes),
         }
         return {key: _strict(value) for key, value in plain.items()}
@@ -139,10 +143,13 @@ class Diagnosis:
         return write_report(self, Path(path))
 
     def save(self, folder: str | Path) -> Path:
-        """Writes `report.json`, `report.html` and `augmented/scene.xml` with its files."""
+        """Writes `report.json`, `report.html` and `augmented/scene.xml` with its files; and, where
+        a residual force was learned, `augmented_with_rest/scene.xml`."""
         out = Path(folder)
         out.mkdir(parents=True, exist_ok=True)
         self.augmented_scene.save(out / "augmented")
+        if self.rest is not None and self.rest.scene is not None:
+            self.rest.scene.save(out / "augmented_with_rest")
         text = json.dumps(self.to_json(), indent=1, allow_nan=False)
         (out / "report.json").write_text(text + "\n", encoding="utf-8")
         self.report(out / "report.html")

@@ -23,6 +23,7 @@ from orbisim.diagnosis.findings import (
     verdict_of,
 )
 from orbisim.diagnosis.refine import Judge
+from orbisim.diagnosis.rest import learn_rest as learn
 from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.scoring import score
@@ -50,6 +51,7 @@ def diagnose(
     window: float = 0.5,
     backend: str | Backend = "mujoco",
     settings: Settings | None = None,
+    learn_rest: bool = False,
     out: str | Path | None = None,
     progress: bool = True,
 ) -> Diagnosis:
@@ -62,6 +64,8 @@ def diagnose(
       window: duration of the windows of free-running simulation, s.
       backend: what the free-running errors are computed with; the search simulates with C MuJoCo.
       settings: of the search.
+      learn_rest: where no effect explains the residual, or not all of it, whether to fit a neural
+        residual force to what is left. It is never counted as an effect (`Diagnosis.rest`).
       out: folder for report.json, report.html and augmented/scene.xml.
       progress: whether to show what is going on on standard error.
 
@@ -69,6 +73,7 @@ def diagnose(
       RecordingError: a recording cannot be read, does not fit the scene, or is clearly wrong.
       SceneError: the scene cannot be read or edited.
       InputError: the recordings are too short, or an option is out of range.
+      MissingDependencyError: `learn_rest` without torch.
     """
     if not window > 0:
         raise InputError(f"window is a duration in s, greater than 0; got {window}")
@@ -94,6 +99,12 @@ def diagnose(
         say("checking on held-out data")
         found = _confirmed(found, bounded(thinned(held, window, notes), notes), window)
         result = _result(loaded, named, found, settings, fit, held, window, backend, notes)
+        if learn_rest:
+            rest = learn(
+                found, result.verdict, result.augmented_scene, fit, held, window, backend,
+                seed=settings.seed, say=say,
+            )  # fmt: skip
+            result = dataclasses.replace(result, rest=rest)
         if out is not None:
             say("writing the report")
             result.save(out)
