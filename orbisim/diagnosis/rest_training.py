@@ -23,10 +23,11 @@ from orbisim.recording.joints import Joint, Kind, joints
 Floats = npt.NDArray[np.float64]
 
 _HIDDEN = (32, 32)
-_STEPS = 1500
-_PATIENCE = 200
-_RATE = 5e-3
-_DECAY = 1e-4
+_ADAM = 200
+_LBFGS = 60
+_PATIENCE = 12
+_RATE = 1e-2
+_DECAY = 1e-5
 _MARGIN = 0.05
 _ROUND = 4.0
 
@@ -95,7 +96,8 @@ def train(
 ) -> Trained:
     """Trains one network for each joint, all together, by the windows' responses to their forces.
 
-    Adam on the mean squared weighted residual of `fit`; the networks with the least on `check` are
+    Adam, then L-BFGS on the mean squared weighted residual of `fit`; the networks with the least on
+    `check` are
     taken, and the training ends when that has not fallen for a while.
 
     Args:
@@ -116,25 +118,54 @@ def train(
     ]
     sets = [_Set(torch, one, read, parts, robust) for one in (fit, check)]
     weights = [p for net in nets for layer in net for p in layer]
-    optimizer = torch.optim.AdamW(weights, lr=_RATE, weight_decay=_DECAY)
-    before = float(sets[1].loss(None))
-    best, least, since = copy.deepcopy(nets), before, 0
-    for step in range(_STEPS):
-        for group in optimizer.param_groups:
-            group["lr"] = _RATE * 0.5 * (1 + math.cos(math.pi * step / _STEPS))
+    keeper = _Keeper(sets[1], nets)
+    before = keeper.least
+    _descend(torch, sets[0], nets, weights, keeper)
+    networks = [
+        _filled(one, net, part) for one, net, part in zip(blank, keeper.best, parts, strict=True)
+    ]
+    return Trained(tuple(networks), before, keeper.least)
+
+
+class _Keeper:
+    """The networks with the least residual on windows that they are not trained on."""
+
+    def __init__(self, check: _Set, nets: Any) -> None:
+        self._check, self._nets, self._since = check, nets, 0
+        self.best, self.least = copy.deepcopy(nets), float(check.loss(None))
+
+    def enough(self) -> bool:
+        """Looks at the networks; whether nothing has been gained for a while."""
+        now = float(self._check.loss(self._nets).detach())
+        self._since = 0 if now < 0.999 * self.least else self._since + 1
+        if now < self.least:
+            self.best, self.least = copy.deepcopy(self._nets), now
+        return self._since > _PATIENCE
+
+
+def _descend(torch: Any, fit: _Set, nets: Any, weights: list[Any], keeper: _Keeper) -> None:
+    """Adam, which finds the way, then L-BFGS, which goes it to the end."""
+
+    def loss() -> Any:
         optimizer.zero_grad()
-        sets[0].loss(nets).backward()
-        optimizer.step()
-        with torch.no_grad():
-            now = float(sets[1].loss(nets))
-        since += 1
-        if now < least:
-            best, since = copy.deepcopy(nets), 0 if now < 0.999 * least else since
-            least = now
-        if since > _PATIENCE:
-            break
-    networks = [_filled(one, net, part) for one, net, part in zip(blank, best, parts, strict=True)]
-    return Trained(tuple(networks), before, least)
+        size = sum((p**2).sum() for net in nets for layer in net for p in layer[:1])
+        value = fit.loss(nets) / scale + _DECAY * size
+        value.backward()
+        return value
+
+    scale = max(float(fit.loss(None)), 1e-300)
+    optimizer = torch.optim.Adam(weights, lr=_RATE)
+    for step in range(_ADAM):
+        optimizer.step(loss)
+        if step % 10 == 9 and keeper.enough():
+            return
+    optimizer = torch.optim.LBFGS(
+        weights, max_iter=10, history_size=30, line_search_fn="strong_wolfe"
+    )
+    for _ in range(_LBFGS):
+        optimizer.step(loss)
+        if keeper.enough():
+            return
 
 
 def _torch() -> Any:
