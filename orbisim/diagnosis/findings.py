@@ -13,7 +13,7 @@ from orbisim.diagnosis.attribution import Attribution, enough
 from orbisim.diagnosis.bench import Bench
 from orbisim.diagnosis.confidence import confidence
 from orbisim.diagnosis.confounds import advice, standing
-from orbisim.diagnosis.result import Alternative, Estimate, FoundEffect, Retuned, Verdict
+from orbisim.diagnosis.result import Alternative, Candidate, Estimate, FoundEffect, Retuned, Verdict
 from orbisim.diagnosis.scoring import Score, score
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import find
@@ -188,20 +188,40 @@ def alternatives_of(found: Attribution) -> tuple[Alternative, ...]:
         if key in taken or key in best:
             continue
         tips = [t for e in chosen if (t := advice(e.effect, key[0])) is not None]
-        close = rival.delta_bic < 20
-        text = (
-            "this data hardly tells it apart from what was found"
-            if close
-            else f"leaves {rival.ratio:.3g} times the noise in round {rival.round}"
-        )
+        text = f"leaves {rival.ratio:.3g} times the noise in round {rival.round}"
+        if chosen and rival.delta_bic < 20:
+            text = "this data hardly tells it apart from what was found"
+        elif rival.reason:
+            text += f"; {rival.reason}"
         if tips:
             text += f"; to tell them apart, {tips[0]}"
         best[key] = Alternative(*key, rival.delta_bic, text)
     result = list(best.values())[:8]
-    for effect, problem in found.rejected:
-        result.append(Alternative(effect.effect, effect.target, None, f"not believed: {problem}"))
+    doubted = {(e.effect, e.target): problem for e, problem in found.rejected}
+    for key, problem in doubted.items():
+        if key not in taken:
+            result = [a for a in result if (a.effect, a.target) != key]
+            result.append(Alternative(*key, None, f"not believed: {problem}"))
     for e in chosen:
         for other, text in standing(e.effect)[:2]:
             if not any(a.effect == other for a in result) and other not in {t[0] for t in taken}:
                 result.append(Alternative(other, "", None, f"known to look alike; {text}"))
+    return tuple(result)
+
+
+def candidates_of(found: Attribution) -> tuple[Candidate, ...]:
+    """Everything that was tried, best of each round first, with why it was not taken."""
+    chosen = {(e.effect, e.target) for e in found.after.hypothesis.effects}
+    doubted = {(e.effect, e.target): problem for e, problem in found.rejected}
+    result = []
+    for rival in sorted(found.rivals, key=lambda r: (r.round, r.delta_bic)):
+        key = (rival.instance.effect, rival.instance.target)
+        reason = "" if key in chosen else rival.reason or doubted.get(key, "dropped later")
+        result.append(Candidate(*key, rival.round, rival.ratio, rival.delta_bic, reason))
+    seen = {(c.effect, c.target) for c in result} | chosen
+    result += [
+        Candidate(*key, None, None, None, problem)
+        for key, problem in doubted.items()
+        if key not in seen
+    ]
     return tuple(result)

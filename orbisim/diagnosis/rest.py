@@ -138,9 +138,10 @@ def learn_rest(
 def _stretched(found: Attribution) -> tuple[Bench, Intervals]:
     """The data along the hypothesis; with contacts, along its own free runs."""
     bench, hypothesis = found.bench, found.after.hypothesis
-    if not bench.contacts:
+    runs = along(bench, found.after) if bench.contacts else None
+    if runs is None:
         return bench, linearize(bench.flow(hypothesis))
-    local, _ = along(bench, found.after)
+    local, _ = runs
     check = np.arange(len(local.windows)) % 3 == 1
     return dataclasses.replace(local, fit=~check, check=check), local.intervals
 

@@ -62,6 +62,26 @@ class Alternative:
 
 
 @dataclasses.dataclass(frozen=True)
+class Candidate:
+    """An effect that was tried.
+
+    Attributes:
+      effect, target: as in the catalogue.
+      round: of the search; None if it could not be judged.
+      ratio: residual over noise that it leaves.
+      delta_bic: how much worse than the best of its round.
+      reason: why it was not taken; empty if it was.
+    """
+
+    effect: str
+    target: str
+    round: int | None
+    ratio: float | None
+    delta_bic: float | None
+    reason: str
+
+
+@dataclasses.dataclass(frozen=True)
 class Retuned:
     """A declared parameter that is off. factor: true over declared. ci95: of the factor."""
 
@@ -85,6 +105,7 @@ class Diagnosis:
       augmented_scene: the scene with the effects.
       notes: what was ignored, assumed or looks wrong.
       attribution: the search behind it.
+      candidates: what was tried, each with the reason why it was not taken.
       rest: a learned force for what is left, if it was asked for; it is no effect.
     """
 
@@ -104,6 +125,7 @@ class Diagnosis:
     notes: tuple[str, ...]
     attribution: Attribution
     rest: Rest | None = None
+    candidates: tuple[Candidate, ...] = ()
 
     @property
     def sentence(self) -> str:
@@ -129,6 +151,7 @@ class Diagnosis:
             "effects": [dataclasses.asdict(effect) for effect in self.effects],
             "retuned": [dataclasses.asdict(one) for one in self.retuned],
             "alternatives": [dataclasses.asdict(one) for one in self.alternatives],
+            "candidates": [dataclasses.asdict(one) for one in self.candidates],
             "error": dict(self.error),
             "augmented_scene": "augmented/scene.xml",
             "rest": None if self.rest is None else self.rest.to_json(),

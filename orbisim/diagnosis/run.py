@@ -15,6 +15,7 @@ from orbisim.diagnosis.attribution import Attribution, attribute
 from orbisim.diagnosis.bench import Hypothesis, make_bench
 from orbisim.diagnosis.findings import (
     alternatives_of,
+    candidates_of,
     effects_of,
     errors_of,
     noise_of,
@@ -193,6 +194,7 @@ def _result(
         verdict=verdict_of(found, settings),
         effects=effects_of(scene, found, held, window, backend, settings.seed),
         alternatives=alternatives_of(found),
+        candidates=candidates_of(found),
         retuned=retuned_of(scene, found),
         error=errors_of(before, after, found.bench, window),
         augmented_scene=augmented,
