@@ -15,6 +15,7 @@ from orbisim.diagnosis.confidence import confidence
 from orbisim.diagnosis.confounds import advice, standing
 from orbisim.diagnosis.result import Alternative, Candidate, Estimate, FoundEffect, Retuned, Verdict
 from orbisim.diagnosis.scoring import Score, score
+from orbisim.diagnosis.sensing import Sensed
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import find
 from orbisim.recording import Recording
@@ -62,6 +63,34 @@ def residual_of(found: Attribution, settings: Settings) -> dict[str, Any]:
         "ratio_after": found.after.ratio,
         "where": sorted(where, key=lambda w: -w["share"]),
     }
+
+
+def with_sensors(residual: dict[str, Any], sensed: Sensed) -> dict[str, Any]:
+    """The residual of the motion together with that of the sensors' readings."""
+    if not sensed.findings:
+        return residual
+    listed = [
+        {
+            "target": one.sensor.label,
+            "unit": one.sensor.unit,
+            "ratio_to_noise": one.before,
+            "ratio_after": one.after,
+        }
+        for one in sensed.findings
+    ]
+    significant = residual["significant"] or sensed.significant or bool(sensed.effects)
+    found = {**residual, "significant": significant, "sensors": listed}
+    if not residual["significant"] and significant:
+        excess = {o.sensor.label: max(o.before**2 - 1.0, 0.0) for o in sensed.findings}
+        whole = max(sum(excess.values()), 1e-300)
+        shares = sorted(((part / whole, name) for name, part in excess.items()), reverse=True)
+        found["where"] = [{"target": n, "share": share} for share, n in shares if share >= 0.01]
+    return found
+
+
+def sensor_noise_of(sensed: Sensed) -> dict[str, float]:
+    """Standard deviation of the noise of each sensor's readings."""
+    return {f"sensor/{one.sensor.label}": one.noise for one in sensed.findings}
 
 
 def noise_of(bench: Bench) -> dict[str, float]:

@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from orbisim.recording.joints import Kind, joints
+from orbisim.recording.sensors import sensors
 from orbisim.scene import Scene
 
 if TYPE_CHECKING:
     from orbisim.diagnosis.attribution import Attribution
     from orbisim.diagnosis.rest import Rest
+    from orbisim.diagnosis.sensing import Sensed
     from orbisim.recording import Recording
 
 SCHEMA = "orbisim.diagnosis/1"
@@ -40,6 +43,8 @@ class FoundEffect:
       native: whether it is native MJCF in the augmented scene.
       evidence: `held_out_error_without`, `held_out_error_with`, `delta_bic`.
       options: choices that are not numbers.
+      error_unit: unit of the errors in `evidence` where they are of a sensor's own readings (root
+        mean square); empty where they are the free-running error.
     """
 
     effect: str
@@ -48,6 +53,7 @@ class FoundEffect:
     native: bool
     evidence: Mapping[str, float]
     options: Mapping[str, str]
+    error_unit: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,6 +112,7 @@ class Diagnosis:
       notes: what was ignored, assumed or looks wrong.
       attribution: the search behind it.
       candidates: what was tried, each with the reason why it was not taken.
+      sensors: what became of sensors that do not read the joints themselves.
       rest: a learned force for what is left, if it was asked for; it is no effect.
     """
 
@@ -126,6 +133,7 @@ class Diagnosis:
     attribution: Attribution
     rest: Rest | None = None
     candidates: tuple[Candidate, ...] = ()
+    sensors: Sensed | None = None
 
     @property
     def sentence(self) -> str:
@@ -133,6 +141,23 @@ class Diagnosis:
         from orbisim.diagnosis.wording import sentence
 
         return sentence(self)
+
+    @property
+    def error_is_of_sensors(self) -> bool:
+        """Whether the motion is predicted to within the noise and readings of sensors are not."""
+        return self.sensors is not None and self.sensors.significant
+
+    @property
+    def noise_units(self) -> dict[str, str]:
+        """Unit of each noise level."""
+        known = {
+            f"{kind}/{joint.label}": f"{unit}{per}"
+            for joint in joints(self.scene.model)
+            for kind, per in (("qpos", ""), ("qvel", "/s"))
+            for unit in [joint.unit if joint.scalar or joint.kind == Kind.FREE else "rad"]
+        }
+        known |= {f"sensor/{one.label}": one.unit for one in sensors(self.scene.model)}
+        return {name: known[name] for name in self.noise}
 
     def to_json(self) -> dict[str, Any]:
         """The result as contracts.md, section 3, has it; infinite and unknown numbers are None."""
@@ -145,6 +170,7 @@ class Diagnosis:
                 "held_out": [one.source for one in self.held_out],
             },
             "noise": dict(self.noise),
+            "noise_units": self.noise_units,
             "residual": dict(self.residual),
             "verdict": self.verdict,
             "sentence": self.sentence,

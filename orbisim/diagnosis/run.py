@@ -21,13 +21,16 @@ from orbisim.diagnosis.findings import (
     noise_of,
     residual_of,
     retuned_of,
+    sensor_noise_of,
     verdict_of,
+    with_sensors,
 )
 from orbisim.diagnosis.refine import Judge
 from orbisim.diagnosis.rest import learn_rest as learn
 from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.scoring import score
+from orbisim.diagnosis.sensing import Sensed, sense
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.split import bounded, split
 from orbisim.diagnosis.suspicious import refuse
@@ -99,7 +102,10 @@ def diagnose(
             notes.append(f"the search was ended after {settings.patience:g} s; more may be found")
         say("checking on held-out data")
         found = _confirmed(found, bounded(thinned(held, window, notes), notes), window)
-        result = _result(loaded, named, found, settings, fit, held, window, backend, notes)
+        sensed = sense(
+            found, bounded(thinned(held, window, notes), notes), window, settings, notes, say
+        )
+        result = _result(loaded, named, found, settings, fit, held, window, backend, notes, sensed)
         if learn_rest:
             rest = learn(
                 found, result.verdict, result.augmented_scene, fit, held, window, backend,
@@ -168,10 +174,12 @@ def _result(
     window: float,
     backend: str | Backend,
     notes: list[str],
+    sensed: Sensed,
 ) -> Diagnosis:
     hypothesis = found.after.hypothesis
     augmented = hypothesis.scene(scene)
     measuring = [e for e in hypothesis.effects if find(e.effect).measurement]
+    measuring += sensed.instances
     if measuring:
         augmented = add_effects(augmented, measuring)
     changed = bool(hypothesis.effects or hypothesis.factors)
@@ -189,10 +197,14 @@ def _result(
         backend=backend if isinstance(backend, str) else backend.name,
         fit=tuple(fit),
         held_out=tuple(held),
-        noise=noise_of(found.bench),
-        residual=residual_of(found, settings),
-        verdict=verdict_of(found, settings),
-        effects=effects_of(scene, found, held, window, backend, settings.seed),
+        noise={**noise_of(found.bench), **sensor_noise_of(sensed)},
+        residual=with_sensors(residual_of(found, settings), sensed),
+        verdict=sensed.verdict(verdict_of(found, settings)),
+        effects=(
+            *effects_of(scene, found, held, window, backend, settings.seed),
+            *sensed.effects,
+        ),
+        sensors=sensed,
         alternatives=alternatives_of(found),
         candidates=candidates_of(found),
         retuned=retuned_of(scene, found),
