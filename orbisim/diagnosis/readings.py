@@ -21,6 +21,7 @@ from orbisim.diagnosis.hidden import Layout, carried_along
 from orbisim.diagnosis.regress import Windows
 from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.shooting import Shooter
+from orbisim.effects.measured import AXES
 from orbisim.recording import estimate_motion
 from orbisim.recording.sensors import Sensor, reads_state, sensors
 from orbisim.scene import Scene
@@ -65,6 +66,8 @@ def usable_sensors(samples: Sequence[Samples], notes: list[str]) -> list[Sensor]
             why = "the scene gives it a delay"
         elif not one.name:
             why = "it has no name"
+        elif one.width > len(AXES):
+            why = f"it has {one.width} components"
         elif seen < _FEWEST:
             why = f"{seen} readings are too few"
         if why is None and not all(_apart(s, one) for s in samples):

@@ -43,6 +43,8 @@ class SensorFinding:
       before, after: rms of measured less expected readings over the noise, without and with the
         effects.
       effects: what the sensor has; instances: the same for the augmented scene.
+      time: [N] of held-out readings, s, and measured less expected ones there, [N, n],
+        `left_before` without and `left_after` with the effects.
     """
 
     sensor: Sensor
@@ -51,6 +53,9 @@ class SensorFinding:
     after: float
     effects: tuple[FoundEffect, ...] = ()
     instances: tuple[EffectInstance, ...] = ()
+    time: Floats = dataclasses.field(default_factory=lambda: np.zeros(0))
+    left_before: Floats = dataclasses.field(default_factory=lambda: np.zeros((0, 1)))
+    left_after: Floats = dataclasses.field(default_factory=lambda: np.zeros((0, 1)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -164,7 +169,10 @@ def _one(data: SensorData, unseen: SensorData, settings: Settings) -> SensorFind
             {},
             before,
         )  # a name for the smaller part of what is wrong would be a wrong one
-    finding = SensorFinding(data.sensor, float(np.sqrt(np.mean(noise**2))), before, after)
+    finding = SensorFinding(
+        data.sensor, float(np.sqrt(np.mean(noise**2))), before, after,
+        time=unseen.time, left_before=left_over(unseen, {}), left_after=left_over(unseen, kept),
+    )  # fmt: skip
     return _described(finding, data, unseen, kept, best, size, alike)
 
 

@@ -96,6 +96,11 @@ class SensorData:
         """[N, n]."""
         return np.concatenate([values[:: self.stride] for _, values, _ in self.runs])
 
+    @property
+    def time(self) -> Floats:
+        """[N], s."""
+        return np.concatenate([time[:: self.stride] for time, _, _ in self.runs])
+
     def expected(self, delay: float = 0.0, derivative: int = 0) -> Floats:
         """[N, n]: what it should have read some time before, or that value's derivative."""
         return np.concatenate(

@@ -164,13 +164,16 @@ class _Binder(Assembly):
                 self.notes.append(f"'{kind}/{joint.label}' from sensor {sensor.label!r}")
 
     def rest(self, qpos: Floats, qvel: Floats) -> None:
-        """Joints that effects have added, which nothing reads, start at rest."""
+        """Joints that effects have added, which nothing reads, are at rest for now."""
         hidden = hidden_joints(self.model)
         for joint in self.joints:
             if joint.name in hidden and not np.isfinite(qpos[:, joint.q]).any():
                 qpos[:, joint.q] = self.model.qpos0[joint.q]
                 qvel[:, joint.v] = 0.0
-                self.notes.append(f"joint {joint.name!r}, which an effect added, starts at rest")
+                self.notes.append(
+                    f"joint {joint.name!r}, which an effect added, is not recorded; its state is "
+                    "carried along the recording"
+                )
 
     # -- what is not recorded ----------------------------------------------------------------------
 

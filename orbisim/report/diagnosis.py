@@ -33,6 +33,8 @@ _MOST_EPISODES = 2
 _MOST_REGRESSORS = 8
 _MOST_ADVICE = 6
 _STRONG = 0.1
+_MOST_SENSORS = 4
+_OFF = 1.5
 
 
 def write_report(diagnosis: Diagnosis, path: Path) -> Path:
@@ -54,6 +56,8 @@ def write_report(diagnosis: Diagnosis, path: Path) -> Path:
         time_charts=[shape.over_time(sets, d, [_name(s) for s in samples]) for d in shown],
         dependence_charts=[c for d in shown for c in _dependence(samples, sets, d)],
         held_charts=_held(diagnosis, shown),
+        sensors=[] if diagnosis.sensors is None else diagnosis.sensors.findings,
+        sensor_charts=_sensor_charts(diagnosis),
         left_rows=rows,
         left_charts=left_charts,
         left_at=shown[0].name,
@@ -94,7 +98,9 @@ def _name(one: Samples) -> str:
 
 
 def _changed(diagnosis: Diagnosis) -> bool:
-    return bool(diagnosis.effects or diagnosis.retuned)
+    """Whether the scene, or what it is compared with, is another one after the diagnosis."""
+    hypothesis = diagnosis.attribution.after.hypothesis
+    return bool(hypothesis.effects or hypothesis.factors)
 
 
 # -- the missing force -----------------------------------------------------------------------------
@@ -233,6 +239,14 @@ def _sides(diagnosis: Diagnosis) -> list[held_out.Side]:
             )
         )
     return found
+
+
+def _sensor_charts(diagnosis: Diagnosis) -> list[Markup]:
+    """Readings of the sensors that are off, worst first."""
+    findings = [] if diagnosis.sensors is None else list(diagnosis.sensors.findings)
+    findings.sort(key=lambda one: (not one.effects, -one.before))
+    off = [one for one in findings if one.effects or one.before > _OFF]
+    return [shape.sensor(one) for one in off[:_MOST_SENSORS]]
 
 
 # -- what to record next ---------------------------------------------------------------------------

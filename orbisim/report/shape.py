@@ -12,6 +12,8 @@ from markupsafe import Markup
 
 from orbisim.diagnosis.force import ForceResidual
 from orbisim.diagnosis.samples import Samples
+from orbisim.diagnosis.sensing import SensorFinding
+from orbisim.effects.measured import AXES
 from orbisim.recording.joints import Joint, Kind, joints
 from orbisim.report import figures
 
@@ -250,6 +252,26 @@ def over_time(
     axes.set_ylabel(degree.force_unit)
     figures.legend(axes, ncols=2, loc="upper right")
     return figures.to_svg(drawn, f"Missing force at {degree.name} over time")
+
+
+def sensor(finding: SensorFinding) -> Markup:
+    """Measured less expected readings of a sensor on held-out data; of several components the
+    worst, of several recordings the first."""
+    time = finding.time
+    stop = int(np.argmax(np.diff(time) < 0)) + 1 if (np.diff(time) < 0).any() else len(time)
+    pick = thin(np.arange(stop))
+    worst = int(np.argmax(np.mean(finding.left_before**2, axis=0)))
+    drawn, axes = figures.figure(width=12.0, height=2.6)
+    name, noise = finding.sensor.label, 2 * finding.noise
+    axes.axhspan(-noise, noise, color=MEASURED, alpha=0.25, linewidth=0, label="twice the noise")
+    axes.plot(time[pick], finding.left_before[pick, worst], color=BEFORE, label="as declared", lw=1)
+    if finding.effects:
+        axes.plot(time[pick], finding.left_after[pick, worst], color=AFTER, label="after", lw=1)
+    component = f", {AXES[worst]}" if finding.left_before.shape[1] > 1 else ""
+    axes.set(title=f"Held out: {name}{component}, measured less expected", xlabel="time (s)")
+    axes.set_ylabel(finding.sensor.unit)
+    figures.legend(axes, ncols=3, loc="upper right")
+    return figures.to_svg(drawn, f"Readings of {name} less what it should read")
 
 
 def within(axes: object, values: Sequence[Floats]) -> None:
