@@ -21,7 +21,7 @@ from orbisim.diagnosis.linear import Intervals, linearize
 from orbisim.diagnosis.refine import Judge
 from orbisim.diagnosis.regress import fit, normal_equations, total
 from orbisim.diagnosis.response import affordable, responses
-from orbisim.diagnosis.rest_training import Trained, own_inputs, train, tree_inputs
+from orbisim.diagnosis.rest_training import Trained, own_inputs, speed_inputs, train, tree_inputs
 from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.scoring import score
 from orbisim.diagnosis.screening import missing_force
@@ -45,6 +45,8 @@ _GAIN = 0.1
 _CERTAINTY = 2.0
 _SIMPLER = 0.9
 _MOST_WINDOWS = 96
+_TYPICAL = 1.5
+"""Root mean square over median of a normal variable; impacts do not change a median."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -125,30 +127,57 @@ def learn_rest(
         return Rest(f"nothing to learn: the verdict is {verdict}")
     say("learning what is left")
     hypothesis = found.after.hypothesis
-    bench, intervals = _stretched(found)
-    chosen = _where(bench, hypothesis, intervals)
+    data = _data(found)
+    chosen = _where(data, hypothesis)
     if not chosen:
         return Rest("no force at any joint would lower the residual")
-    trained = _trained(bench, hypothesis, intervals, chosen, seed)
+    trained = _trained(data, hypothesis, chosen, seed)
     if trained is None:
         return Rest("no network lowers the residual on windows that it was not trained on")
     return _judged(found, trained.networks, augmented, fit_set, held_out, window, backend, say)
 
 
-def _stretched(found: Attribution) -> tuple[Bench, Intervals]:
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Data:
+    """What is learned from.
+
+    Attributes:
+      bench: the windows. intervals: the linear system along them.
+      force: [N, nv] a rough guess of the force that is missing over each interval.
+    """
+
+    bench: Bench
+    intervals: Intervals
+    force: Floats
+
+
+def _data(found: Attribution) -> _Data:
     """The data along the hypothesis; with contacts, along its own free runs."""
     bench, hypothesis = found.bench, found.after.hypothesis
+    intervals = linearize(bench.flow(hypothesis))
+    force = _smoothed(missing_force(intervals))
     runs = along(bench, found.after) if bench.contacts else None
     if runs is None:
-        return bench, linearize(bench.flow(hypothesis))
-    local, _ = runs
+        return _Data(bench, intervals, force)
+    local, numbers = runs
     check = np.arange(len(local.windows)) % 3 == 1
-    return dataclasses.replace(local, fit=~check, check=check), local.intervals
+    local = dataclasses.replace(local, fit=~check, check=check)
+    return _Data(local, local.intervals, force[numbers])
 
 
-def _where(bench: Bench, hypothesis: Hypothesis, intervals: Intervals) -> list[Joint]:
+def _smoothed(force: Floats) -> Floats:
+    """Averaged over a few intervals."""
+    kernel = np.ones(_SMOOTH) / _SMOOTH
+    known = np.nan_to_num(force)
+    return np.stack([np.convolve(column, kernel, mode="same") for column in known.T], axis=1)
+
+
+_SMOOTH = 7
+
+
+def _where(data: _Data, hypothesis: Hypothesis) -> list[Joint]:
     """Joints at which a slow missing force by itself would take away some of the residual."""
-    force = smoothed_force(intervals)
+    bench, intervals, force = data.bench, data.intervals, data.force
     nv = force.shape[1]
     columns = []
     for dof in range(nv):
@@ -164,30 +193,20 @@ def _where(bench: Bench, hypothesis: Hypothesis, intervals: Intervals) -> list[J
     return [joint for joint in every if gains[joint.v].sum() > _SHARE * whole]
 
 
-def smoothed_force(intervals: Intervals) -> Floats:
-    """The force that is missing over each interval, averaged over a few, [N, nv]."""
-    force = np.nan_to_num(missing_force(intervals))
-    kernel = np.ones(_SMOOTH) / _SMOOTH
-    return np.stack([np.convolve(column, kernel, mode="same") for column in force.T], axis=1)
-
-
-_SMOOTH = 7
-
-
-def _trained(
-    bench: Bench, hypothesis: Hypothesis, intervals: Intervals, chosen: list[Joint], seed: int
-) -> Trained | None:
-    """Networks that read their own joint, or the whole tree if that is clearly better."""
+def _trained(data: _Data, hypothesis: Hypothesis, chosen: list[Joint], seed: int) -> Trained | None:
+    """Networks that read their joint's velocity, or all of their joint, or the whole tree: the more
+    only if that is clearly better."""
+    bench, intervals = data.bench, data.intervals
     flow, model = bench.flow(hypothesis), bench.scene.model
     dofs = np.concatenate([np.arange(j.v.start, j.v.stop) for j in chosen])
     windows = bench.windows
     some = affordable(windows, len(dofs))
     every = responses(bench, hypothesis, intervals, windows.some(some), dofs)
     apart = bench.check[some]
-    size = np.maximum(np.sqrt(np.mean(smoothed_force(intervals)[:, dofs] ** 2, axis=0)), 1e-12)
+    size = np.maximum(_TYPICAL * np.median(np.abs(data.force[:, dofs]), axis=0), 1e-12)
     best: Trained | None = None
     tried: list[Any] = []
-    for read in (own_inputs, tree_inputs):
+    for read in (speed_inputs, own_inputs, tree_inputs):
         inputs = [(joint, read(model, joint, flow)) for joint in chosen]
         if inputs in tried:
             continue

@@ -45,6 +45,11 @@ class Trained:
     after: float
 
 
+def speed_inputs(model: mujoco.MjModel, joint: Joint, flow: IntervalMap) -> tuple[Input, ...]:
+    """A joint's own velocity."""
+    return (Input("velocity", joint.label),)
+
+
 def own_inputs(model: mujoco.MjModel, joint: Joint, flow: IntervalMap) -> tuple[Input, ...]:
     """A joint's own position, velocity and drive."""
     return _inputs(model, [joint], flow)
