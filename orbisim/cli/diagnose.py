@@ -51,6 +51,13 @@ from orbisim.cli.common import (
     help="Whether declared masses, dampings and gains may be off by a few percent.",
 )
 @click.option(
+    "--learn-rest",
+    is_flag=True,
+    help="Where no effect explains the residual, fit a neural residual force to what is left. It "
+    "is labelled as such, is never counted as an effect, and is kept only if it helps on held-out "
+    "data.",
+)
+@click.option(
     "--out",
     type=click.Path(path_type=Path),
     default=None,
@@ -74,6 +81,7 @@ def command(
     effects: tuple[str, ...],
     most_effects: int,
     retune: bool,
+    learn_rest: bool,
     out: Path | None,
     patience: float,
     seed: int,
@@ -98,7 +106,7 @@ def command(
     )
     result = diagnose(
         scene, list(recordings), list(held_out) or None, window=window, backend=backend,
-        settings=settings, out=out,
+        settings=settings, learn_rest=learn_rest, out=out,
     )  # fmt: skip
     if out is not None:
         note(f"report: {out / 'report.html'}")
@@ -141,6 +149,8 @@ def _print(result: Any) -> None:
         [(kind, error[key]["before"], error[key]["after"])
          for kind, key in (("fitted", "fit"), ("held out", "held_out"))],
     )  # fmt: skip
+    if result.rest is not None:
+        _print_rest(result)
     if result.alternatives:
         print_table(
             "\nAlternatives",
@@ -149,3 +159,18 @@ def _print(result: Any) -> None:
         )
     for text in result.notes:
         note(f"note: {text}")
+
+
+def _print_rest(result: Any) -> None:
+    """What became of `--learn-rest`."""
+    rest = result.rest
+    if rest.scene is None:
+        click.echo(f"\nNo residual force was learned: {rest.reason}.")
+        return
+    joints = ", ".join(network.joint for network in rest.networks)
+    print_table(
+        f"\nLearned residual force at {joints} (not an effect): error ({result.error['unit']})",
+        ("data", "without", "with"),
+        [(kind, rest.error[key]["without"], rest.error[key]["with"])
+         for kind, key in (("fitted", "fit"), ("held out", "held_out"))],
+    )  # fmt: skip

@@ -13,6 +13,7 @@ from orbisim.diagnosis.along import along
 from orbisim.diagnosis.bench import SAME, Bench, Hypothesis, clean
 from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.linear import linearize
+from orbisim.diagnosis.paying import unpaid
 from orbisim.diagnosis.refine import Judge, Judged, is_structural
 from orbisim.diagnosis.retune import REACH, Tunable, tunables
 from orbisim.diagnosis.screening import (
@@ -38,12 +39,14 @@ class Rival:
     Attributes:
       instance: with fitted values. delta_bic: to the round's winner, positive is worse.
       ratio: residual over noise on check windows. round: number of the round.
+      reason: why it was not taken; empty for the one that was.
     """
 
     instance: EffectInstance
     delta_bic: float
     ratio: float
     round: int
+    reason: str = ""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -156,9 +159,17 @@ class _Search:
             return None
         best = min(fitted, key=lambda judged: judged.cost)
         rival = nothing if single is None else single
+        problem = unpaid(self.settings, rival, best)
         if not self._done(best) and best.ratio > _HALF * rival.ratio:
-            return None
-        return best if self._pays(rival, best) else None
+            problem = "two effects at once leave more than half of what the best single one leaves"
+        if problem is not None:
+            alone = {(r.instance.effect, r.instance.target) for r in self.rivals}
+            self.rejected += [
+                (e, f"with another at once: {problem}")
+                for e in best.hypothesis.effects
+                if (e.effect, e.target) not in alone
+            ]
+        return best if problem is None else None
 
     def _forward(self, start: Judged, base: Judged, first: Screening) -> Judged:
         """Adds effects while they pay, from one start or, if that ends worse, from the other."""
@@ -276,22 +287,38 @@ class _Search:
             judged = self.judge.judge(current.hypothesis.plus(instance), self._iterations)
             if judged is not None:
                 fitted.append(judged)
+            else:
+                self.rejected.append((instance, "the scene with it cannot be simulated"))
         if not fitted:
             return None
         fitted = _ranked(fitted)
+        winner, reasons = self._winner(current, fitted)
         self.rivals += [
-            Rival(j.hypothesis.effects[-1], j.cost - fitted[0].cost, j.ratio, self.round)
-            for j in fitted
+            Rival(j.hypothesis.effects[-1], j.cost - fitted[0].cost, j.ratio, self.round, reason)
+            for j, reason in zip(fitted, reasons, strict=True)
         ]
-        for judged in fitted[:3]:
-            if not self._pays(current, judged):
-                continue
+        return winner
+
+    def _winner(self, current: Judged, fitted: Sequence[Judged]) -> tuple[Judged | None, list[str]]:
+        """The first of the best that pays, and why each of the others was not taken."""
+        winner: Judged | None = None
+        reasons: list[str] = []
+        for place, judged in enumerate(fitted):
             last = len(judged.hypothesis.effects) - 1
-            problem = None if judged.ratio <= _NEAR else inconsistency(self.bench, judged, last)
-            if problem is None:
-                return judged
-            self.rejected.append((judged.hypothesis.effects[-1], problem))
-        return None
+            reason = unpaid(self.settings, current, judged)
+            if reason is None and winner is not None:
+                best = winner.hypothesis.effects[-1]
+                reason = f"it explains less than {best.effect} at {best.target}"
+            elif reason is None and place >= 3:
+                reason = "it explains less than three others, none of which was believed"
+            elif reason is None and judged.ratio > _NEAR:
+                reason = inconsistency(self.bench, judged, last)
+                if reason is not None:
+                    self.rejected.append((judged.hypothesis.effects[-1], reason))
+            if reason is None:
+                winner = judged
+            reasons.append(reason or "")
+        return winner, reasons
 
     def _settled(self, current: Judged, fitted: Sequence[Judged], bic: float | None) -> bool:
         """Whether an explanation down to the noise makes clearly worse suspects idle, or one that
@@ -362,15 +389,7 @@ class _Search:
 
     def _pays(self, before: Judged, after: Judged) -> bool:
         """Whether windows that were not fitted get better, by enough and surely."""
-        settings = self.settings
-        drop = before.checked - after.checked
-        excess = max(float(before.checked.mean()) - 1.0, 1e-12)
-        mean, error = float(drop.mean()), float(drop.std() / np.sqrt(max(len(drop), 1)))
-        if mean <= settings.gain * max(excess, 0.02):
-            return False
-        if mean < settings.certainty * error and mean < 0.5 * excess:
-            return False
-        return before.cost - after.cost > settings.margin
+        return unpaid(self.settings, before, after) is None
 
     # -- removal -------------------------------------------------------------------------------
 

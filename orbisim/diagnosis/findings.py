@@ -13,8 +13,9 @@ from orbisim.diagnosis.attribution import Attribution, enough
 from orbisim.diagnosis.bench import Bench
 from orbisim.diagnosis.confidence import confidence
 from orbisim.diagnosis.confounds import advice, standing
-from orbisim.diagnosis.result import Alternative, Estimate, FoundEffect, Retuned, Verdict
+from orbisim.diagnosis.result import Alternative, Candidate, Estimate, FoundEffect, Retuned, Verdict
 from orbisim.diagnosis.scoring import Score, score
+from orbisim.diagnosis.sensing import Sensed
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import find
 from orbisim.recording import Recording
@@ -62,6 +63,34 @@ def residual_of(found: Attribution, settings: Settings) -> dict[str, Any]:
         "ratio_after": found.after.ratio,
         "where": sorted(where, key=lambda w: -w["share"]),
     }
+
+
+def with_sensors(residual: dict[str, Any], sensed: Sensed) -> dict[str, Any]:
+    """The residual of the motion together with that of the sensors' readings."""
+    if not sensed.findings:
+        return residual
+    listed = [
+        {
+            "target": one.sensor.label,
+            "unit": one.sensor.unit,
+            "ratio_to_noise": one.before,
+            "ratio_after": one.after,
+        }
+        for one in sensed.findings
+    ]
+    significant = residual["significant"] or sensed.significant or bool(sensed.effects)
+    found = {**residual, "significant": significant, "sensors": listed}
+    if not residual["significant"] and significant:
+        excess = {o.sensor.label: max(o.before**2 - 1.0, 0.0) for o in sensed.findings}
+        whole = max(sum(excess.values()), 1e-300)
+        shares = sorted(((part / whole, name) for name, part in excess.items()), reverse=True)
+        found["where"] = [{"target": n, "share": share} for share, n in shares if share >= 0.01]
+    return found
+
+
+def sensor_noise_of(sensed: Sensed) -> dict[str, float]:
+    """Standard deviation of the noise of each sensor's readings."""
+    return {f"sensor/{one.sensor.label}": one.noise for one in sensed.findings}
 
 
 def noise_of(bench: Bench) -> dict[str, float]:
@@ -188,20 +217,40 @@ def alternatives_of(found: Attribution) -> tuple[Alternative, ...]:
         if key in taken or key in best:
             continue
         tips = [t for e in chosen if (t := advice(e.effect, key[0])) is not None]
-        close = rival.delta_bic < 20
-        text = (
-            "this data hardly tells it apart from what was found"
-            if close
-            else f"leaves {rival.ratio:.3g} times the noise in round {rival.round}"
-        )
+        text = f"leaves {rival.ratio:.3g} times the noise in round {rival.round}"
+        if chosen and rival.delta_bic < 20:
+            text = "this data hardly tells it apart from what was found"
+        elif rival.reason:
+            text += f"; {rival.reason}"
         if tips:
             text += f"; to tell them apart, {tips[0]}"
         best[key] = Alternative(*key, rival.delta_bic, text)
     result = list(best.values())[:8]
-    for effect, problem in found.rejected:
-        result.append(Alternative(effect.effect, effect.target, None, f"not believed: {problem}"))
+    doubted = {(e.effect, e.target): problem for e, problem in found.rejected}
+    for key, problem in doubted.items():
+        if key not in taken:
+            result = [a for a in result if (a.effect, a.target) != key]
+            result.append(Alternative(*key, None, f"not believed: {problem}"))
     for e in chosen:
         for other, text in standing(e.effect)[:2]:
             if not any(a.effect == other for a in result) and other not in {t[0] for t in taken}:
                 result.append(Alternative(other, "", None, f"known to look alike; {text}"))
+    return tuple(result)
+
+
+def candidates_of(found: Attribution) -> tuple[Candidate, ...]:
+    """Everything that was tried, best of each round first, with why it was not taken."""
+    chosen = {(e.effect, e.target) for e in found.after.hypothesis.effects}
+    doubted = {(e.effect, e.target): problem for e, problem in found.rejected}
+    result = []
+    for rival in sorted(found.rivals, key=lambda r: (r.round, r.delta_bic)):
+        key = (rival.instance.effect, rival.instance.target)
+        reason = "" if key in chosen else rival.reason or doubted.get(key, "dropped later")
+        result.append(Candidate(*key, rival.round, rival.ratio, rival.delta_bic, reason))
+    seen = {(c.effect, c.target) for c in result} | chosen
+    result += [
+        Candidate(*key, None, None, None, problem)
+        for key, problem in doubted.items()
+        if key not in seen
+    ]
     return tuple(result)

@@ -54,7 +54,7 @@ def force_residual(samples: Sequence[Samples], scene: Scene) -> list[ForceResidu
 
 def _one(one: Samples, scene: Scene) -> ForceResidual:
     model, declared = copy.copy(scene.model), one.bound.model
-    hooked = _Hooked(model)
+    hooked = Hooked(model)
     data, place = mujoco.MjData(model), Layout(declared, model)
     spread = np.nan_to_num(estimate_motion(one.bound).qacc_std)
     act, history = carried_along(one, declared, model)
@@ -82,7 +82,7 @@ def _one(one: Samples, scene: Scene) -> ForceResidual:
     return ForceResidual(one.time, out["force"], out["std"], out["total"])
 
 
-class _Hooked:
+class Hooked:
     """What effects that MuJoCo cannot express add in one state.
 
     Args:

@@ -15,17 +15,22 @@ from orbisim.diagnosis.attribution import Attribution, attribute
 from orbisim.diagnosis.bench import Hypothesis, make_bench
 from orbisim.diagnosis.findings import (
     alternatives_of,
+    candidates_of,
     effects_of,
     errors_of,
     noise_of,
     residual_of,
     retuned_of,
+    sensor_noise_of,
     verdict_of,
+    with_sensors,
 )
 from orbisim.diagnosis.refine import Judge
+from orbisim.diagnosis.rest import learn_rest as learn
 from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.scoring import score
+from orbisim.diagnosis.sensing import Sensed, sense
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.split import bounded, split
 from orbisim.diagnosis.suspicious import refuse
@@ -50,6 +55,7 @@ def diagnose(
     window: float = 0.5,
     backend: str | Backend = "mujoco",
     settings: Settings | None = None,
+    learn_rest: bool = False,
     out: str | Path | None = None,
     progress: bool = True,
 ) -> Diagnosis:
@@ -62,6 +68,8 @@ def diagnose(
       window: duration of the windows of free-running simulation, s.
       backend: what the free-running errors are computed with; the search simulates with C MuJoCo.
       settings: of the search.
+      learn_rest: where no effect explains the residual, or not all of it, whether to fit a neural
+        residual force to what is left. It is never counted as an effect (`Diagnosis.rest`).
       out: folder for report.json, report.html and augmented/scene.xml.
       progress: whether to show what is going on on standard error.
 
@@ -69,6 +77,7 @@ def diagnose(
       RecordingError: a recording cannot be read, does not fit the scene, or is clearly wrong.
       SceneError: the scene cannot be read or edited.
       InputError: the recordings are too short, or an option is out of range.
+      MissingDependencyError: `learn_rest` without torch.
     """
     if not window > 0:
         raise InputError(f"window is a duration in s, greater than 0; got {window}")
@@ -93,7 +102,16 @@ def diagnose(
             notes.append(f"the search was ended after {settings.patience:g} s; more may be found")
         say("checking on held-out data")
         found = _confirmed(found, bounded(thinned(held, window, notes), notes), window)
-        result = _result(loaded, named, found, settings, fit, held, window, backend, notes)
+        sensed = sense(
+            found, bounded(thinned(held, window, notes), notes), window, settings, notes, say
+        )
+        result = _result(loaded, named, found, settings, fit, held, window, backend, notes, sensed)
+        if learn_rest:
+            rest = learn(
+                found, result.verdict, result.augmented_scene, fit, held, window, backend,
+                seed=settings.seed, say=say,
+            )  # fmt: skip
+            result = dataclasses.replace(result, rest=rest)
         if out is not None:
             say("writing the report")
             result.save(out)
@@ -156,10 +174,12 @@ def _result(
     window: float,
     backend: str | Backend,
     notes: list[str],
+    sensed: Sensed,
 ) -> Diagnosis:
     hypothesis = found.after.hypothesis
     augmented = hypothesis.scene(scene)
     measuring = [e for e in hypothesis.effects if find(e.effect).measurement]
+    measuring += sensed.instances
     if measuring:
         augmented = add_effects(augmented, measuring)
     changed = bool(hypothesis.effects or hypothesis.factors)
@@ -177,11 +197,16 @@ def _result(
         backend=backend if isinstance(backend, str) else backend.name,
         fit=tuple(fit),
         held_out=tuple(held),
-        noise=noise_of(found.bench),
-        residual=residual_of(found, settings),
-        verdict=verdict_of(found, settings),
-        effects=effects_of(scene, found, held, window, backend, settings.seed),
+        noise={**noise_of(found.bench), **sensor_noise_of(sensed)},
+        residual=with_sensors(residual_of(found, settings), sensed),
+        verdict=sensed.verdict(verdict_of(found, settings)),
+        effects=(
+            *effects_of(scene, found, held, window, backend, settings.seed),
+            *sensed.effects,
+        ),
+        sensors=sensed,
         alternatives=alternatives_of(found),
+        candidates=candidates_of(found),
         retuned=retuned_of(scene, found),
         error=errors_of(before, after, found.bench, window),
         augmented_scene=augmented,

@@ -22,6 +22,8 @@ def sentence(diagnosis: Diagnosis) -> str:
             "The scene as declared predicts the recordings to within the noise: free-running "
             f"error on held-out data {number(before)} {unit}, {floor}; no effect is added."
         )
+    if verdict == "unexplained" and diagnosis.error_is_of_sensors:
+        return _unexplained_sensors(diagnosis, floor)
     if verdict == "unexplained":
         times = number(diagnosis.residual["ratio_to_noise"])
         return (
@@ -29,6 +31,9 @@ def sentence(diagnosis: Diagnosis) -> str:
             f"the catalogue explains it: free-running error on held-out data {number(before)} "
             f"{unit}, {floor}."
         )
+    moving = [e for e in diagnosis.effects if not e.error_unit]
+    if diagnosis.effects and not moving and not diagnosis.retuned:
+        return _of_sensors(diagnosis, floor)
     what = " and ".join(described(effect) for effect in diagnosis.effects)
     if not what:
         named = ", ".join(f"{t.label} by {100 * (t.factor - 1):+.1f} %" for t in diagnosis.retuned)
@@ -37,6 +42,40 @@ def sentence(diagnosis: Diagnosis) -> str:
     return (
         f"{what[0].upper()}{what[1:]}; free-running error on held-out data falls from "
         f"{number(before)} {unit} to {number(after)} {unit} ({floor}){rest}."
+    )
+
+
+def _unexplained_sensors(diagnosis: Diagnosis, floor: str) -> str:
+    """The motion is right, and readings are not."""
+    worst = max(diagnosis.residual["sensors"], key=lambda s: s["ratio_to_noise"])
+    before = number(diagnosis.error["held_out"]["before"])
+    return (
+        f"The motion is predicted to within the noise (free-running error {before} "
+        f"{diagnosis.error['unit']}, {floor}), but sensor {worst['target']!r} deviates by "
+        f"{number(worst['ratio_to_noise'])} times its noise, and neither an offset, a scale nor a "
+        "delay explains it."
+    )
+
+
+def _of_sensors(diagnosis: Diagnosis, floor: str) -> str:
+    """The verdict where only readings of sensors beside the joints are wrong."""
+    parts = []
+    for effect in diagnosis.effects:
+        without, with_it = (effect.evidence[f"held_out_error_{k}"] for k in ("without", "with"))
+        parts.append(
+            f"{described(effect)}: its error on held-out data falls from {number(without)} to "
+            f"{number(with_it)} {effect.error_unit}"
+        )
+    motion = (
+        "the motion is predicted to within the noise"
+        if diagnosis.verdict == "explained"
+        else "something structured remains"
+    )
+    before = number(diagnosis.error["held_out"]["before"])
+    text = "; ".join(parts)
+    return (
+        f"{text[0].upper()}{text[1:]}; {motion} (free-running error {before} "
+        f"{diagnosis.error['unit']}, {floor})."
     )
 
 
@@ -52,7 +91,8 @@ def described(effect: FoundEffect) -> str:
         effect.target, f"{effect.target!r}"
     )
     label = next(iter(effect.parameters))
-    return f"{where} lacks {phrase} ({label} {amount})"
+    axis = f" along {effect.options['axis']}" if "axis" in effect.options else ""
+    return f"{where} lacks {phrase}{axis} ({label} {amount})"
 
 
 def number(value: float | None, digits: int = 3) -> str:

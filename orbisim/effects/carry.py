@@ -10,6 +10,7 @@ import mujoco
 
 from orbisim.effects.base import EffectInstance, Hook
 from orbisim.effects.catalogue import find
+from orbisim.effects.rest import rest_hooks
 from orbisim.errors import InputError, OrbiSimError, SceneError
 
 if TYPE_CHECKING:
@@ -74,8 +75,8 @@ def carried_effects(model: mujoco.MjModel, source: str = "scene") -> tuple[Effec
 
 
 def hooks_of(model: mujoco.MjModel) -> list[Hook]:
-    """Hooks for the carried effects that act on the simulation."""
-    return [
+    """Hooks for a learned residual force and for the carried effects that act on the simulation."""
+    return rest_hooks(model) + [
         find(instance.effect).hook(model, instance)
         for instance in carried_effects(model)
         if not find(instance.effect).measurement

@@ -7,7 +7,7 @@ change positions only; controls, torques and body poses are left as they are.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ from orbisim.effects.catalogue import find
 from orbisim.errors import InputError
 from orbisim.recording.joints import Joint, Kind, by_name
 from orbisim.recording.recording import Recording
+from orbisim.recording.sensors import Sensor, reads_state, sensors
 
 if TYPE_CHECKING:
     from orbisim.scene import Scene
@@ -89,41 +90,99 @@ def _clock(instances: Iterable[EffectInstance]) -> float:
 # -- the signals of a target -----------------------------------------------------------------------
 
 
-def _places(recording: Recording, scene: Scene, target: str) -> list[tuple[str, slice]]:
-    """Signals and their columns that a target is read by; positions first.
+class Place(NamedTuple):
+    """Columns of a signal. rate: whether they hold velocities."""
+
+    signal: str
+    columns: slice
+    rate: bool
+
+
+def _places(recording: Recording, scene: Scene, one: EffectInstance) -> list[Place]:
+    """Where an effect's target is read; positions first.
+
+    A joint that is not recorded under its own name is read by its sensors.
 
     Raises:
       InputError: it is not recorded.
     """
-    joint = by_name(scene.model).get(target)
-    found = _of_joint(recording, joint) if joint is not None else []
-    if joint is None and f"sensor/{target}" in recording.signals:
-        found = [(f"sensor/{target}", slice(None))]
+    joint = by_name(scene.model).get(one.target)
+    found = _of_sensor(recording, scene, one) if joint is None else _of_joint(recording, joint)
+    if joint is not None and not found:
+        found = _of_joint_sensors(recording, scene, joint)
     if not found:
-        raise InputError(f"{target!r} is not recorded in {recording.source!r}")
+        raise InputError(f"{one.target!r} is not recorded in {recording.source!r}")
     return found
 
 
-def _of_joint(recording: Recording, joint: Joint) -> list[tuple[str, slice]]:
+def _of_joint(recording: Recording, joint: Joint) -> list[Place]:
     width = {Kind.FREE: 3, Kind.BALL: 0}.get(joint.kind, 1)
-    found: list[tuple[str, slice]] = []
+    found: list[Place] = []
     for kind, own in (("qpos", joint.q), ("qvel", joint.v)):
         if f"{kind}/{joint.name}" in recording.signals:
-            found.append((f"{kind}/{joint.name}", slice(0, width)))
+            found.append(Place(f"{kind}/{joint.name}", slice(0, width), kind == "qvel"))
         elif kind in recording.signals:
-            found.append((kind, slice(own.start, own.start + width)))
+            found.append(Place(kind, slice(own.start, own.start + width), kind == "qvel"))
     return found
 
 
-def _changed(recording: Recording, name: str, columns: slice, values: Floats) -> Recording:
-    signal = np.array(recording[name])
+def _of_joint_sensors(recording: Recording, scene: Scene, joint: Joint) -> list[Place]:
+    found: list[Place] = []
+    for sensor in sensors(scene.model):
+        reads = reads_state(scene.model, sensor)
+        if reads in (("qpos", joint.id), ("qvel", joint.id)) and sensor.width == 1:
+            place = _signal_of(recording, sensor)
+            if place is not None:
+                found.append(place._replace(rate=reads[0] == "qvel"))
+    return sorted(found, key=lambda place: place.rate)
+
+
+def _of_sensor(recording: Recording, scene: Scene, one: EffectInstance) -> list[Place]:
+    sensor = next((s for s in sensors(scene.model) if s.name == one.target), None)
+    place = None if sensor is None else _signal_of(recording, sensor)
+    if place is None or sensor is None:
+        return []
+    axis = axis_of(one, sensor.width)
+    first = place.columns.start
+    columns = place.columns if axis is None else slice(first + axis, first + axis + 1)
+    return [place._replace(columns=columns)]
+
+
+def _signal_of(recording: Recording, sensor: Sensor) -> Place | None:
+    if f"sensor/{sensor.name}" in recording.signals:
+        return Place(f"sensor/{sensor.name}", slice(0, sensor.width), False)
+    return Place("sensordata", sensor.place, False) if "sensordata" in recording.signals else None
+
+
+def axis_of(one: EffectInstance, width: int) -> int | None:
+    """The component of a vector sensor that an effect's option `axis` names; None for all.
+
+    Raises:
+      InputError: the sensor has no such component.
+    """
+    if "axis" not in one.options:
+        return None
+    names = AXES[:width]
+    if one.options["axis"] not in names or width < 2:
+        raise InputError(
+            f"{one.effect} at {one.target!r}: axis is {one.options['axis']!r}; "
+            f"{'one of ' + ', '.join(names) if width > 1 else 'its sensor has one component only'}"
+        )
+    return names.index(one.options["axis"])
+
+
+AXES = ("x", "y", "z")
+
+
+def _changed(recording: Recording, place: Place, values: Floats) -> Recording:
+    signal = np.array(recording[place.signal])
     matrix = signal.reshape(len(signal), -1)  # a view: signals are contiguous
-    matrix[:, columns] = values
-    return recording.replace(signals={**recording.signals, name: signal})
+    matrix[:, place.columns] = values
+    return recording.replace(signals={**recording.signals, place.signal: signal})
 
 
-def _columns(recording: Recording, name: str, columns: slice) -> Floats:
-    return recording[name].reshape(len(recording), -1)[:, columns]
+def _columns(recording: Recording, place: Place) -> Floats:
+    return recording[place.signal].reshape(len(recording), -1)[:, place.columns]
 
 
 # -- the three maps --------------------------------------------------------------------------------
@@ -132,19 +191,19 @@ def _columns(recording: Recording, name: str, columns: slice) -> Floats:
 def _scaled(recording: Recording, one: EffectInstance, scene: Scene, factor: float) -> Recording:
     if one.effect != "sensor_scale":
         return recording
-    for name, columns in _places(recording, scene, one.target):
-        values = factor * _columns(recording, name, columns)
-        recording = _changed(recording, name, columns, values)
+    for place in _places(recording, scene, one):
+        values = factor * _columns(recording, place)
+        recording = _changed(recording, place, values)
     return recording
 
 
 def _offset(recording: Recording, one: EffectInstance, scene: Scene, offset: float) -> Recording:
     if one.effect != "sensor_bias":
         return recording
-    for name, columns in _places(recording, scene, one.target):
-        if not name.startswith("qvel"):
-            values = _columns(recording, name, columns) + offset
-            recording = _changed(recording, name, columns, values)
+    for place in _places(recording, scene, one):
+        if not place.rate:
+            values = _columns(recording, place) + offset
+            recording = _changed(recording, place, values)
     return recording
 
 
@@ -165,27 +224,21 @@ def _shifted(
     if not len(kept):
         raise InputError(f"{recording.source!r} is shorter than the delay of its sensors")
     result = recording.rows(kept)
-    for target, delay in delays.items():
-        at = np.clip(result.time - delay, time[0], time[-1])
-        places = _places(recording, scene, target)
-        for name, columns in places:
-            values = _at(recording, name, columns, places, at)
-            result = _changed(result, name, columns, values)
+    for one in (EffectInstance("sensor_delay", target, {}) for target in delays):
+        at = np.clip(result.time - delays[one.target], time[0], time[-1])
+        places = _places(recording, scene, one)
+        for place in places:
+            result = _changed(result, place, _at(recording, place, places, at))
     return result
 
 
-def _at(
-    recording: Recording,
-    name: str,
-    columns: slice,
-    places: list[tuple[str, slice]],
-    at: Floats,
-) -> Floats:
+def _at(recording: Recording, place: Place, places: list[Place], at: Floats) -> Floats:
     """A signal at other times [N]; exact where a time is that of a sample."""
-    values = _columns(recording, name, columns)
-    speeds = [_columns(recording, *place) for place in places if place[0].startswith("qvel")]
-    if name.startswith("qpos") and speeds and np.isfinite(speeds[0]).all():
+    values = _columns(recording, place)
+    speeds = [_columns(recording, other) for other in places if other.rate]
+    if not place.rate and speeds and np.isfinite(speeds[0]).all():
         curve = CubicHermiteSpline(recording.time, values, speeds[0], axis=0)
     else:
-        curve = CubicSpline(recording.time, values, axis=0)
+        known = np.isfinite(values).all(axis=1)
+        curve = CubicSpline(recording.time[known], values[known], axis=0)
     return np.asarray(curve(at), np.float64)

@@ -7,6 +7,7 @@ import numpy as np
 
 from orbisim.effects.base import Effect, Parameter, index_of, is_scalar_joint, names_of_kind
 from orbisim.effects.screening import Candidate, Column, Floats, View, keyed
+from orbisim.recording.sensors import Sensor, sensors
 
 
 class MeasurementEffect(Effect):
@@ -24,12 +25,15 @@ class MeasurementEffect(Effect):
     def check(self, model: mujoco.MjModel, instance: object) -> None:
         """As `Effect.check`; the target is a joint or a sensor."""
         from orbisim.effects.base import EffectInstance
+        from orbisim.effects.measured import axis_of
         from orbisim.errors import UnknownNameError
 
         assert isinstance(instance, EffectInstance)
         known = self.known_targets(model)
         if instance.target not in known:
             raise UnknownNameError("joint or sensor", instance.target, known)
+        if instance.target not in names_of_kind(model, "joint"):
+            axis_of(instance, _sensor(model, instance.target).width)
         for parameter in self.parameters(model, instance.target):
             parameter.check(self.name, instance.target, instance.values[parameter.name])
 
@@ -40,13 +44,21 @@ class MeasurementEffect(Effect):
     def unit_of(self, model: mujoco.MjModel, target: str) -> str:
         """Unit of the measured quantity."""
         if target not in names_of_kind(model, "joint"):
-            return "1"
+            return _sensor(model, target).unit
         kind = model.jnt_type[index_of(model, "joint", target)]
         return "rad" if kind == mujoco.mjtJoint.mjJNT_HINGE else "m"
 
 
+def _sensor(model: mujoco.MjModel, target: str) -> Sensor:
+    return sensors(model)[index_of(model, "sensor", target)]
+
+
 class SensorBias(MeasurementEffect):
-    """The sensor reads an offset too much: measured = true + offset (positions only)."""
+    """The sensor reads an offset too much: measured = true + offset.
+
+    At a joint it changes positions only; at a sensor with several components all of them, or the
+    one that the option `axis` names (x, y or z).
+    """
 
     name = "sensor_bias"
     phrase = "a sensor offset"

@@ -17,6 +17,7 @@ from orbisim.recording.actuators import Actuator, actuators
 from orbisim.recording.assembly import Assembly
 from orbisim.recording.held import filled
 from orbisim.recording.joints import Joint, body_label, joints
+from orbisim.recording.sensors import reads_state, sensors
 
 if TYPE_CHECKING:
     from orbisim.recording.checks import Suspicion
@@ -111,6 +112,8 @@ class _Binder(Assembly):
         for joint in self.joints:
             if joint.quat is not None:
                 qpos[:, joint.quat] = self.unit(qpos[:, joint.quat], f"qpos/{joint.label}")
+        sensordata = self.sensors()
+        self.read(sensordata, qpos, qvel, xpos, xquat)
         self.rest(qpos, qvel)
         measured, unseen = self.infer(qpos, xpos, xquat)
         applied, switched_off = self.forces(torque, ctrl)
@@ -126,20 +129,51 @@ class _Binder(Assembly):
             switched_off=switched_off,
             xpos=xpos,
             xquat=xquat,
-            sensordata=self.sensors(),
+            sensordata=sensordata,
             measured=measured,
             unseen_turns=unseen,
             notes=tuple(dict.fromkeys(self.notes)),
         )
 
+    def read(
+        self,
+        sensordata: Floats,
+        qpos: Floats,
+        qvel: Floats,
+        xpos: dict[int, Floats],
+        xquat: dict[int, Floats],
+    ) -> None:
+        """Fills what is not recorded by name from undelayed sensors that read it."""
+        state = {"qpos": qpos, "qvel": qvel}
+        poses = {"xpos": xpos, "xquat": xquat}
+        for sensor in sensors(self.model):
+            values = sensordata[:, sensor.place]
+            reads = reads_state(self.model, sensor)
+            if reads is None or sensor.delayed or not np.isfinite(values).any():
+                continue
+            kind, target = reads
+            if sensor.rotation:
+                values = self.unit(values, f"sensor/{sensor.label}")
+            if kind in poses:
+                poses[kind].setdefault(target, values)
+                continue
+            joint = self.joints[target]
+            place = joint.q if kind == "qpos" else joint.v
+            if not np.isfinite(state[kind][:, place]).any():
+                state[kind][:, place] = values
+                self.notes.append(f"'{kind}/{joint.label}' from sensor {sensor.label!r}")
+
     def rest(self, qpos: Floats, qvel: Floats) -> None:
-        """Joints that effects have added, which nothing reads, start at rest."""
+        """Joints that effects have added, which nothing reads, are at rest for now."""
         hidden = hidden_joints(self.model)
         for joint in self.joints:
             if joint.name in hidden and not np.isfinite(qpos[:, joint.q]).any():
                 qpos[:, joint.q] = self.model.qpos0[joint.q]
                 qvel[:, joint.v] = 0.0
-                self.notes.append(f"joint {joint.name!r}, which an effect added, starts at rest")
+                self.notes.append(
+                    f"joint {joint.name!r}, which an effect added, is not recorded; its state is "
+                    "carried along the recording"
+                )
 
     # -- what is not recorded ----------------------------------------------------------------------
 

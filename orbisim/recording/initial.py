@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import functools
 from typing import TYPE_CHECKING, Literal
 
 import mujoco
@@ -14,6 +15,7 @@ from orbisim.recording.actuators import actuators
 from orbisim.recording.held import Held
 from orbisim.recording.joints import joints
 from orbisim.recording.motion import estimate_motion
+from orbisim.recording.unread import carry_unread
 
 if TYPE_CHECKING:
     from orbisim.recording.binding import Bound
@@ -29,7 +31,7 @@ class Starts:
     Attributes:
       qpos: [T, nq], as recorded; where a sample is missing, smoothed.
       qvel: [T, nv], as recorded; where none is recorded, differentiated and smoothed, at the time
-        where the scene's integrator has it.
+        where the scene's integrator has it. Joints that effects added are carried along.
       notes: which velocities were estimated.
     """
 
@@ -62,11 +64,26 @@ def starts(bound: Bound, velocities: Velocities = "recorded") -> Starts:
     early = motion.qvel - 0.5 * _stagger(bound.model) * np.nan_to_num(motion.qacc)
     estimated = [j.label for j in lacking if not np.isfinite(recorded[:, j.v]).any()]
     notes = [f"velocities of {', '.join(map(repr, estimated))} are estimated from the positions"]
+    qpos, qvel = carry_unread(
+        bound,
+        np.where(np.isfinite(bound.qpos), bound.qpos, motion.qpos),
+        np.where(np.isfinite(recorded), recorded, early),
+        functools.partial(_begin, bound),
+    )
     return Starts(
-        qpos=np.where(np.isfinite(bound.qpos), bound.qpos, motion.qpos),
-        qvel=np.where(np.isfinite(recorded), recorded, early),
+        qpos=qpos,
+        qvel=qvel,
         notes=tuple(notes if estimated else ()),
     )
+
+
+def _begin(bound: Bound, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Activations and delay buffers at a state, as after a long time under its controls."""
+    if model.na:
+        data.act[:] = _settled(model, data)
+    if model.nhistory:
+        row = np.array([int(np.searchsorted(bound.time, data.time))])
+        data.history[:] = histories(bound, row)[0]
 
 
 def _stagger(model: mujoco.MjModel) -> float:

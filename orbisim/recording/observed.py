@@ -16,6 +16,7 @@ from orbisim.recording.actuators import actuators
 from orbisim.recording.joints import Joint, Kind, body_label, joints
 from orbisim.recording.motion import rotation_noise
 from orbisim.recording.noise import noise_std
+from orbisim.recording.sensors import sensors
 
 if TYPE_CHECKING:
     from orbisim.freerun import Run
@@ -122,32 +123,10 @@ def _of_forces(bound: Bound) -> Iterator[Signal]:
             yield Signal(f"torque/{joint.label}", joint.force_unit, "torque", joint.v)
 
 
-_SENSOR_UNITS = {
-    "ACCELEROMETER": "m/s^2", "GYRO": "rad/s", "VELOCIMETER": "m/s", "FORCE": "N",
-    "TORQUE": "N*m", "TOUCH": "N", "FRAMEPOS": "m", "FRAMELINVEL": "m/s", "FRAMEANGVEL": "rad/s",
-    "SUBTREECOM": "m", "RANGEFINDER": "m", "ACTUATORFRC": "N or N*m",
-}  # fmt: skip
-
-
 def _of_sensors(bound: Bound) -> Iterator[Signal]:
-    model = bound.model
-    for index in range(model.nsensor):
-        start = int(model.sensor_adr[index])
-        place = slice(start, start + int(model.sensor_dim[index]))
-        kind = mujoco.mjtSensor(model.sensor_type[index])
-        rotation = int(model.sensor_dim[index]) == 4 and kind.name.endswith("QUAT")
-        unit = "rad" if rotation else _sensor_unit(model, index, kind)
-        name = model.sensor(index).name or f"#{index}"
-        yield Signal(f"sensor/{name}", unit, "sensordata", place, rotation=rotation)
-
-
-def _sensor_unit(model: mujoco.MjModel, index: int, kind: mujoco.mjtSensor) -> str:
-    short = kind.name.removeprefix("mjSENS_")
-    if short in ("JOINTPOS", "JOINTVEL", "JOINTACTFRC"):
-        joint = joints(model)[int(model.sensor_objid[index])]
-        base = joint.force_unit if short == "JOINTACTFRC" else joint.unit
-        return f"{base}/s" if short == "JOINTVEL" else base
-    return _SENSOR_UNITS.get(short, "SI")
+    for one in sensors(bound.model):
+        name = f"sensor/{one.label}"
+        yield Signal(name, one.unit, "sensordata", one.place, rotation=one.rotation)
 
 
 def predict(bound: Bound, signals: Sequence[Signal], run: Run) -> list[Floats]:

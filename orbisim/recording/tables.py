@@ -155,7 +155,7 @@ def load_parquet(path: Path) -> Recording:
             return {name: _to_floats(table, name) for name in wanted}
 
         return _from_columns(path, list(schema.names), read, header)
-    except (pyarrow.ArrowException, OSError) as error:
+    except (pyarrow.ArrowException, OSError, UnicodeDecodeError) as error:
         text = " ".join(str(error).split())[:300]
         raise RecordingError(str(path), f"is not a .parquet file: {text}") from None
 

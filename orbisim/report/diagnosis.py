@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,227 +12,268 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
+from orbisim.diagnosis.confounds import advice
 from orbisim.diagnosis.force import ForceResidual, force_residual
 from orbisim.diagnosis.result import Diagnosis
+from orbisim.diagnosis.samples import Samples, prepare_all
 from orbisim.diagnosis.scoring import score
 from orbisim.diagnosis.wording import number
 from orbisim.effects import find
-from orbisim.recording.joints import Joint, joints
-from orbisim.replay import Replay
-from orbisim.report import figures
+from orbisim.effects.measured import correct
+from orbisim.recording import Recording
+from orbisim.report import held_out, shape
 from orbisim.report.page import render_page
+from orbisim.report.shape import AFTER, BEFORE, LEARNED, Degree
 
 Floats = npt.NDArray[np.float64]
+Sets = list[tuple[str, str, list[ForceResidual]]]
 
-_MOST_JOINTS = 3
-_MOST_POINTS = 1500
-_BEFORE, _AFTER, _MEASURED = figures.B, figures.A, figures.C
+_MOST_DEGREES = 3
+_MOST_EPISODES = 2
+_MOST_REGRESSORS = 8
+_MOST_ADVICE = 6
+_STRONG = 0.1
+_MOST_SENSORS = 4
+_OFF = 1.5
 
 
 def write_report(diagnosis: Diagnosis, path: Path) -> Path:
     """Writes the page; returns its path."""
-    found = diagnosis.attribution
-    samples = found.bench.samples
-    before = force_residual(samples, diagnosis.scene)
-    after = _after(diagnosis)
-    shown = _worst_joints(diagnosis)
+    samples = diagnosis.attribution.bench.samples
+    sets = _sets(diagnosis)
+    shown = _worst(diagnosis, sets)
+    left = diagnosis.verdict in ("unexplained", "partly_explained")
+    rows, left_charts = _left(samples, sets, shown[0]) if left else ([], [])
     page = render_page(
         "diagnosis.html",
         d=diagnosis,
         sentence=diagnosis.sentence,
         error=diagnosis.error,
         phrases={e.effect: find(e.effect).phrase for e in diagnosis.effects},
-        rivals=sorted(found.rivals, key=lambda r: (r.round, r.delta_bic)),
-        force_rows=_force_rows(diagnosis, before, after),
-        time_charts=[_time_chart(diagnosis, j, before, after) for j in shown],
-        dependence_charts=[c for j in shown for c in _dependence(diagnosis, j, before, after)],
-        overlay_charts=_overlays(diagnosis),
-        left_charts=[c for j in shown[:1] for c in _left(diagnosis, j, after or before)],
+        chosen={(e.effect, e.target) for e in diagnosis.effects},
+        changed=_changed(diagnosis),
+        force_rows=_force_rows(diagnosis, sets),
+        time_charts=[shape.over_time(sets, d, [_name(s) for s in samples]) for d in shown],
+        dependence_charts=[c for d in shown for c in _dependence(samples, sets, d)],
+        held_charts=_held(diagnosis, shown),
+        sensors=[] if diagnosis.sensors is None else diagnosis.sensors.findings,
+        sensor_charts=_sensor_charts(diagnosis),
+        left_rows=rows,
+        left_charts=left_charts,
+        left_at=shown[0].name,
+        advice=_advice(diagnosis, rows, shown[0]),
         command=_command(diagnosis),
         number=number,
+        interval=_interval,
     )
     path.write_text(page, encoding="utf-8")
     return path
 
 
 def _command(diagnosis: Diagnosis) -> str:
-    files = [diagnosis.source, *(one.source for one in diagnosis.fit)]
-    return "orbisim diagnose " + shlex.join(files) + f" --window {diagnosis.error['window_s']:g}"
+    fit, held = (_files(part) for part in (diagnosis.fit, diagnosis.held_out))
+    apart = [word for name in held if name not in fit for word in ("--held-out", name)]
+    window = ["--window", f"{diagnosis.error['window_s']:g}"]
+    rest = [] if diagnosis.rest is None else ["--learn-rest"]
+    return shlex.join(["orbisim", "diagnose", diagnosis.source, *fit, *apart, *window, *rest])
 
 
-def _after(diagnosis: Diagnosis) -> list[ForceResidual] | None:
-    """The force-space residual with the effects, where all of them are native and none is of the
-    measurement; what is left over sampling intervals says the rest."""
-    changed = diagnosis.effects or diagnosis.retuned
-    if not changed or not all(e.native for e in diagnosis.effects):
-        return None
-    return force_residual(diagnosis.attribution.bench.samples, diagnosis.augmented_scene)
+def _files(recordings: Sequence[Recording]) -> list[str]:
+    """Where recordings came from; stretches of one come from the same file."""
+    return list(dict.fromkeys(_STRETCH.sub("", one.source) for one in recordings))
 
 
-def _worst_joints(diagnosis: Diagnosis) -> list[Joint]:
-    """Joints with effects, then those with the largest share of the residual."""
-    every = {j.label: j for j in joints(diagnosis.scene.model) if j.scalar}
+_STRETCH = re.compile(r"\[\S+ s to \S+ s\]$")
+
+
+def _interval(low: float, high: float) -> str:
+    """Both ends, with digits enough to tell them apart."""
+    size, width = max(abs(low), abs(high)), high - low
+    digits = 3 if not width > 0 else int(np.clip(np.ceil(np.log10(size / width)) + 2, 3, 9))
+    return f"{number(low, digits)} to {number(high, digits)}"
+
+
+def _name(one: Samples) -> str:
+    return Path(one.source).name
+
+
+def _changed(diagnosis: Diagnosis) -> bool:
+    """Whether the scene, or what it is compared with, is another one after the diagnosis."""
+    hypothesis = diagnosis.attribution.after.hypothesis
+    return bool(hypothesis.effects or hypothesis.factors)
+
+
+# -- the missing force -----------------------------------------------------------------------------
+
+
+def _sets(diagnosis: Diagnosis) -> Sets:
+    """The missing force with the scene as declared, after, and with a learned force."""
+    samples = list(diagnosis.attribution.bench.samples)
+    sets: Sets = [("as declared", BEFORE, force_residual(samples, diagnosis.scene))]
+    effects = diagnosis.attribution.after.hypothesis.effects
+    if any(find(e.effect).measurement for e in effects):
+        true = [correct(s.bound.recording, effects, diagnosis.scene) for s in samples]
+        samples = prepare_all(true, diagnosis.scene)
+    if _changed(diagnosis) and all(len(a) == len(b) for a, b in _pairs(diagnosis, samples)):
+        sets.append(("after", AFTER, force_residual(samples, diagnosis.augmented_scene)))
+    if diagnosis.rest is not None and diagnosis.rest.scene is not None:
+        learned = force_residual(samples, diagnosis.rest.scene)
+        sets.append(("with the learned force", LEARNED, learned))
+    return sets
+
+
+def _pairs(diagnosis: Diagnosis, samples: Sequence[Samples]) -> list[tuple[Samples, Samples]]:
+    """As recorded, and corrected: a late sensor's recording is shorter once it is corrected."""
+    return list(zip(diagnosis.attribution.bench.samples, samples, strict=True))
+
+
+def _worst(diagnosis: Diagnosis, sets: Sets) -> list[Degree]:
+    """Degrees of freedom with effects, then those where most is left, by the noise there."""
+    every = shape.degrees(diagnosis.scene.model)
     named = [e.target for e in diagnosis.effects]
     named += [str(w["target"]) for w in diagnosis.residual["where"]]
-    chosen = [every[name] for name in dict.fromkeys(named) if name in every]
-    return (chosen or list(every.values()))[:_MOST_JOINTS]
+    ratio = {d.dof: _rms(sets[-1][2], "force", d.dof) / _noise(sets, d.dof) for d in every}
+    every.sort(key=lambda d: -np.nan_to_num(ratio[d.dof]))
+    first = [d for name in dict.fromkeys(named) for d in every if d.joint == name]
+    return (first or every)[:_MOST_DEGREES]
 
 
-def _force_rows(
-    diagnosis: Diagnosis, before: list[ForceResidual], after: list[ForceResidual] | None
-) -> list[dict[str, Any]]:
+def _noise(sets: Sets, dof: int) -> float:
+    return max(_rms(sets[0][2], "std", dof), 1e-9)
+
+
+def _rms(parts: Sequence[ForceResidual], field: str, dof: int) -> float:
+    values = np.concatenate([getattr(part, field)[:, dof] for part in parts])
+    values = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
+
+
+def _force_rows(diagnosis: Diagnosis, sets: Sets) -> list[dict[str, Any]]:
     """Root mean square of the generalized-force residual of each degree of freedom."""
-
-    def rms(parts: list[ForceResidual], field: str, column: int) -> float:
-        values = np.concatenate([getattr(p, field)[:, column] for p in parts])
-        values = values[np.isfinite(values)]
-        return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
-
-    rows = []
-    for joint in joints(diagnosis.scene.model):
-        for i, column in enumerate(range(joint.v.start, joint.v.stop)):
-            part = "" if joint.scalar else f"[{i}]"
-            rows.append(
-                {
-                    "name": f"{joint.label}{part}",
-                    "unit": joint.force_unit,
-                    "needed": rms(before, "total", column),
-                    "noise": rms(before, "std", column),
-                    "before": rms(before, "force", column),
-                    "after": rms(after, "force", column) if after else None,
-                }
-            )
-    return rows
+    found = {label: parts for label, _, parts in sets}
+    before, after = found["as declared"], found.get("after")
+    return [
+        {
+            "name": one.name,
+            "unit": one.force_unit,
+            "needed": _rms(before, "total", one.dof),
+            "noise": _rms(before, "std", one.dof),
+            "before": _rms(before, "force", one.dof),
+            "after": _rms(after, "force", one.dof) if after else None,
+        }
+        for one in shape.degrees(diagnosis.scene.model)
+    ]
 
 
-# -- charts ----------------------------------------------------------------------------------------
+def _aligned(samples: Sequence[Samples], sets: Sets) -> Sets:
+    """Those sets that have the samples of the recordings."""
+    lengths = [len(s) for s in samples]
+    return [one for one in sets if [len(part.time) for part in one[2]] == lengths]
 
 
-def _time_chart(
-    diagnosis: Diagnosis,
-    joint: Joint,
-    before: list[ForceResidual],
-    after: list[ForceResidual] | None,
-) -> Markup:
-    column, one = joint.v.start, before[0]
-    drawn, axes = figures.figure(height=2.6)
-    rows = slice(0, min(len(one.time), _MOST_POINTS))
-    axes.fill_between(
-        one.time[rows], -2 * one.std[rows, column], 2 * one.std[rows, column],
-        color=_MEASURED, alpha=0.25, linewidth=0, label="twice the noise",
-    )  # fmt: skip
-    axes.plot(one.time[rows], one.force[rows, column], color=_BEFORE, label="as declared", lw=1)
-    if after:
-        axes.plot(one.time[rows], after[0].force[rows, column], color=_AFTER, label="after", lw=1)
-    axes.set(title=f"Missing force at {joint.label}", xlabel="time (s)", ylabel=joint.force_unit)
-    figures.legend(axes, ncols=3)
-    return figures.to_svg(drawn, f"Missing force at {joint.label} over time")
-
-
-def _dependence(
-    diagnosis: Diagnosis,
-    joint: Joint,
-    before: list[ForceResidual],
-    after: list[ForceResidual] | None,
-) -> list[Markup]:
+def _dependence(samples: Sequence[Samples], sets: Sets, degree: Degree) -> list[Markup]:
     """The missing force against velocity and position."""
-    samples = diagnosis.attribution.bench.samples
-    column = joint.v.start
-    against = {
-        f"velocity ({joint.unit}/s)": np.concatenate([s.qvel[:, column] for s in samples]),
-        f"position ({joint.unit})": np.concatenate([s.qpos[:, joint.q.start] for s in samples]),
-    }
-    force = np.concatenate([p.force[:, column] for p in before])
-    left = np.concatenate([p.force[:, column] for p in after]) if after else None
-    charts = []
-    for label, x in against.items():
-        drawn, axes = figures.figure(height=2.8)
-        pick = _thin(np.flatnonzero(np.isfinite(force) & np.isfinite(x)))
-        dots = {"linestyle": "", "marker": ".", "markersize": 2.5, "alpha": 0.5}
-        axes.plot(x[pick], force[pick], color=_BEFORE, label="as declared", **dots)
-        if left is not None:
-            axes.plot(x[pick], left[pick], color=_AFTER, label="after", **dots)
-        axes.set(title=f"{joint.label}: missing force against {label.split(' ')[0]}")
-        axes.set(xlabel=label, ylabel=joint.force_unit)
-        figures.legend(axes, markerscale=4)
-        charts.append(figures.to_svg(drawn, f"Missing force at {joint.label} against {label}"))
-    return charts
+    courses = shape.courses(_aligned(samples, sets), degree)
+    own = [r for r in shape.regressors(samples, degree) if r.name in _own(degree)]
+    return [shape.scatter(one, courses, degree) for one in own]
 
 
-def _left(diagnosis: Diagnosis, joint: Joint, parts: list[ForceResidual]) -> list[Markup]:
-    """Shape of what is left: its spectrum, and its course with the control."""
-    from scipy import signal
-
-    column, one = joint.v.start, parts[0]
-    force = np.nan_to_num(one.force[:, column])
-    charts = []
-    if len(force) >= 16:
-        rate = 1.0 / float(np.median(np.diff(one.time)))
-        frequency, power = signal.welch(force, rate, nperseg=min(256, len(force)))
-        drawn, axes = figures.figure(height=2.6)
-        axes.loglog(frequency[1:], power[1:], color=_AFTER)
-        axes.set(title=f"Spectrum of what is left at {joint.label}", xlabel="frequency (Hz)")
-        axes.set_ylabel(f"({joint.force_unit})²/Hz")
-        charts.append(figures.to_svg(drawn, "Spectrum of what is left"))
-    samples = diagnosis.attribution.bench.samples[0]
-    for control in range(min(samples.ctrl.shape[1], 2)):
-        drawn, axes = figures.figure(height=2.6)
-        pick = _thin(np.arange(len(force)))
-        axes.plot(
-            samples.ctrl[pick, control], force[pick], linestyle="", marker=".", markersize=2.5,
-            alpha=0.5, color=_AFTER,
-        )  # fmt: skip
-        axes.set(title=f"What is left at {joint.label} against control {control}")
-        axes.set(xlabel="control", ylabel=joint.force_unit)
-        charts.append(figures.to_svg(drawn, f"What is left against control {control}"))
-    return charts
+def _own(degree: Degree) -> tuple[str, str]:
+    return f"velocity of {degree.name}", f"position of {degree.name}"
 
 
-def _overlays(diagnosis: Diagnosis) -> list[Markup]:
-    """The held-out window that was worst, and the median one: measured, before and after."""
+def _left(
+    samples: Sequence[Samples], sets: Sets, degree: Degree
+) -> tuple[list[dict[str, Any]], list[Markup]]:
+    """The shape of what is left: its spectrum, and what it depends on."""
+    sets = _aligned(samples, sets)
+    courses = shape.courses(sets, degree)
+    after = next((c for c in courses if c.label == "after"), courses[0])
+    every = shape.regressors(samples, degree)
+    rows: list[dict[str, Any]] = list(shape.dependence_rows(every, courses[0], after))
+    drawn = shape.spectrum(samples, sets, degree)
+    charts = [] if drawn is None else [drawn]
+    strong = [str(row["name"]) for row in rows]
+    others = [r for r in every if r.name not in _own(degree)]
+    always = [r for r in others if r.name in ("contact", "time") or r.name.startswith("control")]
+    more = sorted(
+        (r for r in others if r in always or r.name in strong),
+        key=lambda r: strong.index(r.name) if r.name in strong else len(strong),
+    )
+    return rows, charts + [shape.scatter(one, courses, degree) for one in more[:_MOST_REGRESSORS]]
+
+
+# -- held-out data ---------------------------------------------------------------------------------
+
+
+def _held(diagnosis: Diagnosis, shown: Sequence[Degree]) -> dict[str, list[Markup]]:
+    """Free runs on held-out data: whole episodes, and the error over windows."""
+    sides = _sides(diagnosis)
+    episodes = []
+    for i, recording in enumerate(list(diagnosis.held_out)[:_MOST_EPISODES]):
+        bound = recording.bind(diagnosis.scene)
+        for degree in [d for d in shown if d.q is not None][:2]:
+            episodes.append(held_out.episode(bound, i, sides, degree))
+    unit = diagnosis.error["unit"]
+    growth = held_out.growth(sides, unit, diagnosis.error["noise_floor"])
+    return {"episodes": episodes, "errors": [growth, held_out.per_window(sides, unit)]}
+
+
+def _sides(diagnosis: Diagnosis) -> list[held_out.Side]:
     window = diagnosis.error["window_s"]
     effects = diagnosis.attribution.after.hypothesis.effects
     held = list(diagnosis.held_out)
-    before = score(diagnosis.scene, held, window).replay
-    changed = bool(effects) or bool(diagnosis.retuned)
-    after = score(diagnosis.augmented_scene, held, window, effects).replay if changed else None
-    order = np.argsort([w.rms if np.isfinite(w.rms) else np.inf for w in before.windows])
-    picks = dict.fromkeys([int(order[-1]), int(order[len(order) // 2])])
-    charts = []
-    shown = _worst_joints(diagnosis) or list(joints(diagnosis.scene.model))[:1]
-    for pick in picks:
-        for joint in shown[:2]:
-            charts.append(_overlay(diagnosis, joint, before, after, pick))
-    return charts
+    scene, augmented = diagnosis.scene, diagnosis.augmented_scene
+    found = [("as declared", BEFORE, score(scene, held, window).replay, scene)]
+    if _changed(diagnosis):
+        after = score(augmented, held, window, effects).replay
+        found.append(("after", AFTER, after, augmented))
+    if diagnosis.rest is not None and diagnosis.rest.scene is not None:
+        learned = diagnosis.rest.scene
+        found.append(
+            (
+                "with the learned force",
+                LEARNED,
+                score(learned, held, window, effects).replay,
+                learned,
+            )
+        )
+    return found
 
 
-def _overlay(
-    diagnosis: Diagnosis, joint: Joint, before: Replay, after: Replay | None, pick: int
-) -> Markup:
-    window = before.windows[pick]
-    bound = diagnosis.held_out[window.recording].bind(diagnosis.scene)
-    rows, column = slice(window.start, window.stop), joint.q.start
-    drawn, axes = figures.figure(height=2.6)
-    axes.plot(
-        window.time, bound.qpos[rows, column], linestyle="", marker=".", markersize=4,
-        color=_MEASURED, label="measured",
-    )  # fmt: skip
-    axes.plot(window.time, window.qpos[:, column], color=_BEFORE, label="as declared")
-    if after is not None and pick < len(after.windows):
-        other = after.windows[pick]
-        axes.plot(other.time, other.qpos[:, _column(diagnosis, joint)], color=_AFTER, label="after")
-    name = Path(bound.recording.source).name
-    axes.set(title=f"{joint.label}, held out: {name}", xlabel="time (s)", ylabel=joint.unit)
-    figures.legend(axes, ncols=3)
-    return figures.to_svg(drawn, f"{joint.label} measured and simulated in a held-out window")
+def _sensor_charts(diagnosis: Diagnosis) -> list[Markup]:
+    """Readings of the sensors that are off, worst first."""
+    findings = [] if diagnosis.sensors is None else list(diagnosis.sensors.findings)
+    findings.sort(key=lambda one: (not one.effects, -one.before))
+    off = [one for one in findings if one.effects or one.before > _OFF]
+    return [shape.sensor(one) for one in off[:_MOST_SENSORS]]
 
 
-def _column(diagnosis: Diagnosis, joint: Joint) -> int:
-    """Where a declared joint's position stands in the augmented scene."""
-    return int(
-        diagnosis.augmented_scene.model.joint(joint.id if not joint.name else joint.name).qposadr[0]
-    )
+# -- what to record next ---------------------------------------------------------------------------
 
 
-def _thin(rows: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    return rows[:: max(1, len(rows) // _MOST_POINTS)]
+def _advice(diagnosis: Diagnosis, rows: Sequence[dict[str, Any]], worst: Degree) -> list[str]:
+    """What to record next, most useful first."""
+    found = []
+    for effect in diagnosis.effects:
+        for other in diagnosis.alternatives:
+            tip = advice(effect.effect, other.effect)
+            if tip is not None:
+                where = f" at {other.target}" if other.target else ""
+                found.append(
+                    f"To tell {effect.effect} at {effect.target} from {other.effect}{where}: {tip}."
+                )
+    if diagnosis.verdict in ("unexplained", "partly_explained"):
+        strong = [row for row in rows if row["after"] >= _STRONG]
+        for row in strong[:2]:
+            found.append(
+                f"What is left at {worst.name} goes with {row['name']} "
+                f"({100 * row['after']:.0f} % of its variance): record runs in which that varies "
+                "while everything else hardly does."
+            )
+        if not strong:
+            found.append(
+                f"What is left at {worst.name} goes with nothing that is recorded: record what "
+                "else acts there (a torque or current, a second sensor beyond the transmission)."
+            )
+    return list(dict.fromkeys(found))[:_MOST_ADVICE]

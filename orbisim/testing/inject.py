@@ -16,6 +16,7 @@ from orbisim.errors import DivergedError, InputError
 from orbisim.recording import Recording
 from orbisim.recording import quaternions as quat
 from orbisim.recording.joints import Joint, joints
+from orbisim.recording.sensors import sensors as sensors_of
 from orbisim.registry import make_backend
 from orbisim.scene import Scene
 from orbisim.state import State
@@ -41,6 +42,8 @@ def inject_effect(
     noise: float = 1e-4,
     velocity_noise: float | None = None,
     velocities: bool = True,
+    sensors: bool = False,
+    sensor_noise: float = 0.0,
     seed: int = 0,
     hooks: Callable[[mujoco.MjModel], Sequence[Hook]] | None = None,
 ) -> list[Recording]:
@@ -64,6 +67,8 @@ def inject_effect(
       noise: standard deviation of white noise, rad or m; rotations turn by it about each axis.
       velocity_noise: the same of velocities, rad/s or m/s; ten times `noise` per second if None.
       velocities: whether velocities are recorded.
+      sensors: whether the scene's named sensors are recorded.
+      sensor_noise: standard deviation of white noise on their readings, in the unit of each.
       seed: of the excitation and the noise.
       hooks: effects that no catalogue knows: makes hooks for the simulated model.
 
@@ -83,7 +88,8 @@ def inject_effect(
     simulated = [one for one in wanted if not find(one.effect).measurement]
     try:
         true = add_effects(scene, simulated)
-        run = _simulate(scene, true, planned, (nstep, 1 if extra else nstep), hooks)
+        stride = 1 if extra or sensors else nstep
+        run = _simulate(scene, true, planned, (nstep, stride), hooks, sensors)
     except DivergedError as error:
         names = ", ".join(map(str, wanted)) or "no effect"
         raise DivergedError(f"injecting {names}: {error}", error.worlds) from None
@@ -94,7 +100,8 @@ def inject_effect(
         measured = _measured(clean, wanted, scene, nstep)
         measured = measured if velocities else measured.select(lambda n: not n.startswith("qvel"))
         rng = np.random.default_rng([seed, e, 1])
-        found.append(add_noise(measured, {"qpos": noise, "qvel": level}, scene, rng))
+        levels = {"qpos": noise, "qvel": level, "sensor": sensor_noise}
+        found.append(add_noise(measured, levels, scene, rng))
     return found
 
 
@@ -163,12 +170,14 @@ def _started(scene: Scene, planned: Excitation, starts: Floats, episodes: int) -
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Run:
-    """Declared part of E runs: time [N], qpos [E, N, nq], qvel [E, N, nv], ctrl [E, N, nu]."""
+    """Declared part of E runs: time [N], qpos [E, N, nq], qvel [E, N, nv], ctrl [E, N, nu], and
+    sensordata [E, N, nsensordata] if asked for."""
 
     time: Floats
     qpos: Floats
     qvel: Floats
     ctrl: Floats
+    sensordata: Floats | None = None
 
 
 def _simulate(
@@ -177,28 +186,37 @@ def _simulate(
     planned: Excitation,
     steps: tuple[int, int],
     hooks: Callable[[mujoco.MjModel], Sequence[Hook]] | None,
+    sensors: bool = False,
 ) -> _Run:
-    """Runs the true scene; `steps`: timesteps of a control, and between recorded states."""
+    """Runs the true scene; `steps`: timesteps of a control, and between recorded states (one if
+    there are sensors, whose readings of a state come with the step after it)."""
     nstep, stride = steps
     count, worlds = planned.reference.shape[1], len(planned.qpos)
     engine = make_backend("mujoco", true, nworld=worlds, hooks=hooks)
+    engine.report = frozenset({"sensordata"} if sensors else ())
     layout = _Layout(scene.model, true.model)
     limits = _limits(scene.model)
     ctrl = np.clip(planned.control(0, planned.qpos, planned.qvel), *limits)
     state = _initial(engine, layout, planned, ctrl)
     qpos, qvel, held = [planned.qpos], [planned.qvel], []
+    read: list[Floats] = []
     for k in range(count):
         ctrl = np.clip(planned.control(k, qpos[-1], qvel[-1]), *limits)
         same = ctrl[:, None].repeat(nstep // stride, axis=1)
-        part = engine.rollout(state, same, nstep=stride, sensors=False, raise_on_divergence=True)
+        part = engine.rollout(state, same, nstep=stride, sensors=sensors, raise_on_divergence=True)
         state = part.final
+        read += [] if part.sensordata is None else list(np.moveaxis(part.sensordata, 1, 0))
         for i in range(nstep // stride):
             qpos.append(part.qpos[:, i][:, layout.q])
             qvel.append(part.qvel[:, i][:, layout.v])
             held.append(ctrl)
     held.append(ctrl)
+    if read:
+        last = engine.rollout(state, ctrl[:, None], sensors=True).sensordata
+        read.append(np.asarray(last)[:, 0])
+    seen = np.stack(read, 1) if read else None
     time = np.asarray(np.arange(len(held)) * stride * scene.model.opt.timestep, np.float64)
-    return _Run(time, np.stack(qpos, 1), np.stack(qvel, 1), np.stack(held, 1))
+    return _Run(time, np.stack(qpos, 1), np.stack(qvel, 1), np.stack(held, 1), seen)
 
 
 def _limits(model: mujoco.MjModel) -> tuple[Floats, Floats]:
@@ -295,6 +313,10 @@ def _recording(scene: Scene, run: _Run, episode: int, velocities: bool) -> Recor
         signals |= {f"ctrl/{name}": ctrl[:, u] for u, name in enumerate(names)}
     elif model.nu:
         signals["ctrl"] = ctrl
+    if run.sensordata is not None:
+        readings = run.sensordata[episode]
+        named = [one for one in sensors_of(model) if one.name]
+        signals |= {f"sensor/{one.name}": readings[:, one.place] for one in named}
     return Recording(run.time, signals, source=f"{scene.name}-{episode}")
 
 
@@ -314,7 +336,7 @@ def add_noise(
     scene: Scene,
     rng: np.random.Generator,
 ) -> Recording:
-    """White Gaussian noise on joint signals.
+    """White Gaussian noise on joint signals and sensors.
 
     Args:
       recording: without noise.
