@@ -12,6 +12,7 @@ import numpy.typing as npt
 from orbisim.diagnosis.along import along
 from orbisim.diagnosis.bench import SAME, Bench, Hypothesis, clean
 from orbisim.diagnosis.consistency import inconsistency
+from orbisim.diagnosis.laws import imitated
 from orbisim.diagnosis.linear import linearize
 from orbisim.diagnosis.paying import unpaid
 from orbisim.diagnosis.refine import Judge, Judged, is_structural
@@ -427,6 +428,8 @@ class _Search:
             after = before
         else:
             problem = self._doubt(whole, before, after)
+            if problem is None and not self.bench.contacts:
+                problem = imitated(judge, after)
             if problem is not None:
                 self.rejected += [(effect, problem) for effect in after.hypothesis.effects]
                 after = before

@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 from importlib import metadata
 
-from orbisim.effects import actuators, bodies, contacts, joints, sensors
+from orbisim.effects import actuators, bodies, contacts, joints, sensors, unnamed
 from orbisim.effects.base import Effect
 from orbisim.errors import InputError, UnknownNameError
 
@@ -54,6 +54,7 @@ _BUILT_IN: tuple[type[Effect], ...] = (
 )
 
 _registered: dict[str, Effect] = {cls.name: cls() for cls in _BUILT_IN}
+_unnamed: dict[str, Effect] = {cls.name: cls() for cls in unnamed.UNNAMED}
 
 
 @functools.cache
@@ -62,7 +63,7 @@ def _entry_points() -> dict[str, metadata.EntryPoint]:
 
 
 def effect_names() -> tuple[str, ...]:
-    """Names of all effects."""
+    """Names of all effects that a diagnosis may give."""
     return tuple(dict.fromkeys([*_registered, *_entry_points()]))
 
 
@@ -85,6 +86,8 @@ def find(name: str) -> Effect:
     Raises:
       UnknownNameError: there is none.
     """
+    if name in _unnamed:
+        return _unnamed[name]
     if name not in _registered:
         if name not in _entry_points():
             raise UnknownNameError("effect", name, effect_names())

@@ -1,0 +1,95 @@
+"""Laws that have no name in the catalogue.
+
+A diagnosis must not call something by the least bad name. Where it takes several named effects to
+imitate what one smooth law does as well, the law is the better explanation, and no name is given.
+These laws are effects in every technical respect, but no report lists them as found.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+
+from orbisim.effects.base import EffectInstance, Hook, Moment, Parameter, index_of
+from orbisim.effects.joints import JointEffect
+from orbisim.effects.screening import Floats
+
+_LARGE = 1e6
+_POWERS = 4
+
+Along = Callable[[Moment, int, int], tuple[Floats, Floats]]
+"""What a law is a polynomial of, and what it is multiplied by, each [nworld], from the moment and
+the joint's addresses in qpos and qvel."""
+
+
+class Law(JointEffect):
+    """A generalized force at a joint: a polynomial of the third degree."""
+
+    native = False
+    derived: frozenset[str] = frozenset()
+
+    @abc.abstractmethod
+    def along(self, moment: Moment, q: int, v: int) -> tuple[Floats, Floats]:
+        """What it is a polynomial of, and a factor, each [nworld]; joint's addresses given."""
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        return tuple(Parameter(f"c{k}", "SI", -_LARGE, _LARGE, 0.1) for k in range(_POWERS))
+
+    def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
+        return _Polynomial(model, instance, self.along, self.derived)
+
+
+class PositionLaw(Law):
+    """Of the position."""
+
+    name = "law_of_position"
+    phrase = "a force that is a smooth function of the position"
+
+    def along(self, moment: Moment, q: int, v: int) -> tuple[Floats, Floats]:
+        return moment.qpos[:, q], np.ones(len(moment.time))
+
+
+class VelocityLaw(Law):
+    """Of the velocity."""
+
+    name = "law_of_velocity"
+    phrase = "a force that is a smooth function of the velocity"
+
+    def along(self, moment: Moment, q: int, v: int) -> tuple[Floats, Floats]:
+        return moment.qvel[:, v], np.ones(len(moment.time))
+
+
+class GainLaw(Law):
+    """Of the time, times the actuators' force at the joint."""
+
+    name = "law_of_gain"
+    phrase = "a gain that drifts with time"
+    derived = frozenset({"qfrc_actuator"})
+
+    def along(self, moment: Moment, q: int, v: int) -> tuple[Floats, Floats]:
+        return moment.time, moment.derived["qfrc_actuator"][:, v]
+
+
+UNNAMED: tuple[type[Law], ...] = (PositionLaw, VelocityLaw, GainLaw)
+
+
+class _Polynomial(Hook):
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        instance: EffectInstance,
+        along: Along,
+        derived: frozenset[str],
+    ) -> None:
+        super().__init__(instance.values)
+        joint = index_of(model, "joint", instance.target)
+        self._q, self._v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+        self._along, self.derived = along, derived
+
+    def force(self, moment: Moment) -> None:
+        x, factor = self._along(moment, self._q, self._v)
+        powers = sum(self.value(f"c{k}") * x**k for k in range(_POWERS))
+        moment.qfrc[:, self._v] += factor * powers
