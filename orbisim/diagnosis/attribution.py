@@ -22,6 +22,7 @@ from orbisim.diagnosis.screening import (
     Suspect,
     cleaned,
     factor_columns,
+    merged,
     missing_force,
     screen,
 )
@@ -227,7 +228,8 @@ class _Search:
         bench, numbers = fitted
         columns = None if self.columns is None else factor_columns(bench, self.tunables)
         force = missing_force(self.intervals)[numbers]
-        return screen(bench, hypothesis, bench.intervals, only, columns, force)
+        own = screen(bench, hypothesis, bench.intervals, only, columns, force)
+        return merged(own, screen(self.bench, hypothesis, self.intervals, only, self.columns))
 
     def _find_tunables(self) -> None:
         """Declared parameters that the data feel at all."""
@@ -335,23 +337,24 @@ class _Search:
         self, hypothesis: Hypothesis, suspects: Sequence[Suspect], screening: Screening
     ) -> Iterator[tuple[EffectInstance, float | None]]:
         """Best first; then play and elasticity, which no regression sees."""
-        for suspect in self._shortlist(suspects):
-            instance = cleaned(self.bench, suspect)
-            if instance is not None:
-                yield instance, suspect.bic
+        yield from self._shortlist(hypothesis, suspects)
         yield from ((instance, None) for instance in self._structural(hypothesis, screening))
 
-    def _shortlist(self, suspects: Sequence[Suspect]) -> list[Suspect]:
-        """The best; where there are contacts, half of them effects on contacts, whose regression
-        says less."""
-        possible = [s for s in suspects if cleaned(self.bench, s) is not None]
+    def _shortlist(
+        self, hypothesis: Hypothesis, suspects: Sequence[Suspect]
+    ) -> list[tuple[EffectInstance, float]]:
+        """The best. Where there are contacts, regressions say less: one simulation of each of many
+        decides."""
+        found = ((cleaned(self.bench, s), s) for s in suspects)
+        possible = [(instance, s.bic) for instance, s in found if instance is not None]
         most = self.settings.shortlist
-        if not self.bench.contacts:
+        if not self.bench.contacts or is_structural(hypothesis):
             return possible[:most]
-        touching = [s for s in possible if find(s.instance.effect).kind == "geom"]
-        others = [s for s in possible if find(s.instance.effect).kind != "geom"]
-        chosen = [*touching[: most - 2], *others[: most - 2]]
-        return sorted(chosen, key=lambda s: s.bic)
+        touching = [one for one in possible if find(one[0].effect).kind == "geom"]
+        others = [one for one in possible if find(one[0].effect).kind != "geom"]
+        chosen = [*touching[:most], *others[: _GLANCES - most]]
+        left = {id(one): self.judge.glance(hypothesis.plus(one[0])) for one in chosen}
+        return sorted(chosen, key=lambda one: left[id(one)])[:most]
 
     @property
     def _iterations(self) -> int:
@@ -485,6 +488,7 @@ def _excess(judged: Judged) -> float:
     return float(np.sqrt(max(float(np.mean(judged.checked)) - 1.0, 0.0)))
 
 
+_GLANCES = 20
 _SHARE = 0.08
 _LITTLE = 0.1
 _HALF = 0.5

@@ -120,6 +120,21 @@ def start_derivatives(shooter: Shooter, variant: Variant, start: Floats) -> Floa
     return problem.start_jacobian(problem.trial(np.zeros(0), start))
 
 
+def glanced(
+    shooter: Shooter, variant: Variant, start: Floats, free: Floats, robust: float | None
+) -> Floats:
+    """[W]: sum of squares that one simulation leaves if the starts are corrected linearly.
+
+    Args:
+      start: [W, 2 nv] where to start. free: [W, data, 2 nv] derivatives by the starts.
+    """
+    problem = _Problem(shooter, lambda _: variant, [], Hints(free), robust)
+    none = np.zeros(0)
+    here = problem.trial(none, problem.widened(none, start))
+    left, _ = problem.projected(here.residual, np.zeros((*here.residual.shape, 0)), free)
+    return np.asarray((left**2).sum(axis=1))
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Hints:
     """Approximate derivatives of the weighted data.
@@ -163,7 +178,7 @@ class _Problem:
     ) -> Fit:
         shooter = self.shooter
         values = np.clip(self.begin, self.low, self.high)
-        xi = self._widened(values, start)
+        xi = self.widened(values, start)
         here = self.trial(values, xi)
         if self.hints.rough or self.hints.exact:
             for other in ([] if start is None else [np.zeros_like(xi)]) + [self._measured(xi)]:
@@ -207,7 +222,7 @@ class _Problem:
                 free, at = self._updated(free, at, here)
         return self._result(here, free)
 
-    def _widened(self, values: Floats, start: Floats | None) -> Floats:
+    def widened(self, values: Floats, start: Floats | None) -> Floats:
         """Window starts with room for the joints that effects have added."""
         shooter = self.shooter
         added = self.build(values).scene.model.nv - shooter.nv
@@ -364,7 +379,7 @@ class _Problem:
             jacobian[..., j] = (after - base) / _START_STEP
         return np.clip(jacobian, -1e12, 1e12)
 
-    def _projected(self, residual: Floats, slopes: Floats, free: Floats) -> tuple[Floats, Floats]:
+    def projected(self, residual: Floats, slopes: Floats, free: Floats) -> tuple[Floats, Floats]:
         """Residuals and slopes without what the starts explain."""
         root = np.sqrt(self._weights(residual))[..., None]
         weighted = slopes * root
@@ -378,7 +393,7 @@ class _Problem:
         self, here: _Trial, slopes: Floats, free: Floats, damping: float, brakes: Floats
     ) -> tuple[Floats, Floats]:
         values, residual = here.values, here.residual
-        left, weighted = self._projected(residual, slopes, free)
+        left, weighted = self.projected(residual, slopes, free)
         count = len(values)
         step = np.zeros(count)
         if count:
@@ -397,7 +412,7 @@ class _Problem:
     def _result(self, here: _Trial, free: Floats) -> Fit:
         values, xi, residual = here.values, here.xi, here.residual
         slopes = self._slopes(here)
-        left, weighted = self._projected(residual, slopes, free)
+        left, weighted = self.projected(residual, slopes, free)
         information = np.einsum("wdp,wdq->wpq", weighted, weighted)
         score = np.einsum("wdp,wd->wp", weighted, left)
         gram = information.sum(axis=0) + np.diag(self.precision)

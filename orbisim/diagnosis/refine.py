@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
-from orbisim.diagnosis.gauss_newton import Fit, Hints, gauss_newton, start_derivatives
+from orbisim.diagnosis.gauss_newton import Fit, Hints, gauss_newton, glanced, start_derivatives
 from orbisim.diagnosis.linear import Intervals
 from orbisim.diagnosis.regress import Windows
 from orbisim.diagnosis.retune import Tunable
@@ -112,6 +112,21 @@ class Judge:
         worst_first = np.flatnonzero(may_go)[np.argsort(-means[may_go])]
         kept = np.delete(means, worst_first[: round(_TRIMMED * len(means))])
         return float(kept.mean())
+
+    def glance(self, hypothesis: Hypothesis) -> float:
+        """What a hypothesis as it stands would leave, at the price of one simulation: mean squared
+        residual over windows, with starts corrected linearly; infinite if it cannot be simulated.
+
+        Needs `start_from` before.
+        """
+        start, free = self._warm[id(self.fitted)], self._free[id(self.fitted)]
+        try:
+            variant = hypothesis.variant(self.bench.scene)
+            left = glanced(self.fitted, variant, start, free, self.robust)
+        except (OrbiSimError, np.linalg.LinAlgError):
+            return np.inf
+        dof = np.maximum(self.fitted.data - 2 * self.fitted.nv, 1)
+        return self._typical(self.fitted, left / dof)
 
     def start_from(self, judged: Judged) -> None:
         """Takes a hypothesis' window starts, and what they do, as first guesses for others."""

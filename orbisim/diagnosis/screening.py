@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -98,6 +99,32 @@ def screen(
         tuned=tuple(_rank(found, tuned, bench)) if index else (),
         pairs=tuple(_pairs(found, normal, bench)),
     )
+
+
+def merged(one: Screening, other: Screening) -> Screening:
+    """Two screenings of the same data along different motions: suspects of both, in turns."""
+    return dataclasses.replace(
+        one,
+        suspects=_in_turns(one.suspects, other.suspects, lambda s: _key(s.instance)),
+        tuned=_in_turns(one.tuned, other.tuned, lambda s: _key(s.instance)),
+        pairs=_in_turns(
+            one.pairs, other.pairs, lambda p: (_key(p[0].instance), _key(p[1].instance))
+        ),
+    )
+
+
+T = TypeVar("T")
+
+
+def _in_turns(one: Sequence[T], other: Sequence[T], key: Callable[[T], Any]) -> tuple[T, ...]:
+    """Both sequences, element by element; what was there before is left out."""
+    both = itertools.chain.from_iterable(itertools.zip_longest(one, other))
+    found = {key(item): item for item in reversed([item for item in both if item is not None])}
+    return tuple(reversed(found.values()))
+
+
+def _key(instance: EffectInstance) -> tuple[str, ...]:
+    return (instance.effect, instance.target, *sorted(instance.options.values()))
 
 
 def factor_columns(bench: Bench, chosen: Sequence[Tunable]) -> Floats:
