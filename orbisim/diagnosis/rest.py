@@ -115,7 +115,7 @@ def learn_rest(
     """Fits a residual force to what a diagnosis has left over, and keeps it if it helps.
 
     Args:
-      found: the search. verdict: its verdict. augmented: the scene with what was found.
+      found: the search. verdict: on the motion. augmented: the scene with what was found.
       fit_set, held_out: recordings. window: duration of free runs, s.
       backend: what the free-running errors are computed with.
       seed: of the first weights.
@@ -124,7 +124,7 @@ def learn_rest(
       MissingDependencyError: torch is not installed.
     """
     if verdict not in ("unexplained", "partly_explained"):
-        return Rest(f"nothing to learn: the verdict is {verdict}")
+        return Rest(f"nothing to learn: the verdict on the motion is {verdict}")
     say("learning what is left")
     hypothesis = found.after.hypothesis
     data = _data(found)

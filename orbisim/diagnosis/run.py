@@ -107,10 +107,10 @@ def diagnose(
         )
         result = _result(loaded, named, found, settings, fit, held, window, backend, notes, sensed)
         if learn_rest:
+            motion, augmented = verdict_of(found, settings), result.augmented_scene
             rest = learn(
-                found, result.verdict, result.augmented_scene, fit, held, window, backend,
-                seed=settings.seed, say=say,
-            )  # fmt: skip
+                found, motion, augmented, fit, held, window, backend, seed=settings.seed, say=say
+            )
             result = dataclasses.replace(result, rest=rest)
         if out is not None:
             say("writing the report")

@@ -146,6 +146,7 @@ class _Binder(Assembly):
         """Fills what is not recorded by name from undelayed sensors that read it."""
         state = {"qpos": qpos, "qvel": qvel}
         poses = {"xpos": xpos, "xquat": xquat}
+        known = all(np.isfinite(qpos[:, j.q]).any() for j in self.joints)
         for sensor in sensors(self.model):
             values = sensordata[:, sensor.place]
             reads = reads_state(self.model, sensor)
@@ -155,7 +156,8 @@ class _Binder(Assembly):
             if sensor.rotation:
                 values = self.unit(values, f"sensor/{sensor.label}")
             if kind in poses:
-                poses[kind].setdefault(target, values)
+                if not known:
+                    poses[kind].setdefault(target, values)
                 continue
             joint = self.joints[target]
             place = joint.q if kind == "qpos" else joint.v

@@ -43,7 +43,8 @@ def write_report(diagnosis: Diagnosis, path: Path) -> Path:
     sets = _sets(diagnosis)
     shown = _worst(diagnosis, sets)
     left = diagnosis.verdict in ("unexplained", "partly_explained")
-    rows, left_charts = _left(samples, sets, shown[0]) if left else ([], [])
+    worst = _by_what_is_left(diagnosis, sets)[0]
+    rows, left_charts = _left(samples, sets, worst) if left else ([], [])
     page = render_page(
         "diagnosis.html",
         d=diagnosis,
@@ -60,8 +61,8 @@ def write_report(diagnosis: Diagnosis, path: Path) -> Path:
         sensor_charts=_sensor_charts(diagnosis),
         left_rows=rows,
         left_charts=left_charts,
-        left_at=shown[0].name,
-        advice=_advice(diagnosis, rows, shown[0]),
+        left_at=worst.name,
+        advice=_advice(diagnosis, rows, worst),
         command=_command(diagnosis),
         number=number,
         interval=_interval,
@@ -128,18 +129,27 @@ def _pairs(diagnosis: Diagnosis, samples: Sequence[Samples]) -> list[tuple[Sampl
 
 
 def _worst(diagnosis: Diagnosis, sets: Sets) -> list[Degree]:
-    """Degrees of freedom with effects, then those where most is left, by the noise there."""
-    every = shape.degrees(diagnosis.scene.model)
+    """Degrees of freedom with effects, then those where the residual is."""
+    every = _by_what_is_left(diagnosis, sets)
     named = [e.target for e in diagnosis.effects]
     named += [str(w["target"]) for w in diagnosis.residual["where"]]
-    ratio = {d.dof: _rms(sets[-1][2], "force", d.dof) / _noise(sets, d.dof) for d in every}
-    every.sort(key=lambda d: -np.nan_to_num(ratio[d.dof]))
     first = [d for name in dict.fromkeys(named) for d in every if d.joint == name]
     return (first or every)[:_MOST_DEGREES]
 
 
-def _noise(sets: Sets, dof: int) -> float:
-    return max(_rms(sets[0][2], "std", dof), 1e-9)
+def _by_what_is_left(diagnosis: Diagnosis, sets: Sets) -> list[Degree]:
+    """All degrees of freedom, most left first, by the noise there, without a learned force."""
+    left = next((parts for label, _, parts in sets if label == "after"), sets[0][2])
+    every = shape.degrees(diagnosis.scene.model)
+    ratio = {d.dof: _usual(left, "force", d.dof) / _usual(sets[0][2], "std", d.dof) for d in every}
+    return sorted(every, key=lambda d: -np.nan_to_num(ratio[d.dof]))
+
+
+def _usual(parts: Sequence[ForceResidual], field: str, dof: int) -> float:
+    """What two of three samples stay below, so that single outliers do not count."""
+    values = np.concatenate([getattr(part, field)[:, dof] for part in parts])
+    values = np.abs(values[np.isfinite(values)])
+    return max(float(np.quantile(values, 0.68)), 1e-12) if values.size else float("nan")
 
 
 def _rms(parts: Sequence[ForceResidual], field: str, dof: int) -> float:

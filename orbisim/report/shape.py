@@ -55,7 +55,7 @@ def _of(joint: Joint) -> list[Degree]:
         return [
             Degree(joint.label, joint.label, start, joint.q.start, joint.unit, joint.force_unit)
         ]
-    turns = [f"{joint.label}, turning about its {axis}" for axis in "xyz"]
+    turns = [f"{joint.label}, about {axis}" for axis in "xyz"]
     if joint.kind == Kind.BALL:
         return [Degree(n, joint.label, start + i, None, "rad", "N*m") for i, n in enumerate(turns)]
     moves = [f"{joint.label}, along {axis}" for axis in "xyz"]
@@ -189,7 +189,7 @@ def scatter(one: Regressor, drawn_courses: Sequence[Course], degree: Degree) -> 
         )  # fmt: skip
         axes.plot(*_means(one.values[good], course.force[good]), color=course.colour, lw=2)
     within(axes, [course.force for course in drawn_courses])
-    axes.set(title=f"Missing force at {degree.name} against {one.name}")
+    axes.set(title=f"Missing force at {degree.name}\nagainst {one.name}")
     axes.set(xlabel=f"{one.name} ({one.unit})" if one.unit else one.name, ylabel=degree.force_unit)
     figures.legend(axes, markerscale=4, loc="upper right")
     return figures.to_svg(drawn, f"Missing force at {degree.name} against {one.name}")

@@ -61,10 +61,8 @@ def _found(result: Diagnosis) -> dict[tuple[str, str], float]:
 @pytest.mark.parametrize(
     ("effect", "target", "value"),
     [
-        ("sensor_bias", "gyro", {"offset": 0.02}),
         ("sensor_scale", "accelerometer", {"factor": 1.03}),
         ("sensor_delay", "gyro", {"delay": 0.02}),
-        ("sensor_delay", "shoulder_speed", {"delay": -0.01}),
         ("sensor_scale", "force", {"factor": 0.95}),
         ("sensor_bias", "elbow_angle", {"offset": -0.01}),
     ],
