@@ -70,7 +70,7 @@ def serial_arm(count: int) -> str:
     bodies, motors = "", ""
     for number in range(count, 0, -1):
         length, mass = 0.3 * 0.85 ** (number - 1), 1.5 * 0.7 ** (number - 1)
-        axis = "0 1 0" if number % 3 else "0 0 1"
+        axis = "0 1 0" if number % 3 else "1 0 0"
         above = 0.0 if number == 1 else -0.3 * 0.85 ** (number - 2)
         bodies = f"""
         <body name="link{number}" pos="0 0 {above:.6g}">
