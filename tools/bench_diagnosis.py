@@ -39,14 +39,15 @@ class Case:
 
     Attributes:
       series: what it shows: `goal`, `length` or `targets`. scene: of mjcf_assets; or `serial`.
-      joints: of the arm. target: the joint with friction. seconds: duration of each recording.
-      goal: s; None for none.
+      joints: of the arm. target: the joint with friction. torque: of the friction, N*m.
+      seconds: duration of each recording. goal: s; None for none.
     """
 
     series: str
     scene: str
     joints: int
     target: str
+    torque: float
     seconds: float = 8.0
     goal: float | None = None
 
@@ -60,10 +61,10 @@ class Case:
 def cases(seconds: float, lengths: Sequence[float], joints: Sequence[int]) -> list[Case]:
     """All that is to be timed."""
     return [
-        Case("goal", "arm2", 2, "elbow", seconds, 60.0),
-        Case("goal", "arm6", 6, "axis3", seconds, 300.0),
-        *(Case("length", "arm2", 2, "elbow", one) for one in lengths),
-        *(Case("targets", "serial", count, "joint2", seconds) for count in joints),
+        Case("goal", "arm2", 2, "elbow", 0.12, seconds, 60.0),
+        Case("goal", "arm6", 6, "axis3", 2.0, seconds, 300.0),
+        *(Case("length", "arm2", 2, "elbow", 0.12, one) for one in lengths),
+        *(Case("targets", "serial", count, "joint2", 0.1, seconds) for count in joints),
     ]
 
 
@@ -109,7 +110,7 @@ def timed(case: Case, cores: int) -> dict[str, Any]:
     if case.scene != "serial":
         source = Path(mjcf_assets.__file__).parent / case.scene / "scene.xml"
     scene = orbisim.load_scene(source, trusted=True)
-    friction = EffectInstance("coulomb_friction", case.target, {"torque": 0.1})
+    friction = EffectInstance("coulomb_friction", case.target, {"torque": case.torque})
     recordings = inject_effect(
         scene, friction, episodes=EPISODES, duration=case.seconds, noise=2e-4, seed=1
     )
