@@ -14,9 +14,9 @@ demo:
 	@tools/setup.sh run
 	@$(PY) tools/demo.py
 
-test:
+test: # one process for each core and one thread for each, so that they do not compete
 	@tools/setup.sh test
-	@$(PY) -m pytest $(ARGS)
+	@OMP_NUM_THREADS=1 $(PY) -m pytest -n auto --maxprocesses 8 --dist loadscope $(ARGS)
 
 lint:
 	@tools/setup.sh test

@@ -3,8 +3,9 @@
     python tools/bench_diagnosis.py --out out/diagnosis --image docs/images/diagnosis_speed.svg
 
 Serial arms with Coulomb friction at one joint, four recordings each, `orbisim.diagnose` with its
-report, each in a process of its own on two cores. Writes `OUT/figures.json` and prints a table.
-Time on the clock says what a user waits; processor time hardly depends on other work.
+report, each in a process of its own on two cores. Writes `OUT/figures.json` and prints a table; a
+run that was stopped goes on from there. Time on the clock says what a user waits; processor time
+hardly depends on other work.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from blind_trials import from_source
 
 EPISODES = 4
+SERIES = ("goal", "length", "targets")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,14 +39,15 @@ class Case:
 
     Attributes:
       series: what it shows: `goal`, `length` or `targets`. scene: of mjcf_assets; or `serial`.
-      joints: of the arm. target: the joint with friction. seconds: duration of each recording.
-      goal: s; None for none.
+      joints: of the arm. target: the joint with friction. torque: of the friction, N*m.
+      seconds: duration of each recording. goal: s; None for none.
     """
 
     series: str
     scene: str
     joints: int
     target: str
+    torque: float
     seconds: float = 8.0
     goal: float | None = None
 
@@ -58,10 +61,10 @@ class Case:
 def cases(seconds: float, lengths: Sequence[float], joints: Sequence[int]) -> list[Case]:
     """All that is to be timed."""
     return [
-        Case("goal", "arm2", 2, "elbow", seconds, 60.0),
-        Case("goal", "arm6", 6, "axis3", seconds, 300.0),
-        *(Case("length", "arm2", 2, "elbow", one) for one in lengths),
-        *(Case("targets", "serial", count, "joint2", seconds) for count in joints),
+        Case("goal", "arm2", 2, "elbow", 0.12, seconds, 60.0),
+        Case("goal", "arm6", 6, "axis3", 2.0, seconds, 300.0),
+        *(Case("length", "arm2", 2, "elbow", 0.12, one) for one in lengths),
+        *(Case("targets", "serial", count, "joint2", 0.1, seconds) for count in joints),
     ]
 
 
@@ -70,7 +73,7 @@ def serial_arm(count: int) -> str:
     bodies, motors = "", ""
     for number in range(count, 0, -1):
         length, mass = 0.3 * 0.85 ** (number - 1), 1.5 * 0.7 ** (number - 1)
-        axis = "0 1 0" if number % 3 else "0 0 1"
+        axis = "0 1 0" if number % 3 else "1 0 0"
         above = 0.0 if number == 1 else -0.3 * 0.85 ** (number - 2)
         bodies = f"""
         <body name="link{number}" pos="0 0 {above:.6g}">
@@ -107,7 +110,7 @@ def timed(case: Case, cores: int) -> dict[str, Any]:
     if case.scene != "serial":
         source = Path(mjcf_assets.__file__).parent / case.scene / "scene.xml"
     scene = orbisim.load_scene(source, trusted=True)
-    friction = EffectInstance("coulomb_friction", case.target, {"torque": 0.1})
+    friction = EffectInstance("coulomb_friction", case.target, {"torque": case.torque})
     recordings = inject_effect(
         scene, friction, episodes=EPISODES, duration=case.seconds, noise=2e-4, seed=1
     )
@@ -194,17 +197,22 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=8.0, help="duration of a recording")
     parser.add_argument("--lengths", type=float, nargs="*", default=[4.0, 8.0, 16.0, 32.0])
     parser.add_argument("--joints", type=int, nargs="*", default=[2, 3, 4, 5, 6, 7])
+    parser.add_argument("--only", nargs="*", default=list(SERIES), choices=SERIES)
     parser.add_argument("--cores", type=int, default=2)
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    rows: list[dict[str, Any]] = []
+    figures = args.out / "figures.json"
+    rows: list[dict[str, Any]] = json.loads(figures.read_text()) if figures.exists() else []
+    done = {(row["series"], row["label"]) for row in rows}
+    wanted = [one for one in cases(args.seconds, args.lengths, args.joints)
+              if one.series in args.only and (one.series, one.label) not in done]  # fmt: skip
     fresh = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=fresh, max_tasks_per_child=1) as pool:
-        for case in cases(args.seconds, args.lengths, args.joints):
+        for case in wanted:
             row = pool.submit(timed, case, args.cores).result()
             rows.append(row)
             print(f"{row['label']}: {row['clock_s']} s, {row['found']}", file=sys.stderr)
-            (args.out / "figures.json").write_text(json.dumps(rows, indent=1) + "\n")
+            figures.write_text(json.dumps(rows, indent=1) + "\n")
     draw(rows, args.image or args.out / "speed.svg")
     print(table(rows))
     return 0

@@ -24,7 +24,7 @@ def arm() -> orbisim.Scene:
 @pytest.fixture(scope="module")
 def clean(arm: orbisim.Scene) -> list[Recording]:
     """Four recordings of the arm without any effect."""
-    return inject_effect(arm, [], seed=5, duration=4.0, episodes=4, noise=2e-4)
+    return inject_effect(arm, [], seed=5, duration=2.5, episodes=4, noise=2e-4)
 
 
 def _each(runs: list[Recording], change: Callable[[np.ndarray], np.ndarray]) -> list[Recording]:
@@ -62,7 +62,7 @@ def test_quantised_positions(arm: orbisim.Scene, clean: list[Recording]) -> None
 def test_gaps(arm: orbisim.Scene, clean: list[Recording]) -> None:
     def holes(q: np.ndarray) -> np.ndarray:
         q = q.copy()
-        q[100:130] = q[300:305] = np.nan
+        q[100:130] = q[200:205] = np.nan
         return q
 
     found = _diagnosed(arm, _each(clean, holes))

@@ -78,10 +78,12 @@ def test_silent_without_an_effect(arm: orbisim.Scene) -> None:
     assert result.residual["ratio_to_noise"] == pytest.approx(1.0, abs=0.1)
 
 
-def test_an_effect_of_the_sensor(arm: orbisim.Scene) -> None:
-    late = EffectInstance("sensor_delay", "elbow", {"delay": 0.015})
-    result = orbisim.diagnose(arm, inject_effect(arm, late, seed=4, **SHORT), progress=False)
-    assert [(e.effect, e.target) for e in result.effects] == [("sensor_delay", "elbow")]
+def test_an_effect_of_the_sensor() -> None:
+    scene = orbisim.load_scene(ARM.parent / "cart_pole" / "scene.xml")
+    late = EffectInstance("sensor_delay", "pole", {"delay": 0.015})
+    runs = inject_effect(scene, late, seed=4, **(SHORT | {"duration": 2.0}))
+    result = orbisim.diagnose(scene, runs, progress=False)
+    assert [(e.effect, e.target) for e in result.effects] == [("sensor_delay", "pole")]
     assert result.effects[0].parameters["delay"].value == pytest.approx(0.015, rel=0.05)
     assert "orbisim:effects" in result.augmented_scene.to_xml()
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import logging
 import pickle
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -266,3 +268,24 @@ def test_header_is_plain_json(tmp_path):
     Recording([0.0], {}).save(tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz", allow_pickle=False) as file:
         assert json.loads(str(file["header"]))["schema"] == "orbisim.recording/1"
+
+
+def test_ten_million_rows_take_little_more_memory_than_their_numbers(tmp_path):
+    path, rows = tmp_path / "long.npz", 10_000_000
+    time_ = 1e-3 * np.arange(rows)
+    np.savez(path, time=time_, **{"qpos/a": np.sin(time_), "ctrl/a": np.cos(time_)})
+    script = (
+        "import resource, sys, numpy\n"
+        "from orbisim import Recording\n"
+        "peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024\n"
+        "before = peak()\n"
+        "recording = Recording.load(sys.argv[1])\n"
+        "print(len(recording), peak() - before)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True
+    )
+    count, taken = map(int, done.stdout.split())
+    path.unlink()
+    assert count == rows
+    assert taken < 2 * (3 * 8 * rows)

@@ -183,7 +183,7 @@ _SAMPLE = (
         (("coulomb_friction", "shoulder"), ("joint_spring", "elbow")),
         seed=111,
     ),
-    Wish("outside", "servo_pendulum", outside=("UnevenFriction", "servo"), seed=112),
+    Wish("outside", "servo_pendulum", outside=("RandomForce", "servo"), seed=112),
 )
 
 SAMPLE: tuple[Wish, ...] = tuple(dataclasses.replace(wish, short=True) for wish in _SAMPLE)

@@ -28,7 +28,7 @@ class Rig:
     fit: int = 3
     held: int = 2
     duration: float = 8.0
-    brief: float = 4.0
+    brief: float = 3.0
     rate: float = 100.0
     planar: bool = False
     bodies: tuple[str, ...] = ()
@@ -58,7 +58,7 @@ RIGS: dict[str, Rig] = {
         Rig("arm2", planar=True, bodies=("upper_arm", "forearm"), medium=("forearm",)),
         Rig("arm6", bodies=("upper_arm", "forearm", "flange"), medium=("flange",)),
         # a payload of the cart is the same as armature of its rail, to the last digit
-        Rig("cart_pole", planar=True, bodies=("pole",), medium=("pole",)),
+        Rig("cart_pole", brief=4.0, planar=True, bodies=("pole",), medium=("pole",)),
         Rig("servo_pendulum", planar=True, bodies=("rod",)),
         Rig(
             "puck",
@@ -81,7 +81,7 @@ RIGS: dict[str, Rig] = {
             fit=8,
             held=4,
             duration=1.5,
-            brief=0.6,
+            brief=0.35,
             rate=200.0,
             bodies=("ball",),
             medium=("ball",),
