@@ -26,7 +26,9 @@ import numpy as np
 import torch
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT), str(ROOT / "backends")]
+sys.path[:0] = [str(ROOT), str(ROOT / "backends"), str(ROOT / "tools")]
+
+import from_source  # noqa: E402  (needs the path above)
 
 STEP, SUBSTEPS = 1 / 148, 10
 HALF_SECOND = 74
@@ -121,6 +123,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
+    from_source.register()
     if options.fit:
         fit(options)
         return 0
