@@ -32,9 +32,11 @@ import numpy as np
 import torch
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT), str(ROOT / "backends")]
+sys.path[:0] = [str(ROOT), str(ROOT / "backends"), str(ROOT / "tools")]
 
-from orbisim.tasks.domains import SUITE_DOMAINS  # noqa: E402  (needs the path above)
+import from_source  # noqa: E402  (needs the path above)
+
+from orbisim.tasks.domains import SUITE_DOMAINS  # noqa: E402
 
 TESTS = {
     "push": "push_test",
@@ -65,6 +67,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
+    from_source.register("mujoco", "learned")
     found: dict[str, Any] = {}
     for name in options.only.split(","):
         found[name] = MEASUREMENTS[name](options)
@@ -253,6 +256,7 @@ def episode_return(domain: str, backend: str, nudge: float, seed: int) -> float:
     from orbisim.tasks.suite_policies import rhythm
 
     warnings.simplefilter("ignore")
+    from_source.register("mujoco", "learned", "null")
     torch.set_num_threads(1)
     environment = suite.load(domain, SUITE_DOMAINS[domain], task_kwargs={"random": seed})
     step = environment.reset()
