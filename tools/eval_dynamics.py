@@ -10,7 +10,8 @@ tools/collect_all.py wrote (or packs of it). What is missing is left out.
   and of the push models on the sets out of distribution.
 - friction: how far the second cube slides on tables of low and high friction, against MuJoCo.
 - noise: errors at 100 control steps from states with noise (1 cm, 2 deg; 3 cm, 7 deg).
-- ceiling: C MuJoCo started from states rounded to float32, on the suite's held-out episodes.
+- ceiling: C MuJoCo started from states rounded to float32, on the suite's held-out episodes, at 100
+  and 1,000 of the suite's control steps (`errors` counts the model's own).
 - returns: of the suite's feedback policies under `learned` and under `mujoco`.
 - ball: gradient descent on the initial velocity through the model, judged by Newton's equations,
   and with --newton by the package itself, next to its own gradient descent.
@@ -36,7 +37,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "backends"), str(ROOT / "tools")]
 
 import from_source  # noqa: E402  (needs the path above)
 
-from orbisim.tasks.domains import SUITE_DOMAINS  # noqa: E402
+from orbisim.tasks.domains import SUBSTEPS, SUITE_DOMAINS  # noqa: E402
 
 TESTS = {
     "push": "push_test",
@@ -90,7 +91,9 @@ def errors(options: Any) -> dict[str, Any]:
             if pack is None or not _knows(checkpoint, pack):
                 continue  # no such data, or a model for one number of objects alone
             long = job in SUITE_DOMAINS
-            horizons = (10, 50, 100, 1000) if long else (10, 20, 36) if job == "ball" else None
+            fine = SUBSTEPS.get(job, 1)
+            ours = tuple(fine * n for n in (10, 50, 100, 1000))
+            horizons = ours if long else (10, 20, 36) if job == "ball" else None
             table[f"{name} on {test}"] = _medians(checkpoint, pack, options, horizons, long)
     return table
 
@@ -195,7 +198,8 @@ def ceiling(options: Any) -> dict[str, Any]:
         backend = make_backend("mujoco", scene)
         nstep = round(pack.layout.timestep / backend.timestep)
         table[domain] = {}
-        for horizon in (100, 1000):
+        for control_steps in (100, 1000):
+            horizon = SUBSTEPS.get(domain, 1) * control_steps
             chosen = torch.nonzero(pack.length >= horizon)[:, 0]
             if not len(chosen):
                 continue
@@ -210,7 +214,7 @@ def ceiling(options: Any) -> dict[str, Any]:
             rounded = start.replace(qpos=start.qpos + nudge)
             other = backend.rollout(rounded, ctrl[:, :-1], nstep=nstep)
             states = [_entities(pack.layout, run) for run in (other, exact)]
-            table[domain][horizon] = float(normalised(*states, pack).median())
+            table[domain][control_steps] = float(normalised(*states, pack).median())
     return table
 
 
