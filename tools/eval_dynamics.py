@@ -46,7 +46,6 @@ TESTS = {
     "toss": "toss_test",
 }
 OUTSIDE = ("push_ood_slippery", "push_ood_rough", "push_ood_three")
-NUDGE = 1e-4
 NOISE = {"none": (0.0, 0.0), "moderate": (0.01, 2.0), "strong": (0.03, 7.0)}
 
 
@@ -219,63 +218,11 @@ def ceiling(options: Any) -> dict[str, Any]:
 
 
 def returns(options: Any) -> dict[str, Any]:
-    """Mean return, and its standard error, of the same episodes under each backend.
+    """Of the domains that the zoo has."""
+    import suite_returns
 
-    `nudged` is C MuJoCo with velocities changed by 1e-4 of a unit at every control step: two runs
-    of a chaotic system are no closer to each other than this.
-    """
-    table: dict[str, Any] = {}
-    for domain in SUITE_DOMAINS:
-        if domain not in _checkpoints(options, domain):
-            continue
-        rows: dict[str, Any] = {}
-        kinds = (("mujoco", 0.0), ("nudged", NUDGE), (f"learned:{options.zoo / domain}", 0.0))
-        for name, nudge in kinds:
-            run = functools.partial(episode_return, domain, name.replace("nudged", "mujoco"), nudge)
-            totals = np.array(_in_processes(run, options))
-            spread = totals.std() / len(totals) ** 0.5
-            rows[name.partition(":")[0]] = {"mean": totals.mean(), "standard_error": spread}
-        exact = rows["mujoco"]["mean"]
-        rows["apart"] = {n: rows[n]["mean"] / exact - 1.0 for n in ("nudged", "learned")}
-        table[domain] = rows
-        print(json.dumps({domain: rows}), flush=True)
-    return table
-
-
-def _in_processes(run: Callable[[int], float], options: Any) -> list[float]:
-    """A result for each seed."""
-    if options.workers < 2:
-        return [run(seed) for seed in range(options.seeds)]
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
-    with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
-        return list(pool.map(run, range(options.seeds)))
-
-
-def episode_return(domain: str, backend: str, nudge: float, seed: int) -> float:
-    """Return of an episode of the domain's feedback policy (a rhythm, where it has none)."""
-    from orbisim import suite
-    from orbisim.tasks.suite_feedback import feedback, has_feedback
-    from orbisim.tasks.suite_policies import rhythm
-
-    warnings.simplefilter("ignore")
-    from_source.register("mujoco", "learned", "null")
-    torch.set_num_threads(1)
-    environment = suite.load(domain, SUITE_DOMAINS[domain], task_kwargs={"random": seed})
-    step = environment.reset()
-    physics, rng = environment.physics, np.random.default_rng(seed)
-    physics.use_backend(backend)
-    model, period = physics.model.ptr, environment.control_timestep()
-    known = has_feedback(domain)
-    policy = feedback(domain, model, period) if known else rhythm(model, rng, period)
-    total = 0.0
-    while not step.last():
-        if nudge:
-            physics.data.ptr.qvel[:] += nudge * rng.standard_normal(model.nv)
-        step = environment.step(policy(physics.data.ptr))
-        total += step.reward or 0.0
-    return total
+    chosen = {d: options.zoo / d for d in SUITE_DOMAINS if d in _checkpoints(options, d)}
+    return suite_returns.table(chosen, options.seeds, options.workers)
 
 
 def ball(options: Any) -> dict[str, Any]:
