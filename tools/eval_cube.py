@@ -119,7 +119,9 @@ def main() -> int:
     parser.add_argument("--compiled", action="store_true", help="training steps, by torch")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--model", action="append", default=[], help="learned:PATH or hybrid:PATH")
-    parser.add_argument("--diagnosed", type=Path, help="scene.xml of a diagnosis, stepped as the others are")
+    parser.add_argument(
+        "--diagnosed", type=Path, help="scene.xml of a diagnosis, stepped as the others are"
+    )
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
