@@ -29,6 +29,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "backends"), str(ROOT / "tools")]
 
 import bench_learned  # noqa: E402  (needs the path above)
+import from_source  # noqa: E402
 
 EPISODES, STARTS = 16, 16
 """Scripted episodes, and states of each that worlds start from."""
@@ -40,6 +41,7 @@ def main() -> int:
     """Measures, writes and draws."""
     options = _parser().parse_args()
     warnings.simplefilter("ignore")
+    from_source.register()
     found: dict[str, Any] = {"device": bench_learned._device_name(options.device), "rows": []}
     if options.after:
         found["rows"] += json.loads(options.after.read_text())["rows"]

@@ -26,11 +26,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "backends"))
 
+import from_source
 from blind.running import TOOLS, run_all, run_one
 
 
 def generate(args: argparse.Namespace) -> int:
-    from_source()
+    from_source.register("mujoco")
     from blind.grid import SAMPLE, every
     from blind.making import make, motion_of
     from blind.scenes import RIGS
@@ -72,17 +73,7 @@ def single_threaded(core: int | None = None) -> None:
     if hasattr(os, "sched_setaffinity"):
         own = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {own[(os.getpid() if core is None else core) % len(own)]})
-    from_source()
-
-
-def from_source() -> None:
-    """Makes C MuJoCo known where OrbiSim is not installed but run from its source."""
-    from orbisim.registry import available_backends, register_backend
-
-    if "mujoco" not in available_backends():
-        from orbisim_mujoco import MujocoBackend
-
-        register_backend("mujoco", MujocoBackend)
+    from_source.register("mujoco")
 
 
 def one(args: argparse.Namespace) -> int:
@@ -92,7 +83,7 @@ def one(args: argparse.Namespace) -> int:
 
 
 def score(args: argparse.Namespace) -> int:
-    from_source()
+    from_source.register("mujoco")
     from blind.scoring import write_scores
 
     return write_scores(Path(args.trials), Path(args.results), Path(args.out))

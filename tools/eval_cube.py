@@ -26,7 +26,9 @@ import numpy as np
 import torch
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT), str(ROOT / "backends")]
+sys.path[:0] = [str(ROOT), str(ROOT / "backends"), str(ROOT / "tools")]
+
+import from_source  # noqa: E402  (needs the path above)
 
 STEP, SUBSTEPS = 1 / 148, 10
 HALF_SECOND = 74
@@ -117,10 +119,13 @@ def main() -> int:
     parser.add_argument("--compiled", action="store_true", help="training steps, by torch")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--model", action="append", default=[], help="learned:PATH or hybrid:PATH")
-    parser.add_argument("--diagnosed", type=Path, help="scene.xml that `orbisim diagnose` wrote")
+    parser.add_argument(
+        "--diagnosed", type=Path, help="scene.xml of a diagnosis, stepped as the others are"
+    )
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
+    from_source.register()
     if options.fit:
         fit(options)
         return 0
@@ -300,7 +305,10 @@ def _errors(pack: Any, name: str, contact: Contact | Path) -> dict[str, float]:
     from orbisim.state import State
 
     where = str(contact) if isinstance(contact, Path) else scene(contact)
-    backend = make_backend(name, load_scene(where))
+    loaded = load_scene(where)
+    if isinstance(contact, Path):  # its own timestep may not divide a frame
+        loaded.model.opt.timestep = STEP / SUBSTEPS
+    backend = make_backend(name, loaded)
     nstep = max(1, round(STEP / backend.timestep))
     longest = int(pack.length.max())
     start = pack.start.numpy()

@@ -10,7 +10,8 @@ tools/collect_all.py wrote (or packs of it). What is missing is left out.
   and of the push models on the sets out of distribution.
 - friction: how far the second cube slides on tables of low and high friction, against MuJoCo.
 - noise: errors at 100 control steps from states with noise (1 cm, 2 deg; 3 cm, 7 deg).
-- ceiling: C MuJoCo started from states rounded to float32, on the suite's held-out episodes.
+- ceiling: C MuJoCo started from states rounded to float32, on the suite's held-out episodes, at 100
+  and 1,000 of the suite's control steps (`errors` counts the model's own).
 - returns: of the suite's feedback policies under `learned` and under `mujoco`.
 - ball: gradient descent on the initial velocity through the model, judged by Newton's equations,
   and with --newton by the package itself, next to its own gradient descent.
@@ -32,9 +33,11 @@ import numpy as np
 import torch
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT), str(ROOT / "backends")]
+sys.path[:0] = [str(ROOT), str(ROOT / "backends"), str(ROOT / "tools")]
 
-from orbisim.tasks.domains import SUITE_DOMAINS  # noqa: E402  (needs the path above)
+import from_source  # noqa: E402  (needs the path above)
+
+from orbisim.tasks.domains import SUBSTEPS, SUITE_DOMAINS  # noqa: E402
 
 TESTS = {
     "push": "push_test",
@@ -43,7 +46,6 @@ TESTS = {
     "toss": "toss_test",
 }
 OUTSIDE = ("push_ood_slippery", "push_ood_rough", "push_ood_three")
-NUDGE = 1e-4
 NOISE = {"none": (0.0, 0.0), "moderate": (0.01, 2.0), "strong": (0.03, 7.0)}
 
 
@@ -65,6 +67,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
+    from_source.register("mujoco", "learned")
     found: dict[str, Any] = {}
     for name in options.only.split(","):
         found[name] = MEASUREMENTS[name](options)
@@ -87,7 +90,9 @@ def errors(options: Any) -> dict[str, Any]:
             if pack is None or not _knows(checkpoint, pack):
                 continue  # no such data, or a model for one number of objects alone
             long = job in SUITE_DOMAINS
-            horizons = (10, 50, 100, 1000) if long else (10, 20, 36) if job == "ball" else None
+            fine = SUBSTEPS.get(job, 1)
+            ours = tuple(fine * n for n in (10, 50, 100, 1000))
+            horizons = ours if long else (10, 20, 36) if job == "ball" else None
             table[f"{name} on {test}"] = _medians(checkpoint, pack, options, horizons, long)
     return table
 
@@ -192,7 +197,8 @@ def ceiling(options: Any) -> dict[str, Any]:
         backend = make_backend("mujoco", scene)
         nstep = round(pack.layout.timestep / backend.timestep)
         table[domain] = {}
-        for horizon in (100, 1000):
+        for control_steps in (100, 1000):
+            horizon = SUBSTEPS.get(domain, 1) * control_steps
             chosen = torch.nonzero(pack.length >= horizon)[:, 0]
             if not len(chosen):
                 continue
@@ -207,67 +213,16 @@ def ceiling(options: Any) -> dict[str, Any]:
             rounded = start.replace(qpos=start.qpos + nudge)
             other = backend.rollout(rounded, ctrl[:, :-1], nstep=nstep)
             states = [_entities(pack.layout, run) for run in (other, exact)]
-            table[domain][horizon] = float(normalised(*states, pack).median())
+            table[domain][control_steps] = float(normalised(*states, pack).median())
     return table
 
 
 def returns(options: Any) -> dict[str, Any]:
-    """Mean return, and its standard error, of the same episodes under each backend.
+    """Of the domains that the zoo has."""
+    import suite_returns
 
-    `nudged` is C MuJoCo with velocities changed by 1e-4 of a unit at every control step: two runs
-    of a chaotic system are no closer to each other than this.
-    """
-    table: dict[str, Any] = {}
-    for domain in SUITE_DOMAINS:
-        if domain not in _checkpoints(options, domain):
-            continue
-        rows: dict[str, Any] = {}
-        kinds = (("mujoco", 0.0), ("nudged", NUDGE), (f"learned:{options.zoo / domain}", 0.0))
-        for name, nudge in kinds:
-            run = functools.partial(episode_return, domain, name.replace("nudged", "mujoco"), nudge)
-            totals = np.array(_in_processes(run, options))
-            spread = totals.std() / len(totals) ** 0.5
-            rows[name.partition(":")[0]] = {"mean": totals.mean(), "standard_error": spread}
-        exact = rows["mujoco"]["mean"]
-        rows["apart"] = {n: rows[n]["mean"] / exact - 1.0 for n in ("nudged", "learned")}
-        table[domain] = rows
-        print(json.dumps({domain: rows}), flush=True)
-    return table
-
-
-def _in_processes(run: Callable[[int], float], options: Any) -> list[float]:
-    """A result for each seed."""
-    if options.workers < 2:
-        return [run(seed) for seed in range(options.seeds)]
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
-    with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
-        return list(pool.map(run, range(options.seeds)))
-
-
-def episode_return(domain: str, backend: str, nudge: float, seed: int) -> float:
-    """Return of an episode of the domain's feedback policy (a rhythm, where it has none)."""
-    from orbisim import suite
-    from orbisim.tasks.suite_feedback import feedback, has_feedback
-    from orbisim.tasks.suite_policies import rhythm
-
-    warnings.simplefilter("ignore")
-    torch.set_num_threads(1)
-    environment = suite.load(domain, SUITE_DOMAINS[domain], task_kwargs={"random": seed})
-    step = environment.reset()
-    physics, rng = environment.physics, np.random.default_rng(seed)
-    physics.use_backend(backend)
-    model, period = physics.model.ptr, environment.control_timestep()
-    known = has_feedback(domain)
-    policy = feedback(domain, model, period) if known else rhythm(model, rng, period)
-    total = 0.0
-    while not step.last():
-        if nudge:
-            physics.data.ptr.qvel[:] += nudge * rng.standard_normal(model.nv)
-        step = environment.step(policy(physics.data.ptr))
-        total += step.reward or 0.0
-    return total
+    chosen = {d: options.zoo / d for d in SUITE_DOMAINS if d in _checkpoints(options, d)}
+    return suite_returns.table(chosen, options.seeds, options.workers)
 
 
 def ball(options: Any) -> dict[str, Any]:
