@@ -15,6 +15,7 @@ from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.linear import linearize
 from orbisim.diagnosis.refine import Judge, Judged, is_structural
 from orbisim.diagnosis.retune import REACH, Tunable, tunables
+from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.screening import (
     Screening,
     Suspect,
@@ -68,6 +69,16 @@ class Attribution:
     evidence: tuple[float, ...]
     rejected: tuple[tuple[EffectInstance, str], ...]
     cut_short: bool
+
+    @property
+    def samples(self) -> tuple[Samples, ...]:
+        """The recordings that were fitted."""
+        return self.bench.samples
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """The effects, with fitted values."""
+        return self.after.hypothesis
 
 
 def attribute(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> Attribution:

@@ -14,6 +14,7 @@ from orbisim.scene import Scene
 
 if TYPE_CHECKING:
     from orbisim.diagnosis.attribution import Attribution
+    from orbisim.diagnosis.force_search import ForceAttribution
     from orbisim.recording import Recording
 
 SCHEMA = "orbisim.diagnosis/1"
@@ -100,7 +101,7 @@ class Diagnosis:
     error: Mapping[str, Any]
     augmented_scene: Scene
     notes: tuple[str, ...]
-    attribution: Attribution
+    attribution: Attribution | ForceAttribution
 
     @property
     def sentence(self) -> str:

@@ -15,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.regress import Normal, fit, profiled, total
+from orbisim.effects import EffectInstance
+from orbisim.effects.screening import Candidate
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -25,15 +27,69 @@ class Group:
     """Columns that enter together.
 
     Attributes:
-      index: of the columns. key: groups with the same key exclude each other (several shapes of an
-        effect at a target). possible: whether fitted coefficients of the columns make sense.
+      index: of the columns that say anything. key: groups with the same key exclude each other
+        (several shapes of an effect at a target).
+      instance: the effect with values from fitted coefficients of the columns; None if these are
+        not possible.
       fixed: whether the coefficients are ones instead of fitted.
     """
 
     index: tuple[int, ...]
     key: tuple[str, ...]
-    possible: Callable[[Floats], bool]
+    instance: Callable[[Floats], EffectInstance | None]
     fixed: bool = False
+
+
+def groups_of(
+    candidates: Sequence[Candidate],
+    whole: Normal,
+    sensible: Callable[[EffectInstance], bool] = lambda _: True,
+) -> list[Group]:
+    """Groups for candidates whose columns stand in `whole` one after the other.
+
+    Candidates with many columns are offered with fewer, too: of a payload, mass and first moments.
+
+    Args:
+      sensible: whether an effect with such values can be.
+    """
+    found, start = [], 0
+    for candidate in candidates:
+        width = len(candidate.columns)
+        found += [_group(candidate, start, n, whole, sensible) for n in {width, min(width, _FEW)}]
+        start += width
+    return [group for group in found if group.index]
+
+
+_FEW = 4
+
+
+def _group(
+    candidate: Candidate,
+    start: int,
+    width: int,
+    whole: Normal,
+    sensible: Callable[[EffectInstance], bool],
+) -> Group:
+    strength = np.diag(whole.gram)[start : start + width]
+    felt = np.flatnonzero(strength > _FELT * strength.max(initial=0.0))
+
+    def instance(coefficients: Floats) -> EffectInstance | None:
+        every = np.zeros(len(candidate.columns))
+        every[felt] = coefficients
+        with np.errstate(all="ignore"):
+            values = candidate.solve(every)
+        if values is None:
+            return None
+        made = EffectInstance(
+            candidate.effect, candidate.target, dict(values), dict(candidate.options)
+        )
+        return made if sensible(made) else None
+
+    index = tuple(int(i) for i in start + felt)
+    return Group(index, (candidate.effect, candidate.target), instance, candidate.fixed)
+
+
+_FELT = 1e-12
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,7 +113,7 @@ class Selected:
     """Result of a selection.
 
     Attributes:
-      groups: in the order in which they entered. coefficients: of each group's columns.
+      groups: as chosen. coefficients: of each group's columns.
       predicted: [blocks] squared residual of each block, predicted from the others.
       before: [blocks] squared residual without any group.
       gains: for each group the share of the squared residual, as it is without this group, that it
@@ -70,6 +126,16 @@ class Selected:
     before: Floats
     gains: tuple[float, ...]
 
+    def ordered(self) -> Selected:
+        """Those that bring most first."""
+        order = sorted(range(len(self.groups)), key=lambda i: -self.gains[i])
+        return dataclasses.replace(
+            self,
+            groups=tuple(self.groups[i] for i in order),
+            coefficients=tuple(self.coefficients[i] for i in order),
+            gains=tuple(self.gains[i] for i in order),
+        )
+
 
 def select(blocks: Sequence[Normal], groups: Sequence[Group], rule: Rule) -> Selected:
     """Groups that predict blocks they were not fitted to, best first."""
@@ -78,7 +144,37 @@ def select(blocks: Sequence[Normal], groups: Sequence[Group], rule: Rule) -> Sel
         search.remove(0.0)
         search.swap()
     search.remove(rule.certainty, last=True)
-    return search.result()
+    return _selected(blocks, search.chosen)
+
+
+def without(
+    selected: Selected, keep: Callable[[Group, float], bool], blocks: Sequence[Normal]
+) -> Selected:
+    """The selection less those groups that are not to be kept, by their gain, the worst first."""
+    while selected.groups:
+        poor = [
+            (gain, i)
+            for i, (group, gain) in enumerate(zip(selected.groups, selected.gains, strict=True))
+            if not keep(group, gain)
+        ]
+        if not poor:
+            break
+        number = min(poor)[1]
+        kept = [group for i, group in enumerate(selected.groups) if i != number]
+        selected = _selected(blocks, kept)
+    return selected
+
+
+def _selected(blocks: Sequence[Normal], chosen: Sequence[Group]) -> Selected:
+    """Coefficients and gains of chosen groups."""
+    now = predicted(blocks, chosen)
+    gains = []
+    for group in chosen:
+        left = predicted(blocks, [one for one in chosen if one is not group])
+        gains.append(float(1 - now.sum() / max(left.sum(), 1e-300)))
+    before = np.array([one.square for one in blocks])
+    found = coefficients(total(blocks), chosen)
+    return Selected(tuple(chosen), tuple(found), now, before, tuple(gains))
 
 
 def predicted(blocks: Sequence[Normal], chosen: Sequence[Group]) -> Floats:
@@ -120,6 +216,7 @@ class _Search:
         self.blocks, self.groups, self.rule = blocks, groups, rule
         self.whole = total(blocks)
         self.chosen: list[Group] = []
+        self._place = {group.index: number for number, group in enumerate(groups)}
         self.before = np.array([one.square for one in blocks])
         self.now = self.before
         self._price = np.log(_EACH * len(blocks)) / (_EACH * len(blocks))
@@ -147,20 +244,27 @@ class _Search:
             self.now = least
 
     def _best(self, instead_of: Sequence[Group], rival: Floats) -> tuple[Group, Floats] | None:
-        """The group to add that predicts best, and what is left then; None if none pays."""
+        """The group to add, and what is left then; None if none pays.
+
+        Of those that predict as well as the best to within a standard error, the one with fewest
+        columns, then the first (Breiman et al., "Classification and regression trees", 1984, 3.4).
+        """
         kept = [one for one in self.chosen if one not in instead_of]
-        best, least = None, rival
+        paying: list[tuple[Group, Floats]] = []
         for group in self._promising(kept):
             left = predicted(self.blocks, [*kept, group])
-            pays = self._pays(rival, left, _LOOSE)
-            if pays and left.sum() < least.sum() and self._makes_sense([*kept, group]):
-                best, least = group, left
-        return None if best is None else (best, least)
+            if self._pays(rival, left, _LOOSE) and self._makes_sense([*kept, group]):
+                paying.append((group, left))
+        if not paying:
+            return None
+        least = min(paying, key=lambda one: float(one[1].sum()))[1]
+        level = [one for one in paying if _level(one[1], least, self.rule.gain)]
+        return min(level, key=lambda one: (len(one[0].index), self._place[one[0].index]))
 
     def remove(self, certainty: float, last: bool = False) -> None:
         """Drops groups that do not pay given the others, the least useful one first."""
         while len(self.chosen) > 1:
-            trials = []
+            trials: list[tuple[float, int, list[Group], Floats]] = []
             for group in self.chosen if last else self.chosen[:-1]:
                 fewer = [one for one in self.chosen if one is not group]
                 left = predicted(self.blocks, fewer)
@@ -169,17 +273,6 @@ class _Search:
             if not trials:
                 return
             _, _, self.chosen, self.now = min(trials, key=lambda one: one[:2])
-
-    def result(self) -> Selected:
-        """The groups with coefficients and gains."""
-        gains = []
-        for group in self.chosen:
-            left = predicted(self.blocks, [one for one in self.chosen if one is not group])
-            gains.append(float(1 - self.now.sum() / max(left.sum(), 1e-300)))
-        return Selected(
-            tuple(self.chosen), tuple(coefficients(self.whole, self.chosen)), self.now,
-            self.before, tuple(gains),
-        )  # fmt: skip
 
     def _promising(self, chosen: Sequence[Group]) -> list[Group]:
         """Groups with the best fit on all blocks, given those chosen."""
@@ -192,7 +285,7 @@ class _Search:
             square = normal.square - 2 * normal.moment[ones].sum() + less[ones].sum()
             normal = Normal(normal.gram, normal.moment - less, float(square), normal.count)
         rest = profiled(normal, index, np.full(len(index), 0.0))
-        scored = []
+        scored: list[tuple[float, int, Group]] = []
         for group in self.groups:
             if group.key in taken:
                 continue
@@ -211,7 +304,7 @@ class _Search:
 
     def _makes_sense(self, trial: Sequence[Group]) -> bool:
         found = coefficients(self.whole, trial)
-        return all(group.possible(x) for group, x in zip(trial, found, strict=True))
+        return all(group.instance(x) is not None for group, x in zip(trial, found, strict=True))
 
     def _pays(self, without: Floats, with_it: Floats, certainty: float) -> bool:
         drop = without - with_it
@@ -219,6 +312,13 @@ class _Search:
             return False
         error = float(drop.std(ddof=1) / np.sqrt(len(drop))) if len(drop) > 1 else 0.0
         return float(drop.mean()) > certainty * error
+
+
+def _level(left: Floats, least: Floats, gain: float) -> bool:
+    """Whether a prediction is as good as the best, as far as blocks can tell."""
+    more = left - least
+    error = float(more.std(ddof=1) / np.sqrt(len(more))) if len(more) > 1 else 0.0
+    return float(more.mean()) <= max(error, gain * float(least.mean()))
 
 
 _NEW = 1e-6

@@ -12,6 +12,7 @@ from markupsafe import Markup
 
 from orbisim.diagnosis.force import ForceResidual, force_residual
 from orbisim.diagnosis.result import Diagnosis
+from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.scoring import score
 from orbisim.diagnosis.wording import number
 from orbisim.effects import find
@@ -30,7 +31,7 @@ _BEFORE, _AFTER, _MEASURED = figures.B, figures.A, figures.C
 def write_report(diagnosis: Diagnosis, path: Path) -> Path:
     """Writes the page; returns its path."""
     found = diagnosis.attribution
-    samples = found.bench.samples
+    samples = found.samples
     before = force_residual(samples, diagnosis.scene)
     after = _after(diagnosis)
     shown = _worst_joints(diagnosis)
@@ -55,7 +56,15 @@ def write_report(diagnosis: Diagnosis, path: Path) -> Path:
 
 def _command(diagnosis: Diagnosis) -> str:
     files = [diagnosis.source, *(one.source for one in diagnosis.fit)]
-    return "orbisim diagnose " + shlex.join(files) + f" --window {diagnosis.error['window_s']:g}"
+    how = f"--window {diagnosis.error['window_s']:g}"
+    if _in_forces(diagnosis):
+        how = "--residual force"
+    return f"orbisim diagnose {shlex.join(files)} {how}"
+
+
+def _in_forces(diagnosis: Diagnosis) -> bool:
+    """Whether the residual in force space was explained, instead of free runs."""
+    return diagnosis.error.get("residual") == "force"
 
 
 def _after(diagnosis: Diagnosis) -> list[ForceResidual] | None:
@@ -64,7 +73,7 @@ def _after(diagnosis: Diagnosis) -> list[ForceResidual] | None:
     changed = diagnosis.effects or diagnosis.retuned
     if not changed or not all(e.native for e in diagnosis.effects):
         return None
-    return force_residual(diagnosis.attribution.bench.samples, diagnosis.augmented_scene)
+    return force_residual(diagnosis.attribution.samples, diagnosis.augmented_scene)
 
 
 def _worst_joints(diagnosis: Diagnosis) -> list[Joint]:
@@ -134,7 +143,7 @@ def _dependence(
     after: list[ForceResidual] | None,
 ) -> list[Markup]:
     """The missing force against velocity and position."""
-    samples = diagnosis.attribution.bench.samples
+    samples = diagnosis.attribution.samples
     column = joint.v.start
     against = {
         f"velocity ({joint.unit}/s)": np.concatenate([s.qvel[:, column] for s in samples]),
@@ -172,7 +181,7 @@ def _left(diagnosis: Diagnosis, joint: Joint, parts: list[ForceResidual]) -> lis
         axes.set(title=f"Spectrum of what is left at {joint.label}", xlabel="frequency (Hz)")
         axes.set_ylabel(f"({joint.force_unit})²/Hz")
         charts.append(figures.to_svg(drawn, "Spectrum of what is left"))
-    samples = diagnosis.attribution.bench.samples[0]
+    samples = diagnosis.attribution.samples[0]
     for control in range(min(samples.ctrl.shape[1], 2)):
         drawn, axes = figures.figure(height=2.6)
         pick = _thin(np.arange(len(force)))
@@ -188,8 +197,10 @@ def _left(diagnosis: Diagnosis, joint: Joint, parts: list[ForceResidual]) -> lis
 
 def _overlays(diagnosis: Diagnosis) -> list[Markup]:
     """The held-out window that was worst, and the median one: measured, before and after."""
+    if _in_forces(diagnosis):
+        return _needed(diagnosis)
     window = diagnosis.error["window_s"]
-    effects = diagnosis.attribution.after.hypothesis.effects
+    effects = diagnosis.attribution.hypothesis.effects
     held = list(diagnosis.held_out)
     before = score(diagnosis.scene, held, window).replay
     changed = bool(effects) or bool(diagnosis.retuned)
@@ -201,6 +212,27 @@ def _overlays(diagnosis: Diagnosis) -> list[Markup]:
     for pick in picks:
         for joint in shown[:2]:
             charts.append(_overlay(diagnosis, joint, before, after, pick))
+    return charts
+
+
+def _needed(diagnosis: Diagnosis) -> list[Markup]:
+    """Forces that the held-out motion needs with and without the effects, and those recorded."""
+    held = prepare_all(diagnosis.held_out[:1], diagnosis.scene)
+    before = force_residual(held, diagnosis.scene)[0]
+    after = force_residual(held, diagnosis.augmented_scene)[0]
+    name, charts = Path(diagnosis.held_out[0].source).name, []
+    rows = slice(0, min(len(before.time), _MOST_POINTS))
+    for joint in _worst_joints(diagnosis):
+        column, time = joint.v.start, before.time[rows]
+        given = (before.total - before.force)[rows, column]
+        drawn, axes = figures.figure(height=2.6)
+        axes.plot(time, given, color=_MEASURED, label="recorded", lw=2)
+        axes.plot(time, given + before.force[rows, column], color=_BEFORE, label="as declared")
+        axes.plot(time, given + after.force[rows, column], color=_AFTER, label="after")
+        axes.set(title=f"Force at {joint.label}, held out: {name}", xlabel="time (s)")
+        axes.set_ylabel(joint.force_unit)
+        figures.legend(axes, ncols=3)
+        charts.append(figures.to_svg(drawn, f"Recorded and needed force at {joint.label}"))
     return charts
 
 
