@@ -12,6 +12,7 @@ import numpy.typing as npt
 from orbisim.diagnosis.along import along
 from orbisim.diagnosis.bench import SAME, Bench, Hypothesis, clean
 from orbisim.diagnosis.consistency import inconsistency
+from orbisim.diagnosis.joint import propose
 from orbisim.diagnosis.linear import linearize
 from orbisim.diagnosis.refine import Judge, Judged, is_structural
 from orbisim.diagnosis.retune import REACH, Tunable, tunables
@@ -99,6 +100,7 @@ class _Search:
         self.tunables: tuple[Tunable, ...] = ()
         self.columns: Floats | None = None
         self.intervals = bench.intervals
+        self.robust = settings.robust
         self.round = 0
         self._started = time.monotonic()
 
@@ -115,7 +117,30 @@ class _Search:
         self._find_tunables()
         self.say("screening effects")
         first = self._screen(nothing)
-        return self._conclude(self._explain(nothing, first), first)
+        found = self._explain(nothing, first)
+        if found.ratio > _NEAR and not self.bench.contacts:
+            found = self._jointly(found)
+        return self._conclude(found, first)
+
+    def _jointly(self, current: Judged) -> Judged:
+        """Several effects at once, where single ones do not reach the noise."""
+        self.say("several effects at once")
+        most = max(self.settings.most_effects, _TOGETHER)
+        effects = propose(self.bench, self.bench.intervals, self.settings.effects, most)
+        if not effects:
+            return current
+        together = Hypothesis(effects)
+        self._renew(together)
+        rough = self.judge.judge(together, self._iterations)
+        if rough is None:
+            return current
+        self.robust = self.robust or max(4.0, 1.5 * float(np.sqrt(np.median(rough.checked))))
+        fitted = self.judge.judge(self._renewed(rough).hypothesis, 8)
+        rival = self.judge.judge(current.hypothesis, 8)
+        if fitted is None or rival is None:
+            return current
+        fitted = self._prune(fitted)
+        return fitted if self._pays(rival, fitted) else rival
 
     def _explain(self, nothing: Judged, first: Screening) -> Judged:
         """One effect if it is all; else declared parameters; else effects and parameters."""
@@ -204,7 +229,7 @@ class _Search:
         settings = self.settings
         return Judge(
             self.bench, self.intervals, self.tunables, self.columns, settings.windows,
-            settings.robust,
+            self.robust,
         )  # fmt: skip
 
     def _need(self, hypothesis: Hypothesis) -> Judged:
@@ -410,7 +435,7 @@ class _Search:
         whole = dataclasses.replace(self.bench, fit=everything, check=everything)
         judge = Judge(
             whole, self.intervals, self.tunables, self.columns, _MOST_WINDOWS,
-            self.settings.robust,
+            self.robust,
         )  # fmt: skip
         before = judge.judge(Hypothesis())
         assert before is not None
@@ -474,6 +499,7 @@ def _excess(judged: Judged) -> float:
     return float(np.sqrt(max(float(np.mean(judged.checked)) - 1.0, 0.0)))
 
 
+_TOGETHER = 6
 _SHARE = 0.08
 _LITTLE = 0.1
 _HALF = 0.5

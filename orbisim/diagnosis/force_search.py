@@ -25,7 +25,7 @@ from orbisim.diagnosis.regress import total
 from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.screening import bounded_instance
 from orbisim.diagnosis.selection import Group, Rule, Selected, groups_of, select, without
-from orbisim.diagnosis.sensible import sensible
+from orbisim.diagnosis.sensible import extent, sensible
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
 from orbisim.errors import OrbiSimError
@@ -110,8 +110,8 @@ def attribute_forces(
 def _selected(data: ForceData, settings: Settings, say: Progress) -> tuple[Selected, Floats]:
     """Effects, selected with weights that follow from what they leave."""
     found, columns = candidates(data, settings.effects)
-    longest = max(float(s.time[-1] - s.time[0]) for s in data.samples)
-    possible = functools.partial(sensible, data.scene.model, duration=longest)
+    duration, travel = extent(data.samples)
+    possible = functools.partial(sensible, data.scene.model, duration=duration, travel=travel)
     sigma = _spread(data.force)
     rule = Rule(gain=_GAIN, most=max(settings.most_effects, _FORCES))
     for number in range(_ROUNDS):

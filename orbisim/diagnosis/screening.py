@@ -80,7 +80,7 @@ def screen(
     flow = bench.flow(hypothesis)
     view = MotionView(flow, bench.samples)
     view.missing_force = missing_force(intervals) if force is None else force
-    found = list(_candidates(view, bench, hypothesis, flow, only))
+    found = list(candidates_of(view, bench, hypothesis, flow, only))
     columns = [column for candidate in found for column in candidate.columns]
     first = len(columns)
     columns += _force_columns(view.missing_force, flow)
@@ -126,13 +126,14 @@ def missing_force(intervals: Intervals) -> Floats:
     return force
 
 
-def _candidates(
+def candidates_of(
     view: MotionView,
     bench: Bench,
     hypothesis: Hypothesis,
     flow: IntervalMap,
     only: Sequence[str] | None,
 ) -> list[Candidate]:
+    """Candidates of effects at all their targets; `only` these effects, or all if None."""
     model = bench.scene.model
     taken = {(e.effect, e.target) for e in hypothesis.effects}
     found: list[Candidate] = []

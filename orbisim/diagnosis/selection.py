@@ -32,12 +32,19 @@ class Group:
       instance: the effect with values from fitted coefficients of the columns; None if these are
         not possible.
       fixed: whether the coefficients are ones instead of fitted.
+      shape: number of parameters that were tried at several values.
     """
 
     index: tuple[int, ...]
     key: tuple[str, ...]
     instance: Callable[[Floats], EffectInstance | None]
     fixed: bool = False
+    shape: int = 0
+
+    @property
+    def width(self) -> int:
+        """Numbers that data have to pay for."""
+        return self.shape + (0 if self.fixed else len(self.index))
 
 
 def groups_of(
@@ -86,7 +93,8 @@ def _group(
         return made if sensible(made) else None
 
     index = tuple(int(i) for i in start + felt)
-    return Group(index, (candidate.effect, candidate.target), instance, candidate.fixed)
+    key = (candidate.effect, candidate.target)
+    return Group(index, key, instance, candidate.fixed, candidate.shape)
 
 
 _FELT = 1e-12
@@ -246,8 +254,9 @@ class _Search:
     def _best(self, instead_of: Sequence[Group], rival: Floats) -> tuple[Group, Floats] | None:
         """The group to add, and what is left then; None if none pays.
 
-        Of those that predict as well as the best to within a standard error, the one with fewest
-        columns, then the first (Breiman et al., "Classification and regression trees", 1984, 3.4).
+        Of those that predict as well as the best as far as the blocks can tell, the one with fewest
+        numbers to fit, then the first (Breiman et al., "Classification and regression trees",
+        1984, section 3.4).
         """
         kept = [one for one in self.chosen if one not in instead_of]
         paying: list[tuple[Group, Floats]] = []
@@ -259,7 +268,7 @@ class _Search:
             return None
         least = min(paying, key=lambda one: float(one[1].sum()))[1]
         level = [one for one in paying if _level(one[1], least, self.rule.gain)]
-        return min(level, key=lambda one: (len(one[0].index), self._place[one[0].index]))
+        return min(level, key=lambda one: (one[0].width, self._place[one[0].index]))
 
     def remove(self, certainty: float, last: bool = False) -> None:
         """Drops groups that do not pay given the others, the least useful one first."""
@@ -298,8 +307,9 @@ class _Search:
                 left = float(rest.square - 2 * rest.moment[at].sum() + inner)
             else:
                 left = fit(rest, at)[1]
-            width = 0 if group.fixed else len(at)
-            scored.append((np.log(max(left, 1e-300)) + width * self._price, len(scored), group))
+            scored.append(
+                (np.log(max(left, 1e-300)) + group.width * self._price, len(scored), group)
+            )
         return [group for _, _, group in sorted(scored, key=lambda s: s[:2])[: self.rule.tried]]
 
     def _makes_sense(self, trial: Sequence[Group]) -> bool:
@@ -318,9 +328,10 @@ def _level(left: Floats, least: Floats, gain: float) -> bool:
     """Whether a prediction is as good as the best, as far as blocks can tell."""
     more = left - least
     error = float(more.std(ddof=1) / np.sqrt(len(more))) if len(more) > 1 else 0.0
-    return float(more.mean()) <= max(error, gain * float(least.mean()))
+    return float(more.mean()) <= max(_TIE * error, gain * float(least.mean()))
 
 
+_TIE = 2.0
 _NEW = 1e-6
 """Share of a column that must not be in the span of those already chosen."""
 _LOOSE = 1.0

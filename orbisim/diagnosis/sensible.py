@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
+from orbisim.diagnosis.samples import Samples
 from orbisim.effects import EffectInstance
 from orbisim.effects.base import index_of
 
@@ -14,16 +18,21 @@ _BEYOND = 1.5
 """Something fixed to a body may stick out of it by half its reach."""
 
 
-def sensible(model: mujoco.MjModel, instance: EffectInstance, duration: float = np.inf) -> bool:
+def sensible(
+    model: mujoco.MjModel,
+    instance: EffectInstance,
+    duration: float = np.inf,
+    travel: npt.NDArray[np.float64] | None = None,
+) -> bool:
     """Whether such an effect can be: fitted values may be possible and yet absurd.
 
     A centre of mass lies within the reach of its body, and so, nearly, does what is fixed to it; a
-    machine carries at most twice its own mass, and a body displaces at most twice its own; friction takes less than half of the load
-    that a transmission carries; a gain is not off by more than a factor of two; what is periodic
-    has come round twice.
+    machine carries at most twice its own mass, and a body displaces at most twice its own;
+    friction takes less than half of the load that a transmission carries; a gain is not off by
+    more than a factor of two; what is periodic has come round twice.
 
     Args:
-      duration: of the longest recording, s.
+      duration: of the longest recording, s. travel: [nv] of each degree of freedom.
     """
     values = instance.values
     if not all(np.isfinite(value) for value in values.values()):
@@ -43,6 +52,9 @@ def sensible(model: mujoco.MjModel, instance: EffectInstance, duration: float = 
         return 0.5 <= values["gain"] <= 2.0
     if instance.effect == "periodic_disturbance":
         return values["frequency"] * duration >= 2
+    if instance.effect == "cogging" and travel is not None:
+        dof = int(model.jnt_dofadr[index_of(model, "joint", instance.target)])
+        return bool(values["periods"] * travel[dof] >= 4 * np.pi)
     return True
 
 
@@ -56,3 +68,11 @@ def reach(model: mujoco.MjModel, name: str) -> float:
         if child != body:
             far.append(float(np.linalg.norm(model.body_pos[child])))
     return max(far)
+
+
+def extent(samples: Sequence[Samples]) -> tuple[float, npt.NDArray[np.float64]]:
+    """Duration of the longest recording, s, and travel [nv] of each degree of freedom."""
+    longest = max(float(one.time[-1] - one.time[0]) for one in samples)
+    nv = samples[0].absolute.shape[1] // 2
+    q = np.concatenate([one.absolute[one.usable, :nv] for one in samples])
+    return longest, np.asarray(np.ptp(q, axis=0))
