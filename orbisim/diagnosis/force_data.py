@@ -59,14 +59,14 @@ class ForceData:
         return np.concatenate([part.force[_taken(one, self.every)] for part, one in pairs])
 
 
-def force_data(scene: Scene, samples: Sequence[Samples]) -> ForceData:
-    """The missing forces along recordings.
+def force_data(scene: Scene, samples: Sequence[Samples], most: int = _MOST_ROWS) -> ForceData:
+    """The missing forces along recordings, at so many samples at most.
 
     Raises:
       InputError: there are too few usable samples.
     """
     usable = sum(int(s.usable.sum()) for s in samples)
-    every = max(1, -(-usable // _MOST_ROWS))
+    every = max(1, -(-usable // most))
     rows = [_taken(s, every) for s in samples]
     if sum(map(len, rows)) < 2 * _SHORTEST:
         raise InputError(

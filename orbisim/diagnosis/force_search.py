@@ -36,6 +36,7 @@ Progress = Callable[[str], None]
 
 _ROUNDS = 3
 _ITERATIONS = 3
+_FITTED = 600
 _EACH = 6
 
 
@@ -99,7 +100,8 @@ def attribute_forces(
         doubt = f"{100 * left:.0f} % of the missing force's amplitude remains"
         return _nothing(data, sigma, ratio, tuple((one, doubt) for one in instances))
     say("fitting the effects to the inverse dynamics")
-    hypothesis, fit = fit_forces(data, Hypothesis(instances), sigma)
+    few = force_data(scene, samples, _FITTED)
+    hypothesis, fit = fit_forces(few, Hypothesis(instances), sigma)
     after = _ratio(data, data.left(hypothesis))
     evidence = tuple(
         _evidence(g, data, x) for g, x in zip(chosen.gains, chosen.groups, strict=True)
