@@ -103,7 +103,14 @@ def diagnose(plan: Plan, fit: list[Recording], held: list[Recording], found: Pat
     start = time.perf_counter()
     settings = Settings(**plan.settings)
     orbisim.diagnose(
-        plan.scene(), fit, held, window=plan.window, settings=settings, out=found, progress=True
+        plan.scene(),
+        fit,
+        held,
+        window=plan.window,
+        residual=plan.residual,
+        settings=settings,
+        out=found,
+        progress=True,
     )
     seconds = time.perf_counter() - start
     (found / "seconds.json").write_text(json.dumps(round(seconds)))

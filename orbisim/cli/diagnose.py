@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 
@@ -31,6 +31,14 @@ from orbisim.cli.common import (
     help="A recording that nothing may be fitted to (repeatable). Default: some are kept back.",
 )
 @click.option("--window", default=0.5, show_default=True, help="Duration of a free run, s.")
+@click.option(
+    "--residual",
+    type=click.Choice(["motion", "force"]),
+    default="motion",
+    show_default=True,
+    help="What to explain: free runs over windows, or the joint forces that the measured motion "
+    "needs (for controlled machines whose joint forces are recorded).",
+)
 @click.option(
     "--backend",
     default="mujoco",
@@ -77,6 +85,7 @@ def command(
     recordings: tuple[str, ...],
     held_out: tuple[str, ...],
     window: float,
+    residual: Literal["motion", "force"],
     backend: str,
     effects: tuple[str, ...],
     most_effects: int,
@@ -105,8 +114,8 @@ def command(
         seed=seed,
     )
     result = diagnose(
-        scene, list(recordings), list(held_out) or None, window=window, backend=backend,
-        settings=settings, learn_rest=learn_rest, out=out,
+        scene, list(recordings), list(held_out) or None, window=window, residual=residual,
+        backend=backend, settings=settings, learn_rest=learn_rest, out=out,
     )  # fmt: skip
     if out is not None:
         note(f"report: {out / 'report.html'}")
@@ -142,9 +151,9 @@ def _print(result: Any) -> None:
         ]
         print_table("\nDeclared parameters", ("parameter", "factor", "95 % interval"), factors)
     error = result.error
+    what = error.get("name", f"free-running error over {error['window_s']:g} s").capitalize()
     print_table(
-        f"\nFree-running error over {error['window_s']:g} s ({error['unit']}), "
-        f"noise {error['noise_floor']:.3g}",
+        f"\n{what} ({error['unit']}), noise {error['noise_floor']:.3g}",
         ("data", "before", "after"),
         [(kind, error[key]["before"], error[key]["after"])
          for kind, key in (("fitted", "fit"), ("held out", "held_out"))],

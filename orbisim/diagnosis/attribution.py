@@ -12,11 +12,13 @@ import numpy.typing as npt
 from orbisim.diagnosis.along import along
 from orbisim.diagnosis.bench import SAME, Bench, Hypothesis, clean
 from orbisim.diagnosis.consistency import inconsistency
+from orbisim.diagnosis.joint import propose
 from orbisim.diagnosis.laws import imitated
 from orbisim.diagnosis.linear import linearize
 from orbisim.diagnosis.paying import unpaid
 from orbisim.diagnosis.refine import Judge, Judged, is_structural
 from orbisim.diagnosis.retune import REACH, Tunable, tunables
+from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.screening import (
     Screening,
     Suspect,
@@ -74,6 +76,16 @@ class Attribution:
     rejected: tuple[tuple[EffectInstance, str], ...]
     cut_short: bool
 
+    @property
+    def samples(self) -> tuple[Samples, ...]:
+        """The recordings that were fitted."""
+        return self.bench.samples
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """The effects, with fitted values."""
+        return self.after.hypothesis
+
 
 def attribute(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> Attribution:
     """Searches for the effects that a scene lacks."""
@@ -93,6 +105,7 @@ class _Search:
         self.tunables: tuple[Tunable, ...] = ()
         self.columns: Floats | None = None
         self.intervals = bench.intervals
+        self.robust, self._given = settings.robust, bench
         self.round = 0
         self._started = time.monotonic()
 
@@ -132,6 +145,9 @@ class _Search:
                 return single
         elif single is not None:
             single = self._renewed(single)
+        together = self._jointly(nothing if single is None else single)
+        if together is not None:
+            return self._prune(self._add_all(together))
         start = single
         if single is not None and self.tunables:
             start = self._tuned(single.hypothesis) or single
@@ -173,6 +189,36 @@ class _Search:
             ]
         return best if problem is None else None
 
+    def _jointly(self, rival: Judged) -> Judged | None:
+        """Several effects at once, if they are better than what was found before."""
+        if self.bench.contacts or rival.ratio <= _NEAR:
+            return None
+        self.say("several effects at once")
+        bench, settings = self._given, self.settings
+        most = max(settings.most_effects, _TOGETHER)
+        effects = propose(bench, bench.intervals, settings.effects, most)
+        if len(effects) < max(1, len(rival.hypothesis.effects)):
+            return None
+        robust = settings.robust or _HUBER
+        judge = Judge(bench, bench.intervals, (), None, settings.windows, robust)
+        fitted = judge.judge(Hypothesis(effects), 6)
+        plain = dataclasses.replace(rival.hypothesis, factors=())
+        others = [judge.judge(one, 6) for one in (Hypothesis(), plain)]
+        if fitted is None or not all(o is not None and self._steadier(o, fitted) for o in others):
+            return None
+        self.bench, self.intervals, self.judge = bench, bench.intervals, judge
+        self.robust, self.tunables, self.columns = robust, (), None
+        self._started = time.monotonic()
+        return self._prune(fitted)
+
+    def _steadier(self, before: Judged, after: Judged) -> bool:
+        """Whether check windows get better in amplitude: squares are those of a few windows where
+        models of a real machine fall short."""
+        drop = np.sqrt(before.checked) - np.sqrt(after.checked)
+        error = float(drop.std() / np.sqrt(max(len(drop), 1)))
+        sure = float(drop.mean()) > self.settings.certainty * error
+        return sure and before.cost - after.cost > self.settings.margin
+
     def _forward(self, start: Judged, base: Judged, first: Screening) -> Judged:
         """Adds effects while they pay, from one start or, if that ends worse, from the other."""
         current = self._add_all(start)
@@ -206,7 +252,7 @@ class _Search:
         settings = self.settings
         return Judge(
             self.bench, self.intervals, self.tunables, self.columns, settings.windows,
-            settings.robust,
+            self.robust,
         )  # fmt: skip
 
     def _need(self, hypothesis: Hypothesis) -> Judged:
@@ -422,7 +468,7 @@ class _Search:
         whole = dataclasses.replace(self.bench, fit=everything, check=everything)
         judge = Judge(
             whole, self.intervals, self.tunables, self.columns, _MOST_WINDOWS,
-            self.settings.robust,
+            self.robust,
         )  # fmt: skip
         before = judge.judge(Hypothesis())
         assert before is not None
@@ -447,13 +493,17 @@ class _Search:
             tuple(self.rejected), self._late and not self._done(after),
         )  # fmt: skip
 
+    def _excess(self, judged: Judged) -> float:
+        """Amplitude of the residual beyond the noise, in units of the noise."""
+        return _amplitude(float(np.mean(judged.checked)) - 1.0, self.robust)
+
     def _doubt(self, whole: Bench, before: Judged, after: Judged) -> str | None:
         """Why an explanation that does not reach the noise is none; None if it is one."""
         if after.ratio <= _NEAR:
             return None
         if not after.hypothesis.effects:
             return "declared parameters alone do not explain it"
-        left = _excess(after) / max(_excess(before), 1e-12)
+        left = self._excess(after) / max(self._excess(before), 1e-12)
         if left > self.settings.most_left:
             return f"{100 * left:.0f} % of the residual's amplitude remains"
         for index in range(len(after.hypothesis.effects)):
@@ -461,6 +511,13 @@ class _Search:
             if problem is not None:
                 return problem
         return None
+
+
+def _amplitude(square: float, threshold: float | None) -> float:
+    """Amplitude of residuals whose mean Huber loss (2 k |r| - k^2 beyond a threshold k) is this."""
+    if threshold is None or square <= threshold**2:
+        return float(np.sqrt(max(square, 0.0)))
+    return (square + threshold**2) / (2 * threshold)
 
 
 def _ranked(fitted: Sequence[Judged]) -> list[Judged]:
@@ -483,11 +540,8 @@ def _strained(judged: Judged) -> bool:
     return any(abs(factor - 1) > 0.9 * REACH for _, factor in judged.hypothesis.factors)
 
 
-def _excess(judged: Judged) -> float:
-    """Amplitude of the residual beyond the noise, in units of the noise (median window)."""
-    return float(np.sqrt(max(float(np.mean(judged.checked)) - 1.0, 0.0)))
-
-
+_TOGETHER = 6
+_HUBER = 4.0
 _GLANCES = 20
 _SHARE = 0.08
 _LITTLE = 0.1

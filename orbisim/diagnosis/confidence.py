@@ -6,17 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from orbisim.diagnosis.refine import Judged
+from orbisim.diagnosis.gauss_newton import Fit
 
 
-def confidence(
-    judged: Judged, names: Sequence[str], seed: int = 0
-) -> dict[str, tuple[float, float]]:
+def confidence(fit: Fit, names: Sequence[str], seed: int = 0) -> dict[str, tuple[float, float]]:
     """95 % intervals of fitted parameters: the wider of the Jacobian's and a block bootstrap's.
 
     The bootstrap resamples windows and takes one Gauss-Newton step from the fit.
     """
-    fit = judged.fit
     count = len(fit.values)
     if not count:
         return {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import mujoco
@@ -10,9 +10,10 @@ import numpy as np
 
 from orbisim.backend import Backend
 from orbisim.diagnosis.attribution import Attribution, enough
-from orbisim.diagnosis.bench import Bench
+from orbisim.diagnosis.bench import Bench, Hypothesis, Noise
 from orbisim.diagnosis.confidence import confidence
 from orbisim.diagnosis.confounds import advice, standing
+from orbisim.diagnosis.gauss_newton import Fit
 from orbisim.diagnosis.result import Alternative, Candidate, Estimate, FoundEffect, Retuned, Verdict
 from orbisim.diagnosis.scoring import Score, score
 from orbisim.diagnosis.sensing import Sensed
@@ -93,11 +94,15 @@ def sensor_noise_of(sensed: Sensed) -> dict[str, float]:
     return {f"sensor/{one.sensor.label}": one.noise for one in sensed.findings}
 
 
-def noise_of(bench: Bench) -> dict[str, float]:
-    """Standard deviation of the measurement noise by signal."""
+def noise_of(scene: Scene, noise: Noise) -> dict[str, float]:
+    """Standard deviation of the measurement noise by signal.
+
+    Args:
+      noise: of positions and velocities, each [nv].
+    """
     found: dict[str, float] = {}
-    q_noise, v_noise = bench.noise
-    for joint in joints(bench.scene.model):
+    q_noise, v_noise = noise
+    for joint in joints(scene.model):
         for kind, levels in (("qpos", q_noise), ("qvel", v_noise)):
             seen = levels[joint.v]
             seen = seen[np.isfinite(seen)]
@@ -133,27 +138,31 @@ def errors_of(
 
 def effects_of(
     scene: Scene,
-    found: Attribution,
-    held: Sequence[Recording],
-    window: float,
-    backend: str | Backend,
+    hypothesis: Hypothesis,
+    fit: Fit,
+    evidence: Sequence[float],
+    error: Callable[[Hypothesis], float],
     seed: int,
 ) -> tuple[FoundEffect, ...]:
-    """The effects with their intervals and what each brings on held-out data."""
-    hypothesis = found.after.hypothesis
+    """The effects with their intervals and what each brings on held-out data.
+
+    Args:
+      scene: as declared. fit: of the hypothesis. evidence: drop in information criterion by effect.
+      error: held-out error of a hypothesis. seed: of the bootstrap.
+    """
     free = hypothesis.free(scene)
     names = [f"{i}.{name}" for i, name in free] + [str(one) for one, _ in hypothesis.factors]
-    intervals = confidence(found.after, names, seed)
-    with_all = score(hypothesis.scene(scene), held, window, hypothesis.effects, backend).rms
+    intervals = confidence(fit, names, seed)
+    with_all = error(hypothesis) if hypothesis.effects else 0.0
     result: list[FoundEffect] = []
     for i, effect in enumerate(hypothesis.effects):
         kind = find(effect.effect)
-        fewer = hypothesis.without(i)
-        without = score(fewer.scene(scene), held, window, fewer.effects, backend).rms
         parameters, units = {}, kind.units(scene.model, effect)
         for p in kind.parameters(scene.model, effect.target):
             value = float(effect.values[p.name])
-            ci = intervals.get(f"{i}.{p.name}", _propagated(found, i, p.name, intervals))
+            ci = intervals.get(f"{i}.{p.name}")
+            if ci is None:
+                ci = _propagated(scene, hypothesis, i, p.name, intervals)
             grid = kind.resolution(scene.model, p.name) / 2
             low, high = min(ci[0], value - grid), max(ci[1], value + grid)
             parameters[p.name] = Estimate(value, units[p.name], (low, high))
@@ -164,9 +173,9 @@ def effects_of(
                 parameters,
                 kind.native,
                 {
-                    "held_out_error_without": without,
+                    "held_out_error_without": error(hypothesis.without(i)),
                     "held_out_error_with": with_all,
-                    "delta_bic": found.evidence[i],
+                    "delta_bic": evidence[i],
                 },
                 dict(effect.options),
             )
@@ -174,11 +183,25 @@ def effects_of(
     return tuple(result)
 
 
+def free_run_error(
+    scene: Scene, held: Sequence[Recording], window: float, backend: str | Backend
+) -> Callable[[Hypothesis], float]:
+    """The free-running error of hypotheses on recordings."""
+
+    def error(hypothesis: Hypothesis) -> float:
+        return score(hypothesis.scene(scene), held, window, hypothesis.effects, backend).rms
+
+    return error
+
+
 def _propagated(
-    found: Attribution, number: int, name: str, intervals: dict[str, tuple[float, float]]
+    scene: Scene,
+    hypothesis: Hypothesis,
+    number: int,
+    name: str,
+    intervals: dict[str, tuple[float, float]],
 ) -> tuple[float, float]:
     """The interval of a parameter that follows from the free ones, to first order."""
-    scene, hypothesis = found.bench.scene, found.after.hypothesis
     value = float(hypothesis.effects[number].values[name])
     values, variance = hypothesis.values(scene), 0.0
     for index, (i, free) in enumerate(hypothesis.free(scene)):

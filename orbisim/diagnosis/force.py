@@ -20,7 +20,6 @@ from orbisim.diagnosis.hidden import Layout, carried_along
 from orbisim.diagnosis.samples import Samples
 from orbisim.effects.carry import hooks_of
 from orbisim.effects.running import ACCELERATION_STAGE, HookRunner
-from orbisim.recording import estimate_motion
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
@@ -42,26 +41,27 @@ class ForceResidual:
     total: Floats
 
 
-def force_residual(samples: Sequence[Samples], scene: Scene) -> list[ForceResidual]:
+def force_residual(samples: Sequence[Samples], scene: Scene, every: int = 1) -> list[ForceResidual]:
     """The force-space residual of a scene along recordings.
 
     Args:
       samples: the recordings, prepared with the declared scene.
       scene: the declared scene, or one with effects added. Joints that an effect added rest.
+      every: only every so many usable rows are computed; the others are NaN.
     """
-    return [_one(sample, scene) for sample in samples]
+    return [_one(sample, scene, every) for sample in samples]
 
 
-def _one(one: Samples, scene: Scene) -> ForceResidual:
+def _one(one: Samples, scene: Scene, every: int) -> ForceResidual:
     model, declared = copy.copy(scene.model), one.bound.model
     hooked = Hooked(model)
     data, place = mujoco.MjData(model), Layout(declared, model)
-    spread = np.nan_to_num(estimate_motion(one.bound).qacc_std)
+    spread = one.qacc_std
     act, history = carried_along(one, declared, model)
     count, nv = len(one), declared.nv
     out = {name: np.full((count, nv), np.nan) for name in ("force", "std", "total")}
     full = np.zeros((model.nv, model.nv))
-    for row in np.flatnonzero(one.usable):
+    for row in np.flatnonzero(one.usable)[::every]:
         data.qpos[:], data.qvel[:], data.qacc[:] = model.qpos0, 0.0, 0.0
         data.qpos[place.q], data.qvel[place.v] = one.qpos[row], one.qvel[row]
         data.qacc[place.v] = one.qacc[row]

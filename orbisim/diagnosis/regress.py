@@ -140,8 +140,8 @@ def normal_equations(
     if not len(windows):
         return []
     nv = intervals.B.shape[2]
-    inputs, signals = _stack(intervals, columns)
-    data = _Data(samples, intervals, noise, known)
+    inputs, signals = stacked(intervals, columns)
+    data = WeightedData(samples, intervals, noise, known)
     width = 2 * nv + 1 + len(columns)
     chunk = max(1, int(_CHUNK_BYTES / (8 * (windows.length + 1) * 2 * nv * width)))
     result: list[Normal] = []
@@ -151,7 +151,7 @@ def normal_equations(
     return result
 
 
-def _stack(intervals: Intervals, columns: Sequence[Column]) -> tuple[Floats, Floats | None]:
+def stacked(intervals: Intervals, columns: Sequence[Column]) -> tuple[Floats, Floats | None]:
     """State inputs [N, 2 nv, C] and signals [2 N, 2 nv, C] of the columns."""
     count, n2, _ = intervals.B.shape
     inputs = np.zeros((count, n2, len(columns)))
@@ -169,7 +169,7 @@ def _stack(intervals: Intervals, columns: Sequence[Column]) -> tuple[Floats, Flo
     return inputs, signals
 
 
-class _Data:
+class WeightedData:
     """Measured deviations and their weights at the ends of the intervals."""
 
     def __init__(
@@ -201,7 +201,7 @@ def _chunk(
     windows: Windows,
     inputs: Floats,
     signals: Floats | None,
-    data: _Data,
+    data: WeightedData,
 ) -> list[Normal]:
     count, n2 = intervals.defect.shape
     c = inputs.shape[2]

@@ -16,6 +16,7 @@ from orbisim.scene import Scene
 
 if TYPE_CHECKING:
     from orbisim.diagnosis.attribution import Attribution
+    from orbisim.diagnosis.force_search import ForceAttribution
     from orbisim.diagnosis.rest import Rest
     from orbisim.diagnosis.sensing import Sensed
     from orbisim.recording import Recording
@@ -130,7 +131,7 @@ class Diagnosis:
     error: Mapping[str, Any]
     augmented_scene: Scene
     notes: tuple[str, ...]
-    attribution: Attribution
+    attribution: Attribution | ForceAttribution
     rest: Rest | None = None
     candidates: tuple[Candidate, ...] = ()
     sensors: Sensed | None = None

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from orbisim.backend import Backend
 from orbisim.diagnosis.attribution import Attribution, attribute
-from orbisim.diagnosis.bench import Hypothesis, make_bench
+from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
 from orbisim.diagnosis.findings import (
     alternatives_of,
     candidates_of,
     effects_of,
     errors_of,
+    free_run_error,
     noise_of,
     residual_of,
     retuned_of,
@@ -25,6 +26,7 @@ from orbisim.diagnosis.findings import (
     verdict_of,
     with_sensors,
 )
+from orbisim.diagnosis.force_result import diagnose_forces
 from orbisim.diagnosis.refine import Judge
 from orbisim.diagnosis.rest import learn_rest as learn
 from orbisim.diagnosis.result import Diagnosis
@@ -40,6 +42,7 @@ from orbisim.engine_log import engine_warnings, ignore
 from orbisim.errors import InputError
 from orbisim.progress import status
 from orbisim.recording import Recording
+from orbisim.recording.actuators import actuators
 from orbisim.scene import Scene, load_scene
 
 Source = Recording | str | Path
@@ -53,6 +56,7 @@ def diagnose(
     held_out: Source | Sequence[Source] | None = None,
     *,
     window: float = 0.5,
+    residual: Literal["motion", "force"] = "motion",
     backend: str | Backend = "mujoco",
     settings: Settings | None = None,
     learn_rest: bool = False,
@@ -66,6 +70,10 @@ def diagnose(
       recordings: measurements to learn from.
       held_out: measurements that no choice and no fit may see; kept back from `recordings` if None.
       window: duration of the windows of free-running simulation, s.
+      residual: what is explained: `motion`, the error of free runs over windows; or `force`, the
+        generalized force that is missing along the measured motion by inverse dynamics. The latter
+        suits recordings of a controlled machine whose joint forces are known: torques or controls
+        of actuators without dynamics.
       backend: what the free-running errors are computed with; the search simulates with C MuJoCo.
       settings: of the search.
       learn_rest: where no effect explains the residual, or not all of it, whether to fit a neural
@@ -81,6 +89,10 @@ def diagnose(
     """
     if not window > 0:
         raise InputError(f"window is a duration in s, greater than 0; got {window}")
+    if residual not in ("motion", "force"):
+        raise InputError(f"residual is 'motion' or 'force'; got {residual!r}")
+    if residual == "force" and learn_rest:
+        raise InputError("learn_rest goes with residual='motion': it is fitted to free runs")
     loaded = scene if isinstance(scene, Scene) else load_scene(scene)
     named = loaded.source if isinstance(scene, Scene) else str(scene)
     loaded.spec  # noqa: B018 (raises if the scene cannot be edited)
@@ -95,27 +107,66 @@ def diagnose(
         status("diagnosing") if progress else contextlib.nullcontext(_nothing) as say,
     ):
         say("reading the recordings")
-        samples = prepare_all(bounded(thinned(fit, window, notes), notes), loaded)
-        bench = make_bench(loaded, samples, window)
-        found = attribute(bench, settings, say)
-        if found.cut_short:
-            notes.append(f"the search was ended after {settings.patience:g} s; more may be found")
-        say("checking on held-out data")
-        found = _confirmed(found, bounded(thinned(held, window, notes), notes), window)
-        sensed = sense(
-            found, bounded(thinned(held, window, notes), notes), window, settings, notes, say
-        )
-        result = _result(loaded, named, found, settings, fit, held, window, backend, notes, sensed)
-        if learn_rest:
-            motion, augmented = verdict_of(found, settings), result.augmented_scene
-            rest = learn(
-                found, motion, augmented, fit, held, window, backend, seed=settings.seed, say=say
+        if residual == "force":
+            engine = backend if isinstance(backend, str) else backend.name
+            both = bounded(fit, notes), bounded(held, notes)
+            result = diagnose_forces(loaded, named, *both, settings, engine, notes, say)
+        else:
+            result = _by_motion(
+                loaded, named, fit, held, settings, window, backend, learn_rest, notes, say
             )
-            result = dataclasses.replace(result, rest=rest)
         if out is not None:
             say("writing the report")
             result.save(out)
     return result
+
+
+def _by_motion(
+    scene: Scene,
+    named: str,
+    fit: list[Recording],
+    held: list[Recording],
+    settings: Settings,
+    window: float,
+    backend: str | Backend,
+    rest: bool,
+    notes: list[str],
+    say: Callable[[str], None],
+) -> Diagnosis:
+    """Explains the error of free runs over windows."""
+    samples = prepare_all(bounded(thinned(fit, window, notes), notes), scene)
+    bench = make_bench(scene, samples, window)
+    found = attribute(bench, settings, say)
+    if found.cut_short:
+        notes.append(f"the search was ended after {settings.patience:g} s; more may be found")
+    say("checking on held-out data")
+    unseen = bounded(thinned(held, window, notes), notes)
+    found = _confirmed(found, unseen, window)
+    sensed = sense(found, unseen, window, settings, notes, say)
+    result = _result(scene, named, found, settings, fit, held, window, backend, notes, sensed)
+    if rest:
+        motion, augmented = verdict_of(found, settings), result.augmented_scene
+        learned = learn(
+            found, motion, augmented, fit, held, window, backend, seed=settings.seed, say=say
+        )
+        result = dataclasses.replace(result, rest=learned)
+    if result.verdict == "unexplained" and _forces_known(bench):
+        hint = "the forces at all joints are known: residual='force' explains them instead"
+        result = dataclasses.replace(result, notes=(*result.notes, hint))
+    return result
+
+
+def _forces_known(bench: Bench) -> bool:
+    """Whether every degree of freedom is driven by an actuator or a recorded force, without
+    contacts."""
+    model = bench.scene.model
+    driven = np.zeros(model.nv, bool)
+    for one in bench.samples:
+        driven |= np.asarray(one.bound.applied, bool)
+    for actuator in actuators(model):
+        if actuator.driven and actuator.joint >= 0:
+            driven[model.jnt_dofadr[actuator.joint]] = True
+    return bool(driven.all()) and not bench.contacts
 
 
 def _sets(
@@ -197,11 +248,18 @@ def _result(
         backend=backend if isinstance(backend, str) else backend.name,
         fit=tuple(fit),
         held_out=tuple(held),
-        noise={**noise_of(found.bench), **sensor_noise_of(sensed)},
+        noise={**noise_of(scene, found.bench.noise), **sensor_noise_of(sensed)},
         residual=with_sensors(residual_of(found, settings), sensed),
         verdict=sensed.verdict(verdict_of(found, settings)),
         effects=(
-            *effects_of(scene, found, held, window, backend, settings.seed),
+            *effects_of(
+                scene,
+                hypothesis,
+                found.after.fit,
+                found.evidence,
+                free_run_error(scene, held, window, backend),
+                settings.seed,
+            ),
             *sensed.effects,
         ),
         sensors=sensed,

@@ -76,6 +76,11 @@ class Samples:
             out[:, model.nv + v : model.nv + v + width] = self.qvel[:, v : v + width]
         return out
 
+    @functools.cached_property
+    def qacc_std(self) -> Floats:
+        """[T, nv]: standard deviation of the smoothed acceleration by measurement noise."""
+        return np.nan_to_num(estimate_motion(self.bound).qacc_std)
+
     @property
     def source(self) -> str:
         """Name of the recording."""

@@ -19,6 +19,7 @@ from orbisim.diagnosis.view import MotionView
 from orbisim.effects import EffectInstance, add_effects, effect_names, find
 from orbisim.effects.screening import Candidate, Column, Solve
 from orbisim.errors import OrbiSimError
+from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
 
@@ -80,7 +81,7 @@ def screen(
     flow = bench.flow(hypothesis)
     view = MotionView(flow, bench.samples)
     view.missing_force = missing_force(intervals) if force is None else force
-    found = list(_candidates(view, bench, hypothesis, flow, only))
+    found = list(candidates_of(view, bench, hypothesis, flow, only))
     columns = [column for candidate in found for column in candidate.columns]
     first = len(columns)
     columns += _force_columns(view.missing_force, flow)
@@ -152,13 +153,14 @@ def missing_force(intervals: Intervals) -> Floats:
     return force
 
 
-def _candidates(
+def candidates_of(
     view: MotionView,
     bench: Bench,
     hypothesis: Hypothesis,
     flow: IntervalMap,
     only: Sequence[str] | None,
 ) -> list[Candidate]:
+    """Candidates of effects at all their targets; `only` these effects, or all if None."""
     model = bench.scene.model
     taken = {(e.effect, e.target) for e in hypothesis.effects}
     found: list[Candidate] = []
@@ -328,16 +330,20 @@ def _shares(normal: Normal, first: int, count: int) -> Floats:
 
 def cleaned(bench: Bench, suspect: Suspect) -> EffectInstance | None:
     """The suspect's effect with all parameters within their bounds; None if it is not possible."""
-    instance = suspect.instance
+    return bounded_instance(bench.scene, suspect.instance)
+
+
+def bounded_instance(scene: Scene, instance: EffectInstance) -> EffectInstance | None:
+    """An effect with all parameters, within their bounds; None if it is not possible."""
     effect = find(instance.effect)
-    names = effect.free_parameters(bench.scene.model, instance.target)
+    names = effect.free_parameters(scene.model, instance.target)
     try:
         if all(name in instance.values for name in names):
             free = {name: instance.values[name] for name in names}
-            instance = completed(bench.scene, instance, free)
+            instance = completed(scene, instance, free)
         else:
-            instance = clean(bench.scene, instance)
-        effect.check(bench.scene.model, instance)
+            instance = clean(scene, instance)
+        effect.check(scene.model, instance)
     except (OrbiSimError, KeyError):
         return None
     return instance

@@ -16,11 +16,12 @@ def sentence(diagnosis: Diagnosis) -> str:
     error, verdict = diagnosis.error, diagnosis.verdict
     unit = error["unit"]
     before, after = error["held_out"]["before"], error["held_out"]["after"]
+    what_error = error.get("name", "free-running error")
     floor = f"measurement noise {number(error['noise_floor'])} {unit}"
     if verdict == "no_residual":
         return (
-            "The scene as declared predicts the recordings to within the noise: free-running "
-            f"error on held-out data {number(before)} {unit}, {floor}; no effect is added."
+            f"The scene as declared predicts the recordings to within the noise: {what_error} "
+            f"on held-out data {number(before)} {unit}, {floor}; no effect is added."
         )
     if verdict == "unexplained" and diagnosis.error_is_of_sensors:
         return _unexplained_sensors(diagnosis, floor)
@@ -28,7 +29,7 @@ def sentence(diagnosis: Diagnosis) -> str:
         times = number(diagnosis.residual["ratio_to_noise"])
         return (
             f"The recordings deviate from the scene ({times} times the noise), and no effect of "
-            f"the catalogue explains it: free-running error on held-out data {number(before)} "
+            f"the catalogue explains it: {what_error} on held-out data {number(before)} "
             f"{unit}, {floor}."
         )
     moving = [e for e in diagnosis.effects if not e.error_unit]
@@ -40,7 +41,7 @@ def sentence(diagnosis: Diagnosis) -> str:
         what = f"no effect is missing, but declared parameters are off ({named})"
     rest = "" if verdict == "explained" else "; something structured remains"
     return (
-        f"{what[0].upper()}{what[1:]}; free-running error on held-out data falls from "
+        f"{what[0].upper()}{what[1:]}; {what_error} on held-out data falls from "
         f"{number(before)} {unit} to {number(after)} {unit} ({floor}){rest}."
     )
 

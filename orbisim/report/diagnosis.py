@@ -23,7 +23,7 @@ from orbisim.effects.measured import correct
 from orbisim.recording import Recording
 from orbisim.report import held_out, shape
 from orbisim.report.page import render_page
-from orbisim.report.shape import AFTER, BEFORE, LEARNED, Degree
+from orbisim.report.shape import AFTER, BEFORE, LEARNED, MEASURED, Degree
 
 Floats = npt.NDArray[np.float64]
 Sets = list[tuple[str, str, list[ForceResidual]]]
@@ -39,7 +39,7 @@ _OFF = 1.5
 
 def write_report(diagnosis: Diagnosis, path: Path) -> Path:
     """Writes the page; returns its path."""
-    samples = diagnosis.attribution.bench.samples
+    samples = diagnosis.attribution.samples
     sets = _sets(diagnosis)
     shown = _worst(diagnosis, sets)
     left = diagnosis.verdict in ("unexplained", "partly_explained")
@@ -75,8 +75,15 @@ def _command(diagnosis: Diagnosis) -> str:
     fit, held = (_files(part) for part in (diagnosis.fit, diagnosis.held_out))
     apart = [word for name in held if name not in fit for word in ("--held-out", name)]
     window = ["--window", f"{diagnosis.error['window_s']:g}"]
+    if _in_forces(diagnosis):
+        window = ["--residual", "force"]
     rest = [] if diagnosis.rest is None else ["--learn-rest"]
     return shlex.join(["orbisim", "diagnose", diagnosis.source, *fit, *apart, *window, *rest])
+
+
+def _in_forces(diagnosis: Diagnosis) -> bool:
+    """Whether the residual in force space was explained, instead of free runs."""
+    return diagnosis.error.get("residual") == "force"
 
 
 def _files(recordings: Sequence[Recording]) -> list[str]:
@@ -100,7 +107,7 @@ def _name(one: Samples) -> str:
 
 def _changed(diagnosis: Diagnosis) -> bool:
     """Whether the scene, or what it is compared with, is another one after the diagnosis."""
-    hypothesis = diagnosis.attribution.after.hypothesis
+    hypothesis = diagnosis.attribution.hypothesis
     return bool(hypothesis.effects or hypothesis.factors)
 
 
@@ -109,9 +116,9 @@ def _changed(diagnosis: Diagnosis) -> bool:
 
 def _sets(diagnosis: Diagnosis) -> Sets:
     """The missing force with the scene as declared, after, and with a learned force."""
-    samples = list(diagnosis.attribution.bench.samples)
+    samples = list(diagnosis.attribution.samples)
     sets: Sets = [("as declared", BEFORE, force_residual(samples, diagnosis.scene))]
-    effects = diagnosis.attribution.after.hypothesis.effects
+    effects = diagnosis.attribution.hypothesis.effects
     if any(find(e.effect).measurement for e in effects):
         true = [correct(s.bound.recording, effects, diagnosis.scene) for s in samples]
         samples = prepare_all(true, diagnosis.scene)
@@ -125,7 +132,7 @@ def _sets(diagnosis: Diagnosis) -> Sets:
 
 def _pairs(diagnosis: Diagnosis, samples: Sequence[Samples]) -> list[tuple[Samples, Samples]]:
     """As recorded, and corrected: a late sensor's recording is shorter once it is corrected."""
-    return list(zip(diagnosis.attribution.bench.samples, samples, strict=True))
+    return list(zip(diagnosis.attribution.samples, samples, strict=True))
 
 
 def _worst(diagnosis: Diagnosis, sets: Sets) -> list[Degree]:
@@ -217,7 +224,10 @@ def _left(
 
 
 def _held(diagnosis: Diagnosis, shown: Sequence[Degree]) -> dict[str, list[Markup]]:
-    """Free runs on held-out data: whole episodes, and the error over windows."""
+    """Free runs on held-out data: whole episodes, and the error over windows. Or forces, if those
+    were explained."""
+    if _in_forces(diagnosis):
+        return {"episodes": _needed(diagnosis, shown), "errors": []}
     sides = _sides(diagnosis)
     episodes = []
     for i, recording in enumerate(list(diagnosis.held_out)[:_MOST_EPISODES]):
@@ -229,9 +239,24 @@ def _held(diagnosis: Diagnosis, shown: Sequence[Degree]) -> dict[str, list[Marku
     return {"episodes": episodes, "errors": [growth, held_out.per_window(sides, unit)]}
 
 
+def _needed(diagnosis: Diagnosis, shown: Sequence[Degree]) -> list[Markup]:
+    """Forces that the held-out motion needs with and without the effects, and those recorded."""
+    held = prepare_all(diagnosis.held_out[:1], diagnosis.scene)
+    before = force_residual(held, diagnosis.scene)[0]
+    after = force_residual(held, diagnosis.augmented_scene)[0]
+    given = before.total - before.force
+    courses = [
+        ("recorded", MEASURED, given),
+        ("as declared", BEFORE, given + before.force),
+        ("after", AFTER, given + after.force),
+    ]
+    name = Path(diagnosis.held_out[0].source).name
+    return [held_out.forces(before.time, courses, degree, name) for degree in shown]
+
+
 def _sides(diagnosis: Diagnosis) -> list[held_out.Side]:
     window = diagnosis.error["window_s"]
-    effects = diagnosis.attribution.after.hypothesis.effects
+    effects = diagnosis.attribution.hypothesis.effects
     held = list(diagnosis.held_out)
     scene, augmented = diagnosis.scene, diagnosis.augmented_scene
     found = [("as declared", BEFORE, score(scene, held, window).replay, scene)]

@@ -60,6 +60,24 @@ def _column(scene: Scene, bound: Bound, degree: Degree) -> int:
     return int(Layout(bound.model, scene.model).q[degree.q])
 
 
+def forces(
+    time: Floats, courses: Sequence[tuple[str, str, Floats]], degree: Degree, name: str
+) -> Markup:
+    """Generalized forces at a degree of freedom over time.
+
+    Args:
+      time: [T], s. courses: label, colour and forces [T, nv] of each. name: of the recording.
+    """
+    drawn, axes = figures.figure(width=12.0, height=2.8)
+    pick = thin(np.arange(len(time)))
+    for label, colour, values in courses:
+        axes.plot(time[pick], values[pick, degree.dof], color=colour, label=label, lw=1.2)
+    axes.set(title=f"Force at {degree.name}, held out: {name}", xlabel="time (s)")
+    axes.set_ylabel(degree.force_unit)
+    figures.legend(axes, ncols=4, loc="upper right")
+    return figures.to_svg(drawn, f"Force at {degree.name} recorded and needed, held out: {name}")
+
+
 def growth(sides: Sequence[Side], unit: str, noise: float) -> Markup:
     """The error over joint positions since the start of a window, all held-out windows together."""
     drawn, axes = figures.figure(height=2.8)

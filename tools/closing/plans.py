@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -29,7 +29,7 @@ class Plan:
       window: of the diagnosis, s. why: of this window and these options.
       metric: on the held-out recordings. reference: figures known from elsewhere, in words.
       fit, held_out: at most so many recordings, evenly spread; None for all.
-      settings: other than the defaults.
+      settings: other than the defaults. residual: what is explained.
       only: held-out recordings whose names start so; all if empty.
       recording: what is done to each recording first.
       shortest: samples that a recording needs for the diagnosis; shorter ones are only scored.
@@ -44,6 +44,7 @@ class Plan:
     fit: int | None = None
     held_out: int | None = None
     settings: dict[str, Any] = dataclasses.field(default_factory=dict)
+    residual: Literal["motion", "force"] = "motion"
     only: str = ""
     recording: Callable[[Recording], Recording] = _same
     shortest: int = 3
@@ -80,22 +81,6 @@ _REAL = 0.95
 leaves much more than the noise of an encoder, the published ones too; with the default of 0.35 the
 diagnosis says `unexplained` and names nothing. Held-out data still has to confirm what is found."""
 
-_HARD: dict[str, Any] = {"most_left": _REAL, "windows": 24}
-"""Settings for a real machine with motion that is dear to simulate."""
-
-_DRIVE = (
-    "coulomb_friction",
-    "viscous_damping",
-    "stribeck_friction",
-    "armature",
-    "torque_gain",
-    "torque_bias",
-    "actuator_lag",
-    "actuator_delay",
-)
-"""What a geared drive with light links can do: a joint that sticks for most of a recording looks
-elastic, too."""
-
 _BEARING = (
     "coulomb_friction",
     "viscous_damping",
@@ -114,7 +99,7 @@ PLANS = (
         why="a stroke takes a few seconds; friction acts within one",
         metric=free_run(0.5, "mm", 1e3),
         reference="force residual 70 % to 3.6 % of the force",
-        settings={"patience": 90.0, "most_effects": 4},
+        settings={"patience": 30.0},
     ),
     Plan(
         "contactnets_cube",
@@ -124,10 +109,11 @@ PLANS = (
         metric=position_after(0.5),
         reference="166 mm to 44 mm with the published friction",
         fit=24,
-        settings=_HARD
-        | {
+        settings={
             "patience": 100.0,
             "most_effects": 4,
+            "most_left": _REAL,
+            "windows": 24,
             # what contacts and cameras do
             "effects": (
                 "sliding_friction",
@@ -166,7 +152,7 @@ PLANS = (
         why="balancing upright is unstable: over 1 s errors grow beyond what can be fitted",
         metric=free_run(1.0, velocities="smoothed"),
         reference="energy_shaping 0.168 to 0.065 rad, ddp 0.185 to 0.078 rad",
-        settings=_HARD | {"patience": 70.0, "effects": _DRIVE},
+        settings={"patience": 40.0},
     ),
     Plan(
         "dfki_double_pendulum_A",
@@ -177,7 +163,7 @@ PLANS = (
         only="sysid",
         metric=free_run(0.5, velocities="smoothed"),
         reference="shoulder 0.100 to 0.025 rad, elbow 0.342 to 0.081 rad",
-        settings={"patience": 120.0, "most_effects": 5},
+        settings={"patience": 60.0, "most_effects": 6},
     ),
     Plan(
         "multiarm_pendulum_single",
@@ -186,7 +172,7 @@ PLANS = (
         why="the decay is slow; two swings show it",
         metric=free_run(5.0),
         reference="0.196 to 0.054 rad over 5 s",
-        settings=_HARD | {"patience": 45.0, "effects": _BEARING},
+        settings={"patience": 30.0},
     ),
     Plan(
         "multiarm_pendulum_double",
@@ -196,33 +182,17 @@ PLANS = (
         metric=free_run(1.0),
         reference="none",
         fit=5,
-        settings=_HARD | {"patience": 45.0, "effects": _BEARING},
+        settings={"patience": 45.0, "most_left": _REAL, "windows": 24, "effects": _BEARING},
     ),
     Plan(
         "kuka_kr300",
         left_out="payload, counterbalance spring, gear friction",
         window=0.4,
-        why="the torques are the controller's answer to the motion: open loop drifts over more",
+        why="the torques are the controller's answer to the motion, so that what is explained is "
+        "the torque by inverse dynamics; windows play no part",
         metric=torque_residual(_kuka),
         reference="799/1191/2236/167/510/226 to 178/360/383/61/52/42 N·m",
-        settings=_HARD
-        | {
-            "patience": 120.0,
-            "most_effects": 12,
-            "shortlist": 3,
-            # those with a native MJCF form, as the metric needs: inverse dynamics by MuJoCo
-            "effects": (
-                "coulomb_friction",
-                "viscous_damping",
-                "quadratic_damping",
-                "joint_spring",
-                "armature",
-                "payload",
-                "com_offset",
-                "torque_bias",
-                "torque_gain",
-            ),
-        },
+        residual="force",
     ),
     Plan(
         "sts3215_backlash",
@@ -231,6 +201,6 @@ PLANS = (
         why="ten samples a second: only steady states mean something",
         metric=free_run(2.0),
         reference="none published",
-        settings=_HARD | {"patience": 45.0},
+        settings={"patience": 45.0, "most_left": _REAL, "windows": 24},
     ),
 )

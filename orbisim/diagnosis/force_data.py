@@ -1,0 +1,153 @@
+"""The missing generalized force along recordings, as a regression on what effects would give."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.diagnosis.bench import Hypothesis
+from orbisim.diagnosis.force import force_residual
+from orbisim.diagnosis.linear import IntervalMap
+from orbisim.diagnosis.regress import Normal
+from orbisim.diagnosis.samples import Samples
+from orbisim.diagnosis.view import MotionView
+from orbisim.effects import effect_names, find
+from orbisim.effects.screening import Candidate
+from orbisim.errors import InputError
+from orbisim.scene import Scene
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+
+_MOST_ROWS = 2500
+_BLOCKS = 12
+_SHORTEST = 24
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ForceData:
+    """Missing forces at some rows of recordings.
+
+    Attributes:
+      scene: as declared. samples: the recordings. every: one of so many usable rows is taken.
+      force: [N, nv] missing generalized force. std: [N, nv] by measurement noise. total: [N, nv]
+        what the motion needs.
+      block: [N] number of the stretch that a row lies in.
+    """
+
+    scene: Scene
+    samples: tuple[Samples, ...]
+    every: int
+    force: Floats
+    std: Floats
+    total: Floats
+    block: Ints
+
+    @property
+    def blocks(self) -> int:
+        """Number of stretches."""
+        return int(self.block.max()) + 1
+
+    def left(self, hypothesis: Hypothesis) -> Floats:
+        """[N, nv]: the force that is still missing with a hypothesis, by inverse dynamics."""
+        scene = hypothesis.scene(self.scene)
+        parts = force_residual(self.samples, scene, self.every)
+        pairs = zip(parts, self.samples, strict=True)
+        return np.concatenate([part.force[_taken(one, self.every)] for part, one in pairs])
+
+
+def force_data(scene: Scene, samples: Sequence[Samples], most: int = _MOST_ROWS) -> ForceData:
+    """The missing forces along recordings, at so many samples at most.
+
+    Raises:
+      InputError: there are too few usable samples.
+    """
+    usable = sum(int(s.usable.sum()) for s in samples)
+    every = max(1, -(-usable // most))
+    rows = [_taken(s, every) for s in samples]
+    if sum(map(len, rows)) < 2 * _SHORTEST:
+        raise InputError(
+            f"the motion is known at {usable} samples, too few for the residual in force space "
+            f"(at least {2 * _SHORTEST}); record more"
+        )
+    parts = force_residual(samples, scene, every)
+    force, std, needed = (
+        np.concatenate([getattr(p, name)[r] for p, r in zip(parts, rows, strict=True)])
+        for name in ("force", "std", "total")
+    )
+    return ForceData(scene, tuple(samples), every, force, std, needed, _blocks(rows))
+
+
+def _taken(one: Samples, every: int) -> Ints:
+    """Rows that are looked at."""
+    return np.flatnonzero(one.usable)[::every]
+
+
+def _followed(one: Samples) -> npt.NDArray[np.bool_]:
+    """[T]: whether the next row is usable, too."""
+    return np.append(one.usable[1:], False)
+
+
+def _blocks(rows: Sequence[Ints]) -> Ints:
+    """Stretches of about the same length, none across two recordings."""
+    total, number, found = sum(map(len, rows)), 0, []
+    for own in rows:
+        pieces = max(1, min(round(_BLOCKS * len(own) / total), len(own) // _SHORTEST))
+        for part in np.array_split(own, pieces):
+            found.append(np.full(len(part), number))
+            number += 1
+    return np.concatenate(found)
+
+
+def candidates(data: ForceData, only: Sequence[str] | None) -> tuple[list[Candidate], Floats]:
+    """What effects would add to the generalized force, and its columns [N, nv, C].
+
+    Effects of the measurement and what an actuator makes of its command are left out: the force at
+    the joint is taken as recorded, with an offset at most.
+    """
+    rows = [_taken(s, data.every) for s in data.samples]
+    inside = [_followed(s)[r] for r, s in zip(rows, data.samples, strict=True)]
+    inner = [r[i] for r, i in zip(rows, inside, strict=True)]
+    flow = IntervalMap(data.scene, data.samples, inner)
+    view = MotionView(flow, data.samples)
+    ends = np.concatenate(inside)
+    view.missing_force = data.force[ends]
+    found = [
+        candidate
+        for name in effect_names()
+        if (only is None or name in only) and _offered(name)
+        for target in find(name).targets(data.scene.model)
+        for candidate in find(name).screen(view, target)
+        if not candidate.fixed and all(column.kind == "force" for column in candidate.columns)
+    ]
+    columns = np.zeros((len(data.force), data.scene.model.nv, sum(len(c.columns) for c in found)))
+    flat = [column.values[: len(flow)] for candidate in found for column in candidate.columns]
+    for c, values in enumerate(flat):
+        columns[ends, :, c] = np.nan_to_num(values)
+    return found, columns
+
+
+def _offered(name: str) -> bool:
+    effect = find(name)
+    if effect.measurement or effect.structural or name in ("hard_stop", "joint_coupling"):
+        return False
+    return effect.kind in ("joint", "body", "world") or name == "torque_bias"
+
+
+def normals(data: ForceData, columns: Floats, sigma: Floats) -> list[Normal]:
+    """Normal equations of each stretch.
+
+    Args:
+      columns: [N, nv, C]. sigma: [nv] by which forces are divided.
+    """
+    found = []
+    for number in range(data.blocks):
+        own = data.block == number
+        design = (columns[own] / sigma[:, None]).reshape(-1, columns.shape[2])
+        target = (np.nan_to_num(data.force[own]) / sigma).ravel()
+        gram, moment = design.T @ design, design.T @ target
+        found.append(Normal(gram, moment, float(target @ target), len(target)))
+    return found

@@ -1,0 +1,169 @@
+"""A diagnosis by the residual in force space."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.diagnosis.bench import Hypothesis
+from orbisim.diagnosis.confounds import standing
+from orbisim.diagnosis.findings import effects_of, noise_of
+from orbisim.diagnosis.force import force_residual
+from orbisim.diagnosis.force_search import ForceAttribution, attribute_forces
+from orbisim.diagnosis.result import Alternative, Diagnosis, Verdict
+from orbisim.diagnosis.samples import Samples, prepare_all
+from orbisim.diagnosis.settings import Settings
+from orbisim.recording import Recording
+from orbisim.recording.joints import Joint, joints
+from orbisim.scene import Scene
+
+Floats = npt.NDArray[np.float64]
+
+METRIC = (
+    "root mean squared norm of the generalized force that the scene does not account for, by "
+    "inverse dynamics along the measured motion"
+)
+_FLOOR = 1.5
+
+
+def diagnose_forces(
+    scene: Scene,
+    source: str,
+    fit: Sequence[Recording],
+    held: Sequence[Recording],
+    settings: Settings,
+    backend: str,
+    notes: Sequence[str],
+    say: Callable[[str], None],
+) -> Diagnosis:
+    """As `orbisim.diagnose` with `residual="force"`; recordings are bounded and not thinned.
+
+    Raises:
+      RecordingError: a recording does not fit the scene.
+      InputError: there are too few usable samples.
+    """
+    samples, unseen = prepare_all(fit, scene), prepare_all(held, scene)
+    found = attribute_forces(scene, samples, settings, say)
+    say("checking on held-out data")
+    fitted, kept = _Errors(scene, samples), _Errors(scene, unseen)
+    found = _confirmed(found, kept)
+    return Diagnosis(
+        scene=scene,
+        source=source,
+        backend=backend,
+        fit=tuple(fit),
+        held_out=tuple(held),
+        noise=noise_of(scene, (samples[0].q_noise, samples[0].v_noise)),
+        residual=_residual(scene, found, settings),
+        verdict=_verdict(found, settings),
+        effects=effects_of(
+            scene, found.hypothesis, found.fit, found.evidence, kept.of, settings.seed
+        ),
+        alternatives=_alternatives(found),
+        retuned=(),
+        error=_error(scene, found, fitted, kept),
+        augmented_scene=found.hypothesis.scene(scene),
+        notes=tuple(dict.fromkeys(notes)),
+        attribution=found,
+    )
+
+
+class _Errors:
+    """Missing force of hypotheses along recordings."""
+
+    def __init__(self, scene: Scene, samples: Sequence[Samples]) -> None:
+        self._scene, self._samples = scene, samples
+
+    def by_dof(self, hypothesis: Hypothesis, field: str = "force") -> Floats:
+        """[nv]: root mean square."""
+        parts = force_residual(self._samples, hypothesis.scene(self._scene))
+        values = np.concatenate([getattr(part, field) for part in parts])
+        return np.asarray(np.sqrt(np.nanmean(values**2, axis=0)))
+
+    def of(self, hypothesis: Hypothesis) -> float:
+        """Root mean squared norm."""
+        return float(np.linalg.norm(self.by_dof(hypothesis)))
+
+
+def _confirmed(found: ForceAttribution, kept: _Errors) -> ForceAttribution:
+    """The finding, or none if it does not lower the missing force of data it has not seen."""
+    effects = found.hypothesis.effects
+    if not effects or kept.of(found.hypothesis) < kept.of(Hypothesis()):
+        return found
+    doubt = tuple((effect, "it does not help on held-out data") for effect in effects)
+    return dataclasses.replace(
+        found, hypothesis=Hypothesis(), evidence=(), rejected=(*found.rejected, *doubt),
+        ratio_after=found.ratio,
+    )  # fmt: skip
+
+
+def _verdict(found: ForceAttribution, settings: Settings) -> Verdict:
+    if not found.hypothesis.effects:
+        return "unexplained" if found.ratio > settings.enough else "no_residual"
+    return "explained" if found.ratio_after <= _FLOOR else "partly_explained"
+
+
+def _residual(scene: Scene, found: ForceAttribution, settings: Settings) -> dict[str, Any]:
+    square = np.nanmean(found.data.force**2, axis=0)
+    shares = square / max(float(square.sum()), 1e-300)
+    each = {joint.label: float(shares[joint.v].sum()) for joint in joints(scene.model)}
+    order = sorted(each, key=lambda label: -each[label])
+    return {
+        "significant": bool(found.hypothesis.effects or found.ratio > settings.enough),
+        "ratio_to_noise": found.ratio,
+        "ratio_after": found.ratio_after,
+        "where": [{"target": j, "share": each[j]} for j in order if each[j] >= 0.01],
+    }
+
+
+def _alternatives(found: ForceAttribution) -> tuple[Alternative, ...]:
+    result = [
+        Alternative(effect.effect, effect.target, None, f"not believed: {problem}")
+        for effect, problem in found.rejected
+    ]
+    chosen = {effect.effect for effect in found.hypothesis.effects}
+    for name in sorted(chosen):
+        for other, text in standing(name)[:2]:
+            if other not in chosen and not any(a.effect == other for a in result):
+                result.append(Alternative(other, "", None, f"known to look alike; {text}"))
+    return tuple(result)
+
+
+def _error(scene: Scene, found: ForceAttribution, fitted: _Errors, kept: _Errors) -> dict[str, Any]:
+    nothing, after = Hypothesis(), found.hypothesis
+    before_by, after_by = kept.by_dof(nothing), kept.by_dof(after)
+    every = joints(scene.model)
+    return {
+        "metric": METRIC,
+        "name": "missing force",
+        "residual": "force",
+        "unit": _unit(every),
+        "window_s": 0.0,
+        "fit": {"before": fitted.of(nothing), "after": fitted.of(after)},
+        "held_out": {
+            "before": float(np.linalg.norm(before_by)),
+            "after": float(np.linalg.norm(after_by)),
+        },
+        "held_out_by_joint": {
+            joint.label: {
+                "before": float(np.linalg.norm(before_by[joint.v])),
+                "after": float(np.linalg.norm(after_by[joint.v])),
+            }
+            for joint in every
+        },
+        "noise_floor": float(np.linalg.norm(kept.by_dof(nothing, "std"))),
+        "windows": {"fit": found.data.blocks, "held_out": 0},
+    }
+
+
+def _unit(every: Sequence[Joint]) -> str:
+    kinds = {int(joint.kind) for joint in every}
+    turning = {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_BALL)}
+    if kinds <= turning:
+        return "N*m"
+    return "N" if kinds <= {int(mujoco.mjtJoint.mjJNT_SLIDE)} else "SI (N*m, N)"

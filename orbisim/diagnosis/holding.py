@@ -1,0 +1,175 @@
+"""Regression over windows in which joints may stand still.
+
+Where a joint stands still, dry friction may hold it with any force up to its level, and the sign of
+the velocity says nothing. There, and only there, an unknown force at the joint is fitted too,
+piecewise linear in time and of limited size (generalized least squares: as process noise of a
+state-space model).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.diagnosis.bench import Bench
+from orbisim.diagnosis.linear import Intervals
+from orbisim.diagnosis.regress import Normal, WeightedData, Windows, chosen, stacked
+from orbisim.effects.screening import Column
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+_KNOTS = 12
+"""Knots of the unknown force in a window at most."""
+_SPACING = 4
+"""Samples between knots at least."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Holding:
+    """Windows with the forces that may hold joints.
+
+    Attributes:
+      design: [W, R, C] weighted columns of effects, after window starts were projected out.
+      target: [W, R] weighted data, likewise. knots: [W, R, F] what unit forces at the knots give.
+      still: [W, F] whether the joint stands still at the knot. dof: [F] of the knots.
+      count: [W] data less fitted starts.
+    """
+
+    design: Floats
+    target: Floats
+    knots: Floats
+    still: Bools
+    dof: npt.NDArray[np.int64]
+    count: npt.NDArray[np.int64]
+
+    def normals(self, size: Floats) -> list[Normal]:
+        """Normal equations of each window with holding forces of such a size.
+
+        Args:
+          size: [nv] standard deviation of the force that may hold a joint.
+        """
+        found = []
+        for w in range(len(self.target)):
+            both = np.column_stack([self.design[w], self.target[w]])
+            gram = self._whitened(w, size, both)
+            found.append(
+                Normal(gram[:-1, :-1], gram[:-1, -1], float(gram[-1, -1]), int(self.count[w]))
+            )
+        return found
+
+    def _std(self, w: int, size: Floats) -> Floats:
+        return np.asarray(size[self.dof] * np.where(self.still[w], 1.0, 0.0))
+
+    def _whitened(self, w: int, size: Floats, values: Floats) -> Floats:
+        """values' (I + K S K')^-1 values, with knots K and their variances S."""
+        matrix = self.knots[w] * self._std(w, size)
+        inner = matrix.T @ matrix + np.eye(matrix.shape[1])
+        across = matrix.T @ values
+        gram = values.T @ values - across.T @ np.linalg.solve(inner, across)
+        return np.asarray((gram + gram.T) / 2)
+
+
+def holding(
+    bench: Bench,
+    intervals: Intervals,
+    windows: Windows,
+    columns: Sequence[Column],
+    known: Sequence[Floats] | None = None,
+) -> Holding:
+    """Windows of a bench with columns of effects and forces that may hold joints.
+
+    Args:
+      intervals: the linear system along the scene that is examined.
+      known: for each recording what measurement effects add to it, [T, 2 nv].
+    """
+    k = windows.length
+    knots = int(np.clip(k // _SPACING + 1, 2, _KNOTS))
+    places = np.linspace(0, k - 1, knots)
+    hats = np.clip(1 - np.abs(np.arange(k)[:, None] - places) / (places[1] - places[0]), 0, None)
+    inputs, signals = stacked(intervals, columns)
+    data = WeightedData(bench.samples, intervals, bench.noise, known)
+    parts: list[tuple[Floats, Floats, Floats, int]] = []
+    size = (k + 1) * len(data.measured) * (len(columns) + knots * intervals.B.shape[2])
+    chunk = max(1, int(_CHUNK_BYTES / (8 * size)))
+    for begin in range(0, len(windows), chunk):
+        part = windows.some(np.arange(len(windows)) // chunk == begin // chunk)
+        parts += _chunk(intervals, part, inputs, signals, data, hats)
+    still = _still(bench, intervals, windows, places)
+    return Holding(
+        design=np.array([p[0] for p in parts]),
+        target=np.array([p[1] for p in parts]),
+        knots=np.array([p[2] for p in parts]),
+        still=still,
+        dof=np.tile(np.arange(intervals.B.shape[2]), knots),
+        count=np.array([p[3] for p in parts]),
+    )
+
+
+_CHUNK_BYTES = 1e8
+
+
+def _chunk(
+    intervals: Intervals,
+    windows: Windows,
+    inputs: Floats,
+    signals: Floats | None,
+    data: WeightedData,
+    hats: Floats,
+) -> list[tuple[Floats, Floats, Floats, int]]:
+    """Of each window the columns, the data and the knots, window starts projected out."""
+    count, n2 = intervals.defect.shape
+    c, f = inputs.shape[2], hats.shape[1] * intervals.B.shape[2]
+    w, ny = len(windows), len(data.measured)
+    design = np.zeros((w, windows.length + 1, ny, n2 + f + c))
+    target = np.zeros((w, windows.length + 1, ny))
+    seen = np.zeros((w, windows.length + 1, ny), bool)
+    x = np.zeros((w, n2, n2 + f + c + 1))
+    x[:, :, :n2] = np.eye(n2)
+    for k in range(windows.length + 1):
+        inside, last = k < windows.reach(), windows.first + windows.reach() - 1
+        at = np.minimum(windows.first + k, last)
+        values = np.where(inside[:, None], data.starts[at], data.ends[at])
+        deviation, seen[:, k] = data.rows(values)
+        scaled = x[:, data.measured] * data.weight[:, None]
+        target[:, k] = deviation - scaled[:, :, -1]
+        design[:, k] = scaled[:, :, :-1]
+        if signals is not None:
+            rows = np.where(inside, at, count + at)
+            design[:, k, :, n2 + f :] += signals[rows][:, data.measured] * data.weight[:, None]
+        if k < windows.length:
+            x = np.einsum("wij,wjc->wic", intervals.A[at], x)
+            push = np.einsum("wij,h->wihj", intervals.B[at], hats[k])
+            x[:, :, n2 : n2 + f] += push.reshape(w, n2, f)
+            x[:, :, n2 + f : -1] += inputs[at]
+            x[:, :, -1] -= intervals.defect[at]
+    seen &= chosen(windows.predictable(), data.measured)
+    flat = (design * seen[..., None]).reshape(w, -1, n2 + f + c)
+    flat_target = (target * seen).reshape(w, -1)
+    found = []
+    for i in range(w):
+        basis, triangle = np.linalg.qr(flat[i][:, :n2])
+        strength = np.abs(np.diag(triangle))
+        basis = basis[:, strength > 1e-9 * max(strength.max(initial=0.0), 1e-300)]
+        rest = flat[i][:, n2:] - basis @ (basis.T @ flat[i][:, n2:])
+        own = flat_target[i] - basis @ (basis.T @ flat_target[i])
+        number = int(seen[i].sum()) - basis.shape[1]
+        found.append((rest[:, f:], own, rest[:, :f], number))
+    return found
+
+
+def _still(bench: Bench, intervals: Intervals, windows: Windows, places: Floats) -> Bools:
+    """[W, F]: whether a joint's velocity cannot be told from zero about a knot."""
+    found = []
+    for first, number in zip(windows.first, windows.recording, strict=True):
+        one = bench.samples[number]
+        row = int(intervals.row[first])
+        speed = np.abs(one.qvel[row : row + windows.length + 1])
+        step = float(np.median(np.diff(one.time)))
+        blur = np.nan_to_num(one.q_noise) / step
+        near = np.array([speed[round(p)] < blur for p in places])
+        found.append(near.ravel())
+    return np.array(found)

@@ -1,0 +1,83 @@
+"""Several effects at once from free runs: a proposal for where single ones fall short."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.diagnosis.bench import Bench, Hypothesis
+from orbisim.diagnosis.holding import holding
+from orbisim.diagnosis.linear import Intervals
+from orbisim.diagnosis.regress import Normal, total
+from orbisim.diagnosis.screening import bounded_instance, candidates_of, missing_force
+from orbisim.diagnosis.selection import Group, Rule, Selected, groups_of, select
+from orbisim.diagnosis.sensible import extent, sensible
+from orbisim.diagnosis.view import MotionView
+from orbisim.effects import EffectInstance, effect_names
+
+Floats = npt.NDArray[np.float64]
+
+_BLOCKS = 15
+_MOST_WINDOWS = 120
+
+
+def propose(
+    bench: Bench, intervals: Intervals, only: Sequence[str] | None, most: int
+) -> tuple[EffectInstance, ...]:
+    """Effects that together predict windows they were not fitted to, those that bring most first.
+
+    Args:
+      intervals: the linear system along the declared scene.
+      only: names of the effects to consider; all if None.
+      most: effects at most.
+    """
+    declared = Hypothesis()
+    flow = bench.flow(declared)
+    view = MotionView(flow, bench.samples)
+    view.missing_force = missing_force(intervals)
+    names = [n for n in effect_names() if (only is None or n in only) and n not in _STATED]
+    found = list(candidates_of(view, bench, declared, flow, names))
+    if not found:
+        return ()
+    columns = [column for candidate in found for column in candidate.columns]
+    windows = bench.windows.some(_thinned(bench.fit))
+    data = holding(bench, intervals, windows, columns)
+    duration, travel = extent(bench.samples)
+    possible = functools.partial(sensible, bench.scene.model, duration=duration, travel=travel)
+    normals = data.normals(_holding(view.missing_force))
+    groups = groups_of(found, total(normals), possible)
+    chosen = select(_blocks(normals), groups, Rule(most=most))
+    return _instances(bench, chosen.ordered())
+
+
+_STATED = ("hard_stop",)
+"""Effects whose parameters are stated in advance: coefficients say nothing about them."""
+
+
+def _thinned(keep: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    every = np.flatnonzero(keep)
+    some = every[np.unique(np.linspace(0, len(every) - 1, _MOST_WINDOWS).round().astype(int))]
+    out = np.zeros_like(keep)
+    out[some] = True
+    return out
+
+
+def _holding(force: Floats) -> Floats:
+    """[nv]: standard deviation of the force by which dry friction may hold a joint at rest."""
+    return np.asarray(3 * np.sqrt(np.nanmean(force**2, axis=0)) + 1e-12)
+
+
+def _blocks(normals: Sequence[Normal]) -> list[Normal]:
+    """Neighbouring windows together."""
+    parts = np.array_split(np.arange(len(normals)), min(_BLOCKS, len(normals)))
+    return [total([normals[i] for i in part]) for part in parts]
+
+
+def _instances(bench: Bench, chosen: Selected) -> tuple[EffectInstance, ...]:
+    pairs: list[tuple[Group, Floats]] = list(zip(chosen.groups, chosen.coefficients, strict=True))
+    found = [group.instance(x) for group, x in pairs]
+    bounded = [bounded_instance(bench.scene, one) for one in found if one is not None]
+    return tuple(one for one in bounded if one is not None)

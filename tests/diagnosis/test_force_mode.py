@@ -1,0 +1,75 @@
+"""The diagnosis of forces: several effects at once, and silence."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import orbisim
+from orbisim.effects import EffectInstance
+from orbisim.errors import InputError
+from orbisim.recording import Recording
+from orbisim.testing import inject_effect
+
+ARM = Path(__file__).parents[2] / "mjcf_assets" / "arm2"
+TRUTH = (
+    EffectInstance("coulomb_friction", "shoulder", {"torque": 0.3}),
+    EffectInstance("viscous_damping", "elbow", {"coefficient": 0.08}),
+    EffectInstance("torque_bias", "elbow", {"offset": 0.15}),
+)
+
+
+@pytest.fixture(scope="module")
+def arm() -> orbisim.Scene:
+    return orbisim.load_scene(ARM / "scene.xml")
+
+
+def recorded(arm: orbisim.Scene, *effects: EffectInstance) -> list[Recording]:
+    return inject_effect(arm, effects, duration=6.0, episodes=4, noise=1e-4, seed=5)
+
+
+def test_finds_several_effects_at_once(arm: orbisim.Scene, tmp_path: Path) -> None:
+    found = orbisim.diagnose(
+        arm, recorded(arm, *TRUTH), residual="force", out=tmp_path, progress=False
+    )
+    named = {(e.effect, e.target): next(iter(e.parameters.values())) for e in found.effects}
+    assert set(named) == {(e.effect, e.target) for e in TRUTH}
+    for truth in TRUTH:
+        value = next(iter(truth.values.values()))
+        assert named[truth.effect, truth.target].value == pytest.approx(value, rel=0.1)
+    held = found.error["held_out"]
+    assert held["after"] < 0.4 * held["before"]
+    assert found.error["unit"] == "N*m"
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["error"]["residual"] == "force"
+    assert "missing force on held-out data falls" in report["sentence"]
+    assert "--residual force" in (tmp_path / "report.html").read_text()
+
+
+def test_silent_without_an_effect(arm: orbisim.Scene) -> None:
+    found = orbisim.diagnose(arm, recorded(arm), residual="force", progress=False)
+    assert not found.effects
+    assert found.error["held_out"]["after"] == found.error["held_out"]["before"]
+
+
+def test_an_unknown_force_gets_no_name(arm: orbisim.Scene) -> None:
+    """A force at the shoulder that follows no law of the catalogue."""
+    from orbisim.effects import Hook, Moment
+
+    class Wander(Hook):
+        def force(self, moment: Moment) -> None:
+            t = np.asarray(moment.time)
+            moment.qfrc[:, 0] += 0.5 * np.sin(3.1 * t + 2 * np.sin(1.7 * t) + np.sin(5.3 * t))
+
+    runs = inject_effect(
+        arm, [], duration=6.0, episodes=4, noise=1e-4, seed=6, hooks=lambda _: [Wander({})]
+    )
+    found = orbisim.diagnose(arm, runs, residual="force", progress=False)
+    assert found.verdict == "unexplained"
+    assert not found.effects
+
+
+def test_refuses_an_unknown_residual(arm: orbisim.Scene) -> None:
+    with pytest.raises(InputError, match="'motion' or 'force'"):
+        orbisim.diagnose(arm, recorded(arm), residual="torque", progress=False)  # type: ignore[arg-type]
