@@ -120,8 +120,11 @@ T = TypeVar("T")
 def _in_turns(one: Sequence[T], other: Sequence[T], key: Callable[[T], Any]) -> tuple[T, ...]:
     """Both sequences, element by element; what was there before is left out."""
     both = itertools.chain.from_iterable(itertools.zip_longest(one, other))
-    found = {key(item): item for item in reversed([item for item in both if item is not None])}
-    return tuple(reversed(found.values()))
+    found: dict[Any, T] = {}
+    for item in both:
+        if item is not None:
+            found.setdefault(key(item), item)
+    return tuple(found.values())
 
 
 def _key(instance: EffectInstance) -> tuple[str, ...]:
