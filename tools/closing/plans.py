@@ -193,6 +193,19 @@ PLANS = (
         metric=torque_residual(_kuka),
         reference="799/1191/2236/167/510/226 to 178/360/383/61/52/42 N·m",
         residual="force",
+        settings={
+            # what a heavy arm of slow joints can have: no medium drags on it, and nothing floats
+            "effects": (
+                "coulomb_friction",
+                "viscous_damping",
+                "quadratic_damping",
+                "joint_spring",
+                "armature",
+                "payload",
+                "com_offset",
+                "torque_bias",
+            ),
+        },
     ),
     Plan(
         "sts3215_backlash",
