@@ -262,7 +262,7 @@ class Judge:
                 tried[k] = (held, self._fit(held, 2))
             return tried[k][1].square
 
-        for _ in range(_GRID_STEPS):
+        for _ in range(_GRID_STEPS_IN_CONTACT if self.bench.contacts else _GRID_STEPS):
             best = min((here - 1, here, here + 1), key=square)
             if best == here:
                 break
@@ -284,6 +284,7 @@ def _means(shooter: Shooter, fit: Fit) -> Floats:
 _IMPACTS = 4.0
 """Huber threshold where there are contacts: some impacts no fit of the start reproduces."""
 _GRID_STEPS = 12
+_GRID_STEPS_IN_CONTACT = 2
 _TRIMMED = 0.15
 
 
