@@ -122,7 +122,11 @@ class _Search:
         self._find_tunables()
         self.say("screening effects")
         first = self._screen(nothing)
-        return self._conclude(self._explain(nothing, first), first)
+        found = self._explain(nothing, first)
+        together = self._jointly(found)
+        if together is not None:
+            found = self._prune(self._add_all(together))
+        return self._conclude(found, first)
 
     def _explain(self, nothing: Judged, first: Screening) -> Judged:
         """One effect if it is all; else declared parameters; else effects and parameters."""
@@ -145,9 +149,6 @@ class _Search:
                 return single
         elif single is not None:
             single = self._renewed(single)
-        together = self._jointly(nothing if single is None else single)
-        if together is not None:
-            return self._prune(self._add_all(together))
         start = single
         if single is not None and self.tunables:
             start = self._tuned(single.hypothesis) or single

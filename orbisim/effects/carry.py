@@ -34,7 +34,12 @@ def add_effects(scene: Scene, instances: Iterable[EffectInstance]) -> Scene:
         effect = find(instance.effect)
         effect.check(scene.model, instance)
         if effect.native:
-            effect.edit(spec, instance)
+            try:
+                effect.edit(spec, instance)
+            except OrbiSimError:
+                raise
+            except ValueError as error:  # of MuJoCo: two changes of a body may not go together
+                raise SceneError(scene.source, f"{instance} cannot be written: {error}") from None
         else:
             carried.append(instance)
     write_carried(spec, carried)
