@@ -156,7 +156,7 @@ class _Search:
             start = tuned or nothing
         assert start is not None
         if start is nothing or (self._done(start) and not _strained(start)):
-            return self._untuned(start)
+            return self._untuned(self._prune(start, newest=True))
         return self._forward(start, tuned or nothing, first)
 
     def _paired(self, nothing: Judged, single: Judged | None, first: Screening) -> Judged | None:
@@ -232,7 +232,7 @@ class _Search:
                 other = self._add_all(self._renewed(winner))
                 if other.ratio < current.ratio:
                     current = other
-        return self._untuned(self._prune(current))
+        return self._untuned(self._prune(current, newest=True))
 
     def _add_all(self, current: Judged) -> Judged:
         while len(current.hypothesis.effects) < self.settings.most_effects and not self._late:
@@ -444,11 +444,15 @@ class _Search:
 
     # -- removal -------------------------------------------------------------------------------
 
-    def _prune(self, current: Judged) -> Judged:
-        """Drops effects that a later one has made superfluous."""
+    def _prune(self, current: Judged, newest: bool = False) -> Judged:
+        """Drops effects that a later one has made superfluous.
+
+        Args:
+          newest: whether the last one may go too, as retuned parameters can replace it.
+        """
         while len(current.hypothesis.effects) > 1:
             kept = None
-            for index in range(len(current.hypothesis.effects) - 1):
+            for index in range(len(current.hypothesis.effects) - (not newest)):
                 fewer = self.judge.judge(current.hypothesis.without(index))
                 if fewer is not None and not self._pays(fewer, current):
                     kept = fewer
