@@ -1,0 +1,32 @@
+"""Suspects of two screenings, in turns."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orbisim.diagnosis.linear import Intervals
+from orbisim.diagnosis.screening import Screening, Suspect, merged
+from orbisim.effects import EffectInstance
+
+
+def screening(*names: str) -> Screening:
+    nothing = np.zeros((0, 2, 2))
+    intervals = Intervals(
+        np.zeros(0, np.int64), np.zeros(0, np.int64), nothing, np.zeros((0, 2, 1)),
+        np.zeros((0, 2)), np.zeros(0, bool),
+    )  # fmt: skip
+    suspects = tuple(
+        Suspect(EffectInstance(name, "hinge", {}), -float(len(names) - i), 1.0)
+        for i, name in enumerate(names)
+    )
+    return Screening(suspects, np.zeros(1), np.zeros((0, 1)), intervals)
+
+
+def test_in_turns_and_each_once_where_it_is_first() -> None:
+    both = merged(screening("a", "b", "c"), screening("b", "d", "a", "e"))
+    assert [s.instance.effect for s in both.suspects] == ["a", "b", "d", "c", "e"]
+
+
+def test_one_of_them_may_be_empty() -> None:
+    both = merged(screening(), screening("a", "b"))
+    assert [s.instance.effect for s in both.suspects] == ["a", "b"]
