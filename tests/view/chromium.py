@@ -71,8 +71,12 @@ class Chromium:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._socket.close()
+        self._loop.run_until_complete(self._disconnect())
         self._end()
+
+    async def _disconnect(self) -> None:
+        """Closes the connection, for which a loop must run."""
+        self._socket.close()
 
     def _end(self) -> None:
         self._process.terminate()
