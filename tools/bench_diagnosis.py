@@ -27,7 +27,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from blind_trials import from_source
+import from_source
 
 EPISODES = 4
 SERIES = ("goal", "length", "targets")
@@ -100,7 +100,7 @@ def timed(case: Case, cores: int) -> dict[str, Any]:
     """Diagnoses, on so many cores; in a fresh process."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, set(sorted(os.sched_getaffinity(0))[:cores]))
-    from_source()
+    from_source.register("mujoco")
     import mjcf_assets
     import orbisim
     from orbisim.effects import EffectInstance, effect_names, find

@@ -23,14 +23,14 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from blind_trials import from_source
+import from_source
 
 FORMATS = ("npz", "parquet", "csv")
 
 
 def scene() -> Any:
     """As declared."""
-    from_source()
+    from_source.register("mujoco")
     import mjcf_assets
     from orbisim import load_scene
 
@@ -80,7 +80,7 @@ def diagnosed(path: Path) -> str:
 
 def measured(work: Callable[[Path], str], path: Path) -> dict[str, Any]:
     """What it took, and how much memory the process had in use at most."""
-    from_source()
+    from_source.register("mujoco")
     clock, processor = time.perf_counter(), time.process_time()
     said = work(path)
     return {
