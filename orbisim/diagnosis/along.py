@@ -14,9 +14,9 @@ import numpy.typing as npt
 from orbisim.diagnosis.bench import Bench
 from orbisim.diagnosis.linear import IntervalMap, linearize
 from orbisim.diagnosis.refine import Judged
-from orbisim.diagnosis.regress import Windows
 from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.shooting import Shooter
+from orbisim.diagnosis.windows import Windows
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

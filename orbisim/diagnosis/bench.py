@@ -13,10 +13,10 @@ from orbisim.diagnosis.gauss_newton import Unknown
 from orbisim.diagnosis.linear import IntervalMap, Intervals, linearize
 from orbisim.diagnosis.measurement import Measurement, measurement_of
 from orbisim.diagnosis.noise import estimate_noise
-from orbisim.diagnosis.regress import Windows, cut_windows, runs_of
 from orbisim.diagnosis.retune import REACH, SPREAD, Tunable, retuned
 from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.shooting import Shooter, Variant
+from orbisim.diagnosis.windows import Windows, cut_windows, runs_of
 from orbisim.effects import EffectInstance, add_effects, find
 from orbisim.errors import InputError
 from orbisim.scene import Scene

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.force import force_residual
 from orbisim.diagnosis.linear import IntervalMap
-from orbisim.diagnosis.regress import Normal
+from orbisim.diagnosis.regress import Normal, normal_of
 from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.view import MotionView
 from orbisim.effects import effect_names, find
@@ -148,6 +148,5 @@ def normals(data: ForceData, columns: Floats, sigma: Floats) -> list[Normal]:
         own = data.block == number
         design = (columns[own] / sigma[:, None]).reshape(-1, columns.shape[2])
         target = (np.nan_to_num(data.force[own]) / sigma).ravel()
-        gram, moment = design.T @ design, design.T @ target
-        found.append(Normal(gram, moment, float(target @ target), len(target)))
+        found.append(normal_of(design, target, len(target)))
     return found

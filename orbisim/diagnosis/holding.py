@@ -16,10 +16,12 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench
 from orbisim.diagnosis.linear import Intervals
-from orbisim.diagnosis.regress import Normal, WeightedData, Windows, chosen, stacked
+from orbisim.diagnosis.regress import Normal, WeightedData, projected, stacked
+from orbisim.diagnosis.windows import Windows
 from orbisim.effects.screening import Column
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
 
 _KNOTS = 12
@@ -43,8 +45,8 @@ class Holding:
     target: Floats
     knots: Floats
     still: Bools
-    dof: npt.NDArray[np.int64]
-    count: npt.NDArray[np.int64]
+    dof: Ints
+    count: Ints
 
     def normals(self, size: Floats) -> list[Normal]:
         """Normal equations of each window with holding forces of such a size.
@@ -92,73 +94,24 @@ def holding(
     hats = np.clip(1 - np.abs(np.arange(k)[:, None] - places) / (places[1] - places[0]), 0, None)
     inputs, signals = stacked(intervals, columns)
     data = WeightedData(bench.samples, intervals, bench.noise, known)
-    parts: list[tuple[Floats, Floats, Floats, int]] = []
-    size = (k + 1) * len(data.measured) * (len(columns) + knots * intervals.B.shape[2])
-    chunk = max(1, int(_CHUNK_BYTES / (8 * size)))
-    for begin in range(0, len(windows), chunk):
-        part = windows.some(np.arange(len(windows)) // chunk == begin // chunk)
-        parts += _chunk(intervals, part, inputs, signals, data, hats)
-    still = _still(bench, intervals, windows, places)
+    width = knots * intervals.B.shape[2]
+
+    def push(sample: int, at: Ints) -> Floats:
+        """What forces at the knots do over the intervals that follow a sample."""
+        share = hats[min(sample, k - 1)]
+        return np.asarray(
+            np.einsum("wij,h->wihj", intervals.B[at], share).reshape(len(at), -1, width)
+        )
+
+    parts = projected(intervals, windows, inputs, signals, data, push)
     return Holding(
-        design=np.array([p[0] for p in parts]),
-        target=np.array([p[1] for p in parts]),
-        knots=np.array([p[2] for p in parts]),
-        still=still,
+        design=np.array([p.design[:, width:] for p in parts]),
+        target=np.array([p.target for p in parts]),
+        knots=np.array([p.design[:, :width] for p in parts]),
+        still=_still(bench, intervals, windows, places),
         dof=np.tile(np.arange(intervals.B.shape[2]), knots),
-        count=np.array([p[3] for p in parts]),
+        count=np.array([p.rows for p in parts]),
     )
-
-
-_CHUNK_BYTES = 1e8
-
-
-def _chunk(
-    intervals: Intervals,
-    windows: Windows,
-    inputs: Floats,
-    signals: Floats | None,
-    data: WeightedData,
-    hats: Floats,
-) -> list[tuple[Floats, Floats, Floats, int]]:
-    """Of each window the columns, the data and the knots, window starts projected out."""
-    count, n2 = intervals.defect.shape
-    c, f = inputs.shape[2], hats.shape[1] * intervals.B.shape[2]
-    w, ny = len(windows), len(data.measured)
-    design = np.zeros((w, windows.length + 1, ny, n2 + f + c))
-    target = np.zeros((w, windows.length + 1, ny))
-    seen = np.zeros((w, windows.length + 1, ny), bool)
-    x = np.zeros((w, n2, n2 + f + c + 1))
-    x[:, :, :n2] = np.eye(n2)
-    for k in range(windows.length + 1):
-        inside, last = k < windows.reach(), windows.first + windows.reach() - 1
-        at = np.minimum(windows.first + k, last)
-        values = np.where(inside[:, None], data.starts[at], data.ends[at])
-        deviation, seen[:, k] = data.rows(values)
-        scaled = x[:, data.measured] * data.weight[:, None]
-        target[:, k] = deviation - scaled[:, :, -1]
-        design[:, k] = scaled[:, :, :-1]
-        if signals is not None:
-            rows = np.where(inside, at, count + at)
-            design[:, k, :, n2 + f :] += signals[rows][:, data.measured] * data.weight[:, None]
-        if k < windows.length:
-            x = np.einsum("wij,wjc->wic", intervals.A[at], x)
-            push = np.einsum("wij,h->wihj", intervals.B[at], hats[k])
-            x[:, :, n2 : n2 + f] += push.reshape(w, n2, f)
-            x[:, :, n2 + f : -1] += inputs[at]
-            x[:, :, -1] -= intervals.defect[at]
-    seen &= chosen(windows.predictable(), data.measured)
-    flat = (design * seen[..., None]).reshape(w, -1, n2 + f + c)
-    flat_target = (target * seen).reshape(w, -1)
-    found = []
-    for i in range(w):
-        basis, triangle = np.linalg.qr(flat[i][:, :n2])
-        strength = np.abs(np.diag(triangle))
-        basis = basis[:, strength > 1e-9 * max(strength.max(initial=0.0), 1e-300)]
-        rest = flat[i][:, n2:] - basis @ (basis.T @ flat[i][:, n2:])
-        own = flat_target[i] - basis @ (basis.T @ flat_target[i])
-        number = int(seen[i].sum()) - basis.shape[1]
-        found.append((rest[:, f:], own, rest[:, :f], number))
-    return found
 
 
 def _still(bench: Bench, intervals: Intervals, windows: Windows, places: Floats) -> Bools:

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.linear import Intervals
-from orbisim.diagnosis.regress import Windows
 from orbisim.diagnosis.samples import Samples
+from orbisim.diagnosis.windows import Windows
 
 Floats = npt.NDArray[np.float64]
 

@@ -18,9 +18,9 @@ import numpy.typing as npt
 from orbisim.diagnosis.bench import Bench, Hypothesis
 from orbisim.diagnosis.force import Hooked
 from orbisim.diagnosis.hidden import Layout, carried_along
-from orbisim.diagnosis.regress import Windows
 from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.shooting import Shooter
+from orbisim.diagnosis.windows import Windows
 from orbisim.effects.measured import AXES
 from orbisim.recording import estimate_motion
 from orbisim.recording.sensors import Sensor, reads_state, sensors

@@ -12,9 +12,9 @@ import numpy.typing as npt
 from orbisim.diagnosis.bench import Bench, Hypothesis
 from orbisim.diagnosis.gauss_newton import Fit, Hints, gauss_newton, glanced, start_derivatives
 from orbisim.diagnosis.linear import Intervals
-from orbisim.diagnosis.regress import Windows
 from orbisim.diagnosis.retune import Tunable
 from orbisim.diagnosis.shooting import Shooter
+from orbisim.diagnosis.windows import Windows
 from orbisim.effects import find
 from orbisim.errors import OrbiSimError
 

@@ -8,96 +8,21 @@ with every datum weighted by its noise.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.linear import Intervals
 from orbisim.diagnosis.samples import Samples
+from orbisim.diagnosis.windows import Windows, chosen
 from orbisim.effects.screening import Column
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 _CHUNK_BYTES = 2e8
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Windows:
-    """Consecutive usable intervals of one recording each.
-
-    Attributes:
-      first: [W] number of the first interval. length: number of intervals of every window.
-      recording: [W]. horizon: [W, 2 nv] samples after the start at which each position and velocity
-        can be predicted; all if None.
-    """
-
-    first: Ints
-    length: int
-    recording: Ints
-    horizon: Ints | None = None
-
-    def __len__(self) -> int:
-        return len(self.first)
-
-    def some(self, keep: npt.NDArray[np.bool_]) -> Windows:
-        """The chosen windows."""
-        horizon = None if self.horizon is None else self.horizon[keep]
-        return Windows(self.first[keep], self.length, self.recording[keep], horizon)
-
-    def reach(self) -> Ints:
-        """[W]: number of intervals that can be predicted."""
-        if self.horizon is None:
-            return np.full(len(self), self.length)
-        return np.minimum(self.horizon.max(axis=1), self.length)
-
-    def fragile(self) -> npt.NDArray[np.bool_]:
-        """[W]: windows that end early, as impacts make what follows uncertain."""
-        if self.horizon is None:
-            return np.zeros(len(self), bool)
-        return np.asarray((self.horizon < self.length).any(axis=1))
-
-    def predictable(self) -> npt.NDArray[np.bool_]:
-        """[W, length + 1, 2 nv] or [W, length + 1, 1]: what lies within the horizon."""
-        steps = np.arange(self.length + 1)[:, None]
-        if self.horizon is None:
-            return np.ones((len(self), self.length + 1, 1), bool)
-        return np.asarray(steps <= self.horizon[:, None])
-
-
-def cut_windows(
-    recording: Ints, row: Ints, length: int, avoid: npt.NDArray[np.bool_] | None = None
-) -> Windows:
-    """Cuts runs of consecutive intervals into windows of the same length.
-
-    A run that is no multiple of it gives a last window that overlaps the one before.
-
-    Args:
-      recording, row: [N] of the intervals. avoid: [N] where no window should start.
-    """
-    firsts: list[int] = []
-    for start, stop in runs_of(recording, row):
-        begin = start
-        while begin + length <= stop:
-            while avoid is not None and avoid[begin] and begin + length < stop:
-                begin += 1
-            firsts.append(begin)
-            begin += length
-        left = stop - begin
-        if firsts and left > length // 2 and stop - length > firsts[-1]:
-            firsts.append(stop - length)
-    first = np.array(firsts, np.int64)
-    return Windows(first, length, recording[first] if len(first) else first)
-
-
-def runs_of(recording: Ints, row: Ints) -> Iterator[tuple[int, int]]:
-    """Ranges of intervals that follow one another."""
-    if not len(row):
-        return
-    joined = (np.diff(recording) == 0) & (np.diff(row) == 1)
-    breaks = np.flatnonzero(~joined) + 1
-    yield from zip([0, *breaks], [*breaks, len(row)], strict=True)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -139,16 +64,14 @@ def normal_equations(
     """
     if not len(windows):
         return []
-    nv = intervals.B.shape[2]
     inputs, signals = stacked(intervals, columns)
     data = WeightedData(samples, intervals, noise, known)
-    width = 2 * nv + 1 + len(columns)
-    chunk = max(1, int(_CHUNK_BYTES / (8 * (windows.length + 1) * 2 * nv * width)))
-    result: list[Normal] = []
-    for begin in range(0, len(windows), chunk):
-        part = windows.some(np.arange(len(windows)) // chunk == begin // chunk)
-        result += _chunk(intervals, part, inputs, signals, data)
-    return result
+    return [normal_of(*one) for one in projected(intervals, windows, inputs, signals, data)]
+
+
+def normal_of(design: Floats, target: Floats, count: int) -> Normal:
+    """Normal equations of weighted columns [R, C] and data [R]."""
+    return Normal(design.T @ design, design.T @ target, float(target @ target), count)
 
 
 def stacked(intervals: Intervals, columns: Sequence[Column]) -> tuple[Floats, Floats | None]:
@@ -196,20 +119,51 @@ class WeightedData:
         return np.where(seen, picked, 0.0) * self.weight, seen
 
 
-def _chunk(
+Extra = Callable[[int, Ints], Floats]
+"""Inputs [W, 2 nv, E] that are no columns, from the number of the sample and the intervals [W]."""
+
+
+def projected(
     intervals: Intervals,
     windows: Windows,
     inputs: Floats,
     signals: Floats | None,
     data: WeightedData,
-) -> list[Normal]:
+    extra: Extra | None = None,
+) -> list[Projected]:
+    """Data and columns of each window, its free start projected out.
+
+    Args:
+      inputs, signals: as `stacked` gives them.
+      extra: further inputs; their columns come first.
+    """
+    n2 = intervals.defect.shape[1]
+    width = n2 + inputs.shape[2] + (0 if extra is None else extra(0, windows.first[:1]).shape[2])
+    most = max(1, int(_CHUNK_BYTES / (8 * (windows.length + 1) * n2 * (width + 1))))
+    found: list[Projected] = []
+    for begin in range(0, len(windows), most):
+        part = windows.some(np.arange(len(windows)) // most == begin // most)
+        found += _part(intervals, part, inputs, signals, data, extra, width)
+    return found
+
+
+def _part(
+    intervals: Intervals,
+    windows: Windows,
+    inputs: Floats,
+    signals: Floats | None,
+    data: WeightedData,
+    extra: Extra | None,
+    width: int,
+) -> list[Projected]:
+    """As `projected`, at once; `width` of start, extra inputs and columns."""
     count, n2 = intervals.defect.shape
-    c = inputs.shape[2]
+    free = width - inputs.shape[2]
     w, ny = len(windows), len(data.measured)
-    design = np.zeros((w, windows.length + 1, ny, n2 + c))
+    design = np.zeros((w, windows.length + 1, ny, width))
     target = np.zeros((w, windows.length + 1, ny))
     seen = np.zeros((w, windows.length + 1, ny), bool)
-    x = np.zeros((w, n2, n2 + c + 1))
+    x = np.zeros((w, n2, width + 1))
     x[:, :, :n2] = np.eye(n2)
     for k in range(windows.length + 1):
         inside, last = k < windows.reach(), windows.first + windows.reach() - 1
@@ -221,33 +175,44 @@ def _chunk(
         design[:, k] = scaled[:, :, :-1]
         if signals is not None:
             rows = np.where(inside, at, count + at)
-            design[:, k, :, n2:] += signals[rows][:, data.measured] * data.weight[:, None]
+            design[:, k, :, free:] += signals[rows][:, data.measured] * data.weight[:, None]
         if k < windows.length:
             x = np.einsum("wij,wjc->wic", intervals.A[at], x)
-            x[:, :, n2:-1] += inputs[at]
+            if extra is not None:
+                x[:, :, n2:free] += extra(k, at)
+            x[:, :, free:-1] += inputs[at]
             x[:, :, -1] -= intervals.defect[at]
     seen &= chosen(windows.predictable(), data.measured)
-    design *= seen[..., None]
-    target *= seen
-    flat = design.reshape(w, -1, n2 + c)
-    return [_project(flat[i], target[i].ravel(), n2, int(seen[i].sum())) for i in range(w)]
+    flat = (design * seen[..., None]).reshape(w, -1, width)
+    left = (target * seen).reshape(w, -1)
+    return [without_start(flat[i], left[i], n2, int(seen[i].sum())) for i in range(w)]
 
 
-def chosen(predictable: npt.NDArray[np.bool_], measured: Ints) -> npt.NDArray[np.bool_]:
-    """The measured ones of all positions and velocities."""
-    return predictable if predictable.shape[2] == 1 else predictable[:, :, measured]
+class Projected(NamedTuple):
+    """A window without what its free start explains.
+
+    Attributes:
+      design: [R, C] weighted columns. target: [R] weighted data. rows: number of
+        data, less those that fix the start.
+    """
+
+    design: Floats
+    target: Floats
+    rows: int
 
 
-def _project(design: Floats, target: Floats, free: int, count: int) -> Normal:
-    """Removes what the free starts explain."""
+def without_start(design: Floats, target: Floats, free: int, count: int) -> Projected:
+    """Removes what the first columns explain.
+
+    Args:
+      design: [R, free + C]. target: [R]. free: number of columns that fix the start.
+      count: of data.
+    """
     basis, triangle = np.linalg.qr(design[:, :free])
     strength = np.abs(np.diag(triangle))
-    good = strength > 1e-9 * max(strength.max(initial=0.0), 1e-300)
-    basis = basis[:, good]
-    rest = design[:, free:]
-    rest = rest - basis @ (basis.T @ rest)
-    target = target - basis @ (basis.T @ target)
-    return Normal(rest.T @ rest, rest.T @ target, float(target @ target), count - int(good.sum()))
+    basis = basis[:, strength > 1e-9 * max(strength.max(initial=0.0), 1e-300)]
+    rest = design[:, free:] - basis @ (basis.T @ design[:, free:])
+    return Projected(rest, target - basis @ (basis.T @ target), count - basis.shape[1])
 
 
 def total(normals: Sequence[Normal]) -> Normal:

@@ -17,7 +17,8 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
 from orbisim.diagnosis.linear import Intervals
-from orbisim.diagnosis.regress import Windows, chosen
+from orbisim.diagnosis.regress import normal_of, without_start
+from orbisim.diagnosis.windows import Windows, chosen
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -90,10 +91,16 @@ def responses(
         design = design[:, measured] / sigma[measured][:, None]
         target = target - offset[:, measured] / sigma[measured]
         good = np.isfinite(target) & seen[w]
-        parts.append(_projected(design[good], target[good], intervals.A.shape[1]))
-    gram, moment, square, count = (np.array(column) for column in zip(*parts, strict=True))
-    numbers = windows.first[:, None] + np.arange(windows.length)
-    return Responses(gram, moment, square, count, piece, numbers)
+        kept = without_start(design[good], target[good], intervals.A.shape[1], int(good.sum()))
+        parts.append(normal_of(*kept))
+    return Responses(
+        gram=np.array([one.gram for one in parts]),
+        moment=np.array([one.moment for one in parts]),
+        square=np.array([one.square for one in parts]),
+        count=np.array([float(one.count) for one in parts]),
+        piece=piece,
+        number=windows.first[:, None] + np.arange(windows.length),
+    )
 
 
 def _within(rows: Ints, values: Floats) -> Ints:
@@ -119,13 +126,3 @@ def _course(
             x[:, -1] -= intervals.defect[i]
         out[k + 1] = x
     return out[..., :-1], out[..., -1]
-
-
-def _projected(design: Floats, target: Floats, free: int) -> tuple[Floats, Floats, float, float]:
-    """Gram matrix, moment and square with what the free start explains removed; count of data."""
-    basis, triangle = np.linalg.qr(design[:, :free])
-    strength = np.abs(np.diag(triangle))
-    basis = basis[:, strength > 1e-9 * max(strength.max(initial=0.0), 1e-300)]
-    rest = design[:, free:] - basis @ (basis.T @ design[:, free:])
-    left = target - basis @ (basis.T @ target)
-    return rest.T @ rest, rest.T @ left, float(left @ left), float(len(left) - basis.shape[1])

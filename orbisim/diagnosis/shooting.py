@@ -15,8 +15,8 @@ from orbisim.cpus import usable_cpus
 from orbisim.diagnosis.hidden import Layout, carried_along
 from orbisim.diagnosis.linear import Intervals
 from orbisim.diagnosis.measurement import TRUE, Measurement
-from orbisim.diagnosis.regress import Windows, chosen
 from orbisim.diagnosis.samples import Samples
+from orbisim.diagnosis.windows import Windows, chosen
 from orbisim.effects.carry import hooks_of
 from orbisim.effects.stepping import step_batch
 from orbisim.scene import Scene
