@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
@@ -11,6 +10,7 @@ import mujoco
 from orbisim.effects.base import EffectInstance, Hook
 from orbisim.effects.catalogue import find
 from orbisim.effects.rest import rest_hooks
+from orbisim.effects.texts import read_text, replace_text
 from orbisim.errors import InputError, OrbiSimError, SceneError
 
 if TYPE_CHECKING:
@@ -48,12 +48,8 @@ def add_effects(scene: Scene, instances: Iterable[EffectInstance]) -> Scene:
 
 def write_carried(spec: mujoco.MjSpec, instances: Sequence[EffectInstance]) -> None:
     """Replaces the effects that the document carries as text."""
-    for text in list(spec.texts):
-        if text.name == TEXT_NAME:
-            spec.delete(text)
-    if instances:
-        data = json.dumps([instance.to_json() for instance in instances])
-        spec.add_text(name=TEXT_NAME, data=data)
+    entries = [instance.to_json() for instance in instances]
+    replace_text(spec, TEXT_NAME, entries or None)
 
 
 def carried_effects(model: mujoco.MjModel, source: str = "scene") -> tuple[EffectInstance, ...]:
@@ -62,13 +58,10 @@ def carried_effects(model: mujoco.MjModel, source: str = "scene") -> tuple[Effec
     Raises:
       SceneError: the text is not what `write_carried` writes, or does not fit the scene.
     """
-    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, TEXT_NAME)
-    if index < 0:
-        return ()
-    start, size = int(model.text_adr[index]), int(model.text_size[index])
-    raw = bytes(model.text_data[start : start + size]).split(b"\0")[0]
     try:
-        entries = json.loads(raw.decode())
+        entries = read_text(model, TEXT_NAME)
+        if entries is None:
+            return ()
         if not isinstance(entries, list):
             raise InputError(f"expected a list of effects, got {type(entries).__name__}")
         instances = tuple(EffectInstance.from_json(entry) for entry in entries)

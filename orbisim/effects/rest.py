@@ -11,7 +11,6 @@ so that the force is bounded and constant beyond it.
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -20,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.effects.base import Hook, Moment
+from orbisim.effects.texts import read_text, replace_text
 from orbisim.errors import InputError, SceneError, UnknownNameError
 from orbisim.recording.joints import Joint, Kind, joints
 
@@ -243,12 +243,8 @@ def with_rest(scene: Scene, networks: Sequence[Network]) -> Scene:
     spec = scene.spec
     for network in networks:
         _check(network, scene.model)
-    for text in list(spec.texts):
-        if text.name == TEXT_NAME:
-            spec.delete(text)
-    if networks:
-        data = {"schema": SCHEMA, "forces": [network.to_json() for network in networks]}
-        spec.add_text(name=TEXT_NAME, data=json.dumps(data))
+    data = {"schema": SCHEMA, "forces": [network.to_json() for network in networks]}
+    replace_text(spec, TEXT_NAME, data if networks else None)
     return Scene.from_spec(spec, source=scene.source, unsupported=scene.unsupported)
 
 
@@ -258,13 +254,10 @@ def carried_rest(model: mujoco.MjModel, source: str = "scene") -> tuple[Network,
     Raises:
       SceneError: the text is not what `with_rest` writes, or does not fit the scene.
     """
-    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, TEXT_NAME)
-    if index < 0:
-        return ()
-    start, size = int(model.text_adr[index]), int(model.text_size[index])
-    raw = bytes(model.text_data[start : start + size]).split(b"\0")[0]
     try:
-        data = json.loads(raw.decode())
+        data = read_text(model, TEXT_NAME)
+        if data is None:
+            return ()
         if not isinstance(data, dict) or data.get("schema") != SCHEMA:
             raise InputError(f"expected an object of schema {SCHEMA!r}")
         return tuple(Network.from_json(one, model) for one in data.get("forces", []))
