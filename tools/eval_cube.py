@@ -301,13 +301,15 @@ def measure(options: Any) -> dict[str, Any]:
 
 
 def _errors(pack: Any, name: str, contact: Contact | Path) -> dict[str, float]:
-    from orbisim import load_scene, make_backend
+    from orbisim import Scene, load_scene, make_backend
     from orbisim.state import State
 
     where = str(contact) if isinstance(contact, Path) else scene(contact)
     loaded = load_scene(where)
     if isinstance(contact, Path):  # its own timestep may not divide a frame
-        loaded.model.opt.timestep = STEP / SUBSTEPS
+        spec = loaded.spec
+        spec.option.timestep = STEP / SUBSTEPS
+        loaded = Scene.from_spec(spec, source=where)
     backend = make_backend(name, loaded)
     nstep = max(1, round(STEP / backend.timestep))
     longest = int(pack.length.max())

@@ -27,9 +27,9 @@ def motion(hinge: bool, reference: float) -> list[Floats]:
 
 def axis_frame(axis: Floats, anchor: Floats) -> Floats:
     """A frame at an anchor [3] whose z is an axis [3]."""
-    quat, frame = np.zeros(4), np.eye(4)
+    quat = np.zeros(4)
     mujoco.mju_quatZ2Vec(quat, np.ascontiguousarray(axis))
-    return transform(anchor, quat) @ frame
+    return transform(anchor, quat)
 
 
 def transform(pos: Floats, quat: Floats) -> Floats:
