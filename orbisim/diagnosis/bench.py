@@ -70,6 +70,11 @@ class Bench:
             found.append(measurement.of(one.absolute[None], still, one.time[None])[0])
         return found
 
+    def whole(self, noise: Noise | None = None) -> Bench:
+        """All windows are fitted and checked; with another noise, if one is given."""
+        every = np.ones(len(self.windows), bool)
+        return dataclasses.replace(self, noise=noise or self.noise, fit=every, check=every)
+
     def with_noise_of(self, hypothesis: Hypothesis, intervals: Intervals) -> Bench:
         """The same bench with the noise estimated along a better scene."""
         found = estimate_noise(

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from orbisim.backend import Backend
-from orbisim.diagnosis.attribution import Attribution, enough
 from orbisim.diagnosis.bench import Bench, Hypothesis, Noise
+from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.confidence import confidence
 from orbisim.diagnosis.confounds import advice, standing
 from orbisim.diagnosis.gauss_newton import Fit
@@ -18,6 +18,7 @@ from orbisim.diagnosis.result import Alternative, Candidate, Estimate, FoundEffe
 from orbisim.diagnosis.scoring import Score, score
 from orbisim.diagnosis.sensing import Sensed
 from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.state import enough
 from orbisim.effects import find
 from orbisim.recording import Recording
 from orbisim.recording.joints import joints

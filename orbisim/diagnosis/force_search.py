@@ -17,7 +17,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.attribution import Rival
 from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.force_data import ForceData, candidates, force_data, normals
 from orbisim.diagnosis.gauss_newton import Fit
@@ -27,6 +26,7 @@ from orbisim.diagnosis.screening import bounded_instance
 from orbisim.diagnosis.selection import Group, Rule, Selected, groups_of, select, without
 from orbisim.diagnosis.sensible import extent, sensible
 from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.state import Rival
 from orbisim.effects import EffectInstance
 from orbisim.errors import OrbiSimError
 from orbisim.scene import Scene

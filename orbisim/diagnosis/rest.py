@@ -15,14 +15,13 @@ import numpy.typing as npt
 
 from orbisim.backend import Backend
 from orbisim.diagnosis.along import along
-from orbisim.diagnosis.attribution import Attribution
-from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
+from orbisim.diagnosis.bench import Bench, Hypothesis
+from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.linear import Intervals, linearize
 from orbisim.diagnosis.refine import Judge
 from orbisim.diagnosis.regress import fit, normal_equations, total
 from orbisim.diagnosis.response import affordable, responses
 from orbisim.diagnosis.rest_training import Trained, own_inputs, speed_inputs, train, tree_inputs
-from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.scoring import score
 from orbisim.diagnosis.screening import missing_force
 from orbisim.effects import find
@@ -109,6 +108,7 @@ def learn_rest(
     window: float,
     backend: str | Backend = "mujoco",
     *,
+    unseen: Bench,
     seed: int = 0,
     say: Progress = lambda _: None,
 ) -> Rest:
@@ -118,7 +118,7 @@ def learn_rest(
       found: the search. verdict: on the motion. augmented: the scene with what was found.
       fit_set, held_out: recordings. window: duration of free runs, s.
       backend: what the free-running errors are computed with.
-      seed: of the first weights.
+      unseen: windows of the held-out recordings. seed: of the first weights.
 
     Raises:
       MissingDependencyError: torch is not installed.
@@ -134,7 +134,12 @@ def learn_rest(
     trained = _trained(data, hypothesis, chosen, seed)
     if trained is None:
         return Rest("no network lowers the residual on windows that it was not trained on")
-    return _judged(found, trained.networks, augmented, fit_set, held_out, window, backend, say)
+    added = _WithRest(hypothesis.effects, hypothesis.frozen, hypothesis.factors, trained.networks)
+    if not _better(dataclasses.replace(found.bench, fit=found.bench.check), hypothesis, added)[0]:
+        return Rest("it does not lower the residual of free runs on windows it was not trained on")
+    say("checking the learned force on held-out data")
+    error = _errors(hypothesis, trained.networks, augmented, fit_set, held_out, window, backend)
+    return _judged(*_better(unseen, hypothesis, added), error, trained.networks, augmented)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -221,27 +226,13 @@ def _trained(data: _Data, hypothesis: Hypothesis, chosen: list[Joint], seed: int
 
 
 def _judged(
-    found: Attribution,
+    better: bool,
+    ratio: Mapping[str, float],
+    error: Mapping[str, Mapping[str, float]],
     networks: tuple[Network, ...],
     augmented: Scene,
-    fit_set: Sequence[Recording],
-    held_out: Sequence[Recording],
-    window: float,
-    backend: str | Backend,
-    say: Progress,
 ) -> Rest:
-    """The force, if simulation on windows and recordings that it has not seen gets better."""
-    hypothesis = found.after.hypothesis
-    added = _WithRest(hypothesis.effects, hypothesis.frozen, hypothesis.factors, networks)
-    bench = dataclasses.replace(found.bench, fit=found.bench.check)
-    if not _better(bench, hypothesis, added)[0]:
-        return Rest("it does not lower the residual of free runs on windows it was not trained on")
-    say("checking the learned force on held-out data")
-    unseen = make_bench(found.bench.scene, prepare_all(held_out, found.bench.scene), window)
-    every = np.ones(len(unseen.windows), bool)
-    unseen = dataclasses.replace(unseen, noise=found.bench.noise, fit=every, check=every)
-    better, ratio = _better(unseen, hypothesis, added)
-    error = _errors(hypothesis, networks, augmented, fit_set, held_out, window, backend)
+    """The force, if free runs of recordings that it has not seen get better."""
     held = error["held_out"]
     if not (better and held["with"] < (1 - _GAIN / 2) * held["without"]):
         return Rest("it does not lower the error on held-out data", ratio=ratio, error=error)

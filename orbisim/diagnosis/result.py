@@ -15,7 +15,7 @@ from orbisim.recording.sensors import sensors
 from orbisim.scene import Scene
 
 if TYPE_CHECKING:
-    from orbisim.diagnosis.attribution import Attribution
+    from orbisim.diagnosis.conclusion import Attribution
     from orbisim.diagnosis.force_search import ForceAttribution
     from orbisim.diagnosis.rest import Rest
     from orbisim.diagnosis.sensing import Sensed

@@ -11,8 +11,9 @@ from typing import Any, Literal
 import numpy as np
 
 from orbisim.backend import Backend
-from orbisim.diagnosis.attribution import Attribution, attribute
+from orbisim.diagnosis.attribution import attribute
 from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
+from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.findings import (
     alternatives_of,
     candidates_of,
@@ -136,19 +137,21 @@ def _by_motion(
     """Explains the error of free runs over windows."""
     samples = prepare_all(bounded(thinned(fit, window, notes), notes), scene)
     bench = make_bench(scene, samples, window)
+    unseen = _held_back(scene, bounded(thinned(held, window, notes), notes), window)
     found = attribute(bench, settings, say)
     if found.cut_short:
         notes.append(f"the search was ended after {settings.patience:g} s; more may be found")
     say("checking on held-out data")
-    unseen = bounded(thinned(held, window, notes), notes)
-    found = _confirmed(found, unseen, window)
-    sensed = sense(found, unseen, window, settings, notes, say)
+    unseen = unseen.whole(found.bench.noise)
+    found = _confirmed(found, unseen)
+    sensed = sense(found, unseen, settings, notes, say)
     result = _result(scene, named, found, settings, fit, held, window, backend, notes, sensed)
     if rest:
         motion, augmented = verdict_of(found, settings), result.augmented_scene
         learned = learn(
-            found, motion, augmented, fit, held, window, backend, seed=settings.seed, say=say
-        )
+            found, motion, augmented, fit, held, window, backend,
+            unseen=unseen, seed=settings.seed, say=say,
+        )  # fmt: skip
         result = dataclasses.replace(result, rest=learned)
     if result.verdict == "unexplained" and _forces_known(bench):
         hint = "the forces at all joints are known: residual='force' explains them instead"
@@ -190,17 +193,23 @@ def _nothing(text: str) -> None:
     """Says nothing."""
 
 
-def _confirmed(found: Attribution, held: Sequence[Recording], window: float) -> Attribution:
+def _held_back(scene: Scene, held: Sequence[Recording], window: float) -> Bench:
+    """The held-out data, looked at before a long search: it may be too short to judge by."""
+    try:
+        return make_bench(scene, prepare_all(held, scene), window)
+    except InputError as error:
+        sources = ", ".join(one.source for one in held)
+        raise InputError(f"held-out data ({sources}): {error}") from None
+
+
+def _confirmed(found: Attribution, unseen: Bench) -> Attribution:
     """The finding, or none if it does not lower the residual of data that it has not seen.
 
     Window starts are estimated for both scenes, so that noisy starts do not hide the gain.
     """
-    hypothesis, scene = found.after.hypothesis, found.bench.scene
+    hypothesis = found.after.hypothesis
     if found.after is found.before:
         return found
-    unseen = make_bench(scene, prepare_all(held, scene), window)
-    every = np.ones(len(unseen.windows), bool)
-    unseen = dataclasses.replace(unseen, noise=found.bench.noise, fit=every, check=every)
     judge = Judge(unseen, unseen.intervals, most=_HELD_WINDOWS)
     before = judge.score(Hypothesis(), judge.check)
     after = judge.score(hypothesis, judge.check)

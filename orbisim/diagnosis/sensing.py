@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.attribution import Attribution
-from orbisim.diagnosis.bench import make_bench
+from orbisim.diagnosis.bench import Bench
+from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.readings import (
     Readings,
     simulated_readings,
@@ -18,12 +18,10 @@ from orbisim.diagnosis.readings import (
 )
 from orbisim.diagnosis.refine import Judge, is_structural
 from orbisim.diagnosis.result import Estimate, FoundEffect, Verdict
-from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.sensor_fit import Fitted, Form, SensorData, fit_form, left_over
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
 from orbisim.effects.measured import AXES
-from orbisim.recording import Recording
 from orbisim.recording.sensors import Sensor
 
 Floats = npt.NDArray[np.float64]
@@ -98,8 +96,7 @@ class Sensed:
 
 def sense(
     found: Attribution,
-    held_out: Sequence[Recording],
-    window: float,
+    unseen: Bench,
     settings: Settings,
     notes: list[str],
     say: Callable[[str], None] = lambda _: None,
@@ -107,7 +104,7 @@ def sense(
     """Looks for offset, scale and delay of every recorded sensor.
 
     Args:
-      found: the search for effects on the motion. held_out: recordings for the last check.
+      found: the search for effects on the motion. unseen: held-out data for the last check.
       notes: what was not looked at is added.
     """
     chosen = usable_sensors(found.bench.samples, notes)
@@ -115,10 +112,10 @@ def sense(
         return Sensed()
     say("looking at the sensors")
     sure = found.after.ratio <= _NEAR and not is_structural(found.after.hypothesis)
-    fitted, unseen = _readings(found, held_out, window, sure)
+    fitted, apart = _readings(found, unseen, sure)
     findings = []
     for sensor in chosen:
-        both = SensorData(sensor, fitted), SensorData(sensor, unseen)
+        both = SensorData(sensor, fitted), SensorData(sensor, apart)
         if min(data.rows for data in both) < _FEWEST:
             notes.append(f"sensor {sensor.label!r} is not looked at: too few readings in a row")
             continue
@@ -130,19 +127,15 @@ _FEWEST = 20
 
 
 def _readings(
-    found: Attribution, held_out: Sequence[Recording], window: float, sure: bool
+    found: Attribution, unseen: Bench, sure: bool
 ) -> tuple[list[Readings], list[Readings]]:
     """Expected readings in the fitted and in the held-out recordings."""
     bench, hypothesis = found.bench, found.after.hypothesis
-    samples = prepare_all(held_out, bench.scene)
     if not sure:
         scene = hypothesis.scene(bench.scene)
-        return smoothed_readings(bench.samples, scene), smoothed_readings(samples, scene)
+        return smoothed_readings(bench.samples, scene), smoothed_readings(unseen.samples, scene)
     after = found.after
     fitted = simulated_readings(bench, hypothesis, after.windows, after.fit.start)
-    unseen = make_bench(bench.scene, samples, window)
-    every = np.ones(len(unseen.windows), bool)
-    unseen = dataclasses.replace(unseen, noise=bench.noise, fit=every, check=every)
     judge = Judge(unseen, unseen.intervals)
     start = judge.score(hypothesis, judge.fitted).start
     return fitted, simulated_readings(unseen, hypothesis, judge.fitted.windows, start)

@@ -22,7 +22,8 @@ class Settings:
       most_left: share of the residual's amplitude that an explanation may leave at most.
       retune: whether declared parameters may be retuned.
       robust: Huber threshold; None for 4 with contacts, and none without.
-      patience: s after which no further effect is looked for; anew once several were found at once.
+      patience: s after which no further effect is looked for. A fit under way, the one attempt at
+        several effects at once and the final fits are finished, so a search may take longer.
       seed: of the bootstrap.
     """
 

@@ -8,17 +8,12 @@ import pytest
 
 import orbisim
 from orbisim.diagnosis.settings import Settings
-from orbisim.errors import RecordingError
+from orbisim.errors import InputError, RecordingError
 from orbisim.recording import Recording
 from orbisim.testing import inject_effect
 
 ASSETS = Path(__file__).parents[2] / "mjcf_assets"
 SETTINGS = Settings(patience=40.0)
-
-
-@pytest.fixture(scope="module")
-def arm() -> orbisim.Scene:
-    return orbisim.load_scene(ASSETS / "arm2" / "scene.xml")
 
 
 @pytest.fixture(scope="module")
@@ -82,3 +77,15 @@ def test_time_that_jumps_back(tmp_path: Path, clean: list[Recording]) -> None:
 def test_a_scene_that_does_not_match(clean: list[Recording]) -> None:
     with pytest.raises(RecordingError, match="no such joint"):
         orbisim.diagnose(ASSETS / "cart_pole" / "scene.xml", clean, progress=False)
+
+
+def test_held_out_data_too_short_is_said_before_the_search(
+    arm: orbisim.Scene, clean: list[Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def searched(*_: object) -> None:
+        raise AssertionError("the search has begun")
+
+    monkeypatch.setattr("orbisim.diagnosis.run.attribute", searched)
+    short = clean[3].rows(slice(0, 4))
+    with pytest.raises(InputError, match=r"held-out data .*no stretch of the recordings"):
+        orbisim.diagnose(arm, clean[:3], short, progress=False)

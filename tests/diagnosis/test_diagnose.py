@@ -19,11 +19,6 @@ SHORT = {"duration": 4.0, "episodes": 4, "noise": 2e-4}
 
 
 @pytest.fixture(scope="module")
-def arm() -> orbisim.Scene:
-    return orbisim.load_scene(ARM / "scene.xml")
-
-
-@pytest.fixture(scope="module")
 def example(arm: orbisim.Scene) -> Diagnosis:
     runs = sorted((ARM / "example").glob("*.npz"))
     return orbisim.diagnose(ARM / "scene.xml", runs, progress=False)

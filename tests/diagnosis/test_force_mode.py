@@ -12,30 +12,20 @@ from orbisim.errors import InputError
 from orbisim.recording import Recording
 from orbisim.testing import inject_effect
 
-ARM = Path(__file__).parents[2] / "mjcf_assets" / "arm2"
-TRUTH = (
-    EffectInstance("coulomb_friction", "shoulder", {"torque": 0.3}),
-    EffectInstance("viscous_damping", "elbow", {"coefficient": 0.08}),
-    EffectInstance("torque_bias", "elbow", {"offset": 0.15}),
-)
-
-
-@pytest.fixture(scope="module")
-def arm() -> orbisim.Scene:
-    return orbisim.load_scene(ARM / "scene.xml")
-
 
 def recorded(arm: orbisim.Scene, *effects: EffectInstance) -> list[Recording]:
     return inject_effect(arm, effects, duration=6.0, episodes=4, noise=1e-4, seed=5)
 
 
-def test_finds_several_effects_at_once(arm: orbisim.Scene, tmp_path: Path) -> None:
+def test_finds_several_effects_at_once(
+    arm: orbisim.Scene, several: tuple[EffectInstance, ...], tmp_path: Path
+) -> None:
     found = orbisim.diagnose(
-        arm, recorded(arm, *TRUTH), residual="force", out=tmp_path, progress=False
+        arm, recorded(arm, *several), residual="force", out=tmp_path, progress=False
     )
     named = {(e.effect, e.target): next(iter(e.parameters.values())) for e in found.effects}
-    assert set(named) == {(e.effect, e.target) for e in TRUTH}
-    for truth in TRUTH:
+    assert set(named) == {(e.effect, e.target) for e in several}
+    for truth in several:
         value = next(iter(truth.values.values()))
         assert named[truth.effect, truth.target].value == pytest.approx(value, rel=0.1)
     held = found.error["held_out"]
@@ -73,3 +63,8 @@ def test_an_unknown_force_gets_no_name(arm: orbisim.Scene) -> None:
 def test_refuses_an_unknown_residual(arm: orbisim.Scene) -> None:
     with pytest.raises(InputError, match="'motion' or 'force'"):
         orbisim.diagnose(arm, recorded(arm), residual="torque", progress=False)  # type: ignore[arg-type]
+
+
+def test_a_learned_rest_belongs_to_the_motion(arm: orbisim.Scene) -> None:
+    with pytest.raises(InputError, match="learn_rest goes with residual='motion'"):
+        orbisim.diagnose(arm, recorded(arm), residual="force", learn_rest=True, progress=False)

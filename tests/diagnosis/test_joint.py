@@ -1,7 +1,5 @@
 """Several effects at once from free runs, and what a machine can have."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,21 +11,9 @@ from orbisim.diagnosis.sensible import reach, sensible
 from orbisim.effects import EffectInstance
 from orbisim.testing import inject_effect
 
-ARM = Path(__file__).parents[2] / "mjcf_assets" / "arm2"
-TRUTH = (
-    EffectInstance("coulomb_friction", "shoulder", {"torque": 0.3}),
-    EffectInstance("viscous_damping", "elbow", {"coefficient": 0.08}),
-    EffectInstance("torque_bias", "elbow", {"offset": 0.15}),
-)
 
-
-@pytest.fixture(scope="module")
-def arm() -> orbisim.Scene:
-    return orbisim.load_scene(ARM / "scene.xml")
-
-
-def test_proposes_what_is_missing(arm: orbisim.Scene) -> None:
-    runs = inject_effect(arm, TRUTH, duration=5.0, episodes=3, noise=2e-4, seed=8)
+def test_proposes_what_is_missing(arm: orbisim.Scene, several: tuple[EffectInstance, ...]) -> None:
+    runs = inject_effect(arm, several, duration=5.0, episodes=3, noise=2e-4, seed=8)
     bench = make_bench(arm, prepare_all(runs, arm), 0.5)
     found = {(e.effect, e.target): e.values for e in propose(bench, bench.intervals, None, 6)}
     assert found["viscous_damping", "elbow"]["coefficient"] == pytest.approx(0.08, rel=0.2)

@@ -1,0 +1,115 @@
+"""The end of a search: the fit on all windows, the last doubts, and what each effect brings."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from orbisim.diagnosis.bench import Bench, Hypothesis
+from orbisim.diagnosis.consistency import inconsistency
+from orbisim.diagnosis.laws import imitated
+from orbisim.diagnosis.refine import Judge, Judged
+from orbisim.diagnosis.samples import Samples
+from orbisim.diagnosis.screening import Screening
+from orbisim.diagnosis.state import NEAR, Rival, SearchState
+from orbisim.effects import EffectInstance
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Attribution:
+    """What the search found.
+
+    Attributes:
+      bench: the data, with the noise as it was known in the end.
+      before, after: the declared scene and the final hypothesis, fitted on all windows.
+      first: screening of the declared scene; None if nothing had to be explained.
+      rivals: fitted suspects of all rounds.
+      evidence: for each effect the drop in information criterion that it brings.
+      rejected: effects that lowered the residual but were not believed, with the reason.
+      cut_short: whether the search ended because its time was up.
+    """
+
+    bench: Bench
+    before: Judged
+    after: Judged
+    first: Screening | None
+    rivals: tuple[Rival, ...]
+    evidence: tuple[float, ...]
+    rejected: tuple[tuple[EffectInstance, str], ...]
+    cut_short: bool
+
+    @property
+    def samples(self) -> tuple[Samples, ...]:
+        """The recordings that were fitted."""
+        return self.bench.samples
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """The effects, with fitted values."""
+        return self.after.hypothesis
+
+
+def conclude(state: SearchState, current: Judged, first: Screening | None) -> Attribution:
+    """Fits on all windows and weighs each effect."""
+    state.say("final fit")
+    if current.hypothesis.effects or current.hypothesis.factors:
+        state.renew(current.hypothesis)
+    whole = state.bench.whole()
+    judge = Judge(
+        whole, state.intervals, state.tunables, state.columns, _MOST_WINDOWS,
+        state.robust,
+    )  # fmt: skip
+    before = judge.judge(Hypothesis())
+    assert before is not None
+    after = judge.judge(current.hypothesis, 8) or current
+    if not current.hypothesis.effects and not current.hypothesis.factors:
+        after = before
+    else:
+        problem = _doubt(state, whole, before, after)
+        if problem is None and not state.bench.contacts:
+            problem = imitated(judge, after)
+        if problem is not None:
+            state.rejected += [(effect, problem) for effect in after.hypothesis.effects]
+            after = before
+    judge.start_from(after)
+    fewer = (
+        judge.judge(after.hypothesis.without(index)) or before
+        for index in range(len(after.hypothesis.effects))
+    )
+    evidence = tuple(one.cost - after.cost for one in fewer)
+    return Attribution(
+        state.bench, before, after, first, tuple(state.rivals), evidence,
+        tuple(state.rejected), state.late and not state.done(after),
+    )  # fmt: skip
+
+
+def _excess(state: SearchState, judged: Judged) -> float:
+    """Amplitude of the residual beyond the noise, in units of the noise."""
+    return _amplitude(float(np.mean(judged.checked)) - 1.0, state.robust)
+
+
+def _doubt(state: SearchState, whole: Bench, before: Judged, after: Judged) -> str | None:
+    """Why an explanation that does not reach the noise is none; None if it is one."""
+    if after.ratio <= NEAR:
+        return None
+    if not after.hypothesis.effects:
+        return "declared parameters alone do not explain it"
+    left = _excess(state, after) / max(_excess(state, before), 1e-12)
+    if left > state.settings.most_left:
+        return f"{100 * left:.0f} % of the residual's amplitude remains"
+    for index in range(len(after.hypothesis.effects)):
+        problem = inconsistency(whole, after, index)
+        if problem is not None:
+            return problem
+    return None
+
+
+def _amplitude(square: float, threshold: float | None) -> float:
+    """Amplitude of residuals whose mean Huber loss (2 k |r| - k^2 beyond a threshold k) is this."""
+    if threshold is None or square <= threshold**2:
+        return float(np.sqrt(max(square, 0.0)))
+    return (square + threshold**2) / (2 * threshold)
+
+
+_MOST_WINDOWS = 96

@@ -1,0 +1,160 @@
+"""One round of the search: the effect that explains most of what is left, if any pays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from orbisim.diagnosis.bench import Hypothesis, clean
+from orbisim.diagnosis.consistency import inconsistency
+from orbisim.diagnosis.paying import unpaid
+from orbisim.diagnosis.refine import Judged, is_structural
+from orbisim.diagnosis.screening import Screening, Suspect, cleaned
+from orbisim.diagnosis.state import NEAR, Rival, SearchState
+from orbisim.effects import EffectInstance, effect_names, find
+from orbisim.errors import OrbiSimError
+
+
+def best_addition(
+    state: SearchState, current: Judged, suspects: Sequence[Suspect], screening: Screening
+) -> Judged | None:
+    """The best effect to add, if any pays."""
+    state.round += 1
+    state.judge.start_from(current)
+    fitted: list[Judged] = []
+    for instance, bic in _suspects(state, current.hypothesis, suspects, screening):
+        if fitted and (state.late or _settled(state, current, fitted, bic)):
+            break
+        state.say(f"round {state.round}: fitting {instance.effect} at {instance.target}")
+        judged = state.judge.judge(current.hypothesis.plus(instance), state.iterations)
+        if judged is not None:
+            fitted.append(judged)
+        else:
+            state.rejected.append((instance, "the scene with it cannot be simulated"))
+    if not fitted:
+        return None
+    fitted = _ranked(fitted)
+    winner, reasons = _winner(state, current, fitted)
+    state.rivals += [
+        Rival(j.hypothesis.effects[-1], j.cost - fitted[0].cost, j.ratio, state.round, reason)
+        for j, reason in zip(fitted, reasons, strict=True)
+    ]
+    return winner
+
+
+def _winner(
+    state: SearchState, current: Judged, fitted: Sequence[Judged]
+) -> tuple[Judged | None, list[str]]:
+    """The first of the best that pays, and why each of the others was not taken."""
+    winner: Judged | None = None
+    reasons: list[str] = []
+    for place, judged in enumerate(fitted):
+        last = len(judged.hypothesis.effects) - 1
+        reason = unpaid(state.settings, current, judged)
+        if reason is None and winner is not None:
+            best = winner.hypothesis.effects[-1]
+            reason = f"it explains less than {best.effect} at {best.target}"
+        elif reason is None and place >= 3:
+            reason = "it explains less than three others, none of which was believed"
+        elif reason is None and judged.ratio > NEAR:
+            reason = inconsistency(state.bench, judged, last)
+            if reason is not None:
+                state.rejected.append((judged.hypothesis.effects[-1], reason))
+        if reason is None:
+            winner = judged
+        reasons.append(reason or "")
+    return winner, reasons
+
+
+def _settled(
+    state: SearchState, current: Judged, fitted: Sequence[Judged], bic: float | None
+) -> bool:
+    """Whether an explanation down to the noise makes clearly worse suspects idle, or one that
+    leaves little those that are slow to fit."""
+    best = min(fitted, key=lambda j: j.cost)
+    if len(fitted) < 2:
+        return False
+    if bic is None and best.ratio**2 - 1 < _LITTLE * (current.ratio**2 - 1):
+        return True
+    return best.ratio <= 1.15 and (bic is None or len(fitted) >= 3)
+
+
+def _suspects(
+    state: SearchState, hypothesis: Hypothesis, suspects: Sequence[Suspect], screening: Screening
+) -> Iterator[tuple[EffectInstance, float | None]]:
+    """Best first; then play and elasticity, which no regression sees."""
+    yield from _shortlist(state, hypothesis, suspects)
+    yield from ((instance, None) for instance in _structural(state, hypothesis, screening))
+
+
+def _shortlist(
+    state: SearchState, hypothesis: Hypothesis, suspects: Sequence[Suspect]
+) -> list[tuple[EffectInstance, float]]:
+    """The best. Where there are contacts, regressions say less: one simulation of each of many
+    decides."""
+    found = ((cleaned(state.bench, s), s) for s in suspects)
+    possible = [(instance, s.bic) for instance, s in found if instance is not None]
+    most = state.settings.shortlist
+    if not state.bench.contacts or is_structural(hypothesis):
+        return possible[:most]
+    touching = [one for one in possible if find(one[0].effect).kind == "geom"]
+    others = [one for one in possible if find(one[0].effect).kind != "geom"]
+    chosen = [*touching[:most], *others[: _GLANCES - most]]
+    left = {id(one): state.judge.glance(hypothesis.plus(one[0])) for one in chosen}
+    return sorted(chosen, key=lambda one: left[id(one)])[:most]
+
+
+def _structural(
+    state: SearchState, hypothesis: Hypothesis, screening: Screening
+) -> Iterator[EffectInstance]:
+    """Play and elasticity at the joints where something is left."""
+    model = state.bench.scene.model
+    names = [n for n in effect_names() if find(n).structural and find(n).kind == "joint"]
+    if state.settings.effects is not None:
+        names = [n for n in names if n in state.settings.effects]
+    taken = {(e.effect, e.target) for e in hypothesis.effects}
+    for name in names:
+        for target in find(name).targets(model):
+            dof = int(model.jnt_dofadr[model.joint(target).id])
+            if screening.shares[dof] < _SHARE or (name, target) in taken:
+                continue
+            best = _best_trial(state, hypothesis, name, target)
+            if best is not None:
+                yield best
+
+
+def _best_trial(
+    state: SearchState, hypothesis: Hypothesis, name: str, target: str
+) -> EffectInstance | None:
+    """The trial values that leave least, without fitting."""
+    best, least = None, np.inf
+    for values in find(name).trials(state.bench.scene.model, target):
+        instance = EffectInstance(name, target, dict(values))
+        try:
+            instance = clean(state.bench.scene, instance)
+            trial = hypothesis.plus(instance)
+            left = state.judge.score(trial, state.judge.check, 2).square
+        except OrbiSimError:  # a variant that cannot be simulated is no candidate
+            continue
+        if left < least:
+            best, least = instance, left
+    return best
+
+
+def _ranked(fitted: Sequence[Judged]) -> list[Judged]:
+    """Best first; of those that the data do not tell apart, the first in the catalogue first."""
+    order = {name: i for i, name in enumerate(effect_names())}
+    least = min(judged.cost for judged in fitted)
+
+    def rank(judged: Judged) -> tuple[float, int]:
+        tied = judged.cost < least + _TIE
+        return (least if tied else judged.cost, order[judged.hypothesis.effects[-1].effect])
+
+    return sorted(fitted, key=rank)
+
+
+_TIE = 2.0
+_GLANCES = 20
+_SHARE = 0.08
+_LITTLE = 0.1

@@ -1,0 +1,197 @@
+"""What a search for missing effects knows at a time, and what it does over and over."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.diagnosis.along import along
+from orbisim.diagnosis.bench import Bench, Hypothesis
+from orbisim.diagnosis.linear import linearize
+from orbisim.diagnosis.paying import unpaid
+from orbisim.diagnosis.refine import Judge, Judged, is_structural
+from orbisim.diagnosis.retune import REACH, Tunable, tunables
+from orbisim.diagnosis.screening import Screening, factor_columns, merged, missing_force, screen
+from orbisim.diagnosis.settings import Settings
+from orbisim.effects import EffectInstance
+
+Floats = npt.NDArray[np.float64]
+Progress = Callable[[str], None]
+
+NEAR = 1.5
+"""Residual over noise of a hypothesis that only small things are missing from."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Rival:
+    """A suspect that was fitted by simulation in one round.
+
+    Attributes:
+      instance: with fitted values. delta_bic: to the round's winner, positive is worse.
+      ratio: residual over noise on check windows. round: number of the round.
+      reason: why it was not taken; empty for the one that was.
+    """
+
+    instance: EffectInstance
+    delta_bic: float
+    ratio: float
+    round: int
+    reason: str = ""
+
+
+def enough(settings: Settings, judged: Judged) -> float:
+    """Residual over noise below which there is nothing to explain, given how much data there is."""
+    return settings.enough + 3.0 / np.sqrt(2.0 * max(judged.fit.count, 1))
+
+
+def strained(judged: Judged) -> bool:
+    """Whether a declared parameter is as far off as it may be: that is an effect, then."""
+    return any(abs(factor - 1) > 0.9 * REACH for _, factor in judged.hypothesis.factors)
+
+
+class SearchState:
+    """The data with their noise as it is known by now, and the judge of hypotheses on them.
+
+    Attributes:
+      given: the data as they came. bench: the same with the noise along the best scene so far.
+      settings: of the search. say: told what is going on.
+      intervals: the linear system along the best scene so far. judge: of hypotheses.
+      tunables: declared parameters that the data feel. columns: their effect on the motion,
+        [intervals, 2 nv, tunables]; None without.
+      robust: Huber threshold; None for the default.
+      rivals, rejected: as in `Attribution`. round: number of the present round.
+    """
+
+    def __init__(self, bench: Bench, settings: Settings, say: Progress) -> None:
+        self.bench, self.given, self.settings, self.say = bench, bench, settings, say
+        self.rivals: list[Rival] = []
+        self.rejected: list[tuple[EffectInstance, str]] = []
+        self.tunables: tuple[Tunable, ...] = ()
+        self.columns: Floats | None = None
+        self.intervals = bench.intervals
+        self.robust = settings.robust
+        self.round = 0
+        self.judge = self._judge()
+        self._started = time.monotonic()
+
+    def restart(self, judge: Judge, robust: float) -> None:
+        """Goes on with the data as they came, another judge of them, and nothing to retune."""
+        self.bench, self.intervals, self.judge = self.given, self.given.intervals, judge
+        self.robust, self.tunables, self.columns = robust, (), None
+
+    @property
+    def late(self) -> bool:
+        """Whether the time for further effects is up."""
+        return time.monotonic() - self._started > self.settings.patience
+
+    @property
+    def iterations(self) -> int:
+        """Of a fit in a round."""
+        return 4 if self.bench.contacts else 5
+
+    def _judge(self) -> Judge:
+        settings = self.settings
+        return Judge(
+            self.bench, self.intervals, self.tunables, self.columns, settings.windows,
+            self.robust,
+        )  # fmt: skip
+
+    def need(self, hypothesis: Hypothesis) -> Judged:
+        """Judges what must be possible to simulate.
+
+        Raises:
+          FloatingPointError: it cannot be simulated along the recordings.
+        """
+        judged = self.judge.judge(hypothesis)
+        if judged is None:
+            raise FloatingPointError("the scene cannot be simulated along the recordings")
+        return judged
+
+    def done(self, judged: Judged) -> bool:
+        """Whether nothing is left to explain."""
+        return judged.ratio <= enough(self.settings, judged)
+
+    def screen(self, judged: Judged) -> Screening:
+        """Ranks the effects that may be missing on top of a hypothesis; with contacts, along the
+        recordings and along its own free runs."""
+        only, hypothesis = self.settings.effects, judged.hypothesis
+        fitted = None
+        if self.bench.contacts and not is_structural(hypothesis):
+            fitted = along(self.bench, judged)
+        if fitted is None:
+            return screen(self.bench, hypothesis, self.intervals, only, self.columns)
+        bench, numbers = fitted
+        columns = None if self.columns is None else factor_columns(bench, self.tunables)
+        force = missing_force(self.intervals)[numbers]
+        own = screen(bench, hypothesis, bench.intervals, only, columns, force)
+        return merged(own, screen(self.bench, hypothesis, self.intervals, only, self.columns))
+
+    def find_tunables(self) -> None:
+        """Declared parameters that the data feel at all."""
+        if not self.settings.retune:
+            return
+        every = tunables(self.bench.scene.model)
+        columns = factor_columns(self.bench, every)
+        size = np.abs(columns).max(axis=(0, 1)) if len(every) else np.zeros(0)
+        felt = size > 1e-9
+        self.tunables = tuple(one for one, f in zip(every, felt, strict=True) if f)
+        self.columns = columns[:, :, felt] if felt.any() else None
+        self.judge = self._judge()
+
+    def renew(self, hypothesis: Hypothesis) -> None:
+        """Noise and derivatives are known better along a better scene."""
+        self.intervals = linearize(self.bench.flow(hypothesis))
+        self.bench = self.bench.with_noise_of(hypothesis, self.intervals)
+        self.judge = self._judge()
+
+    def renewed(self, judged: Judged) -> Judged:
+        """The same hypothesis, judged with noise and derivatives along its own scene."""
+        self.renew(judged.hypothesis)
+        again = self.need(judged.hypothesis)
+        self.judge.start_from(again)
+        return again
+
+    def tuned(self, hypothesis: Hypothesis) -> Judged | None:
+        """The hypothesis with declared parameters retuned."""
+        if not self.tunables:
+            return None
+        self.say("retuning declared parameters")
+        self.renew(hypothesis)
+        judged = self.judge.judge(hypothesis.tuned(self.tunables))
+        if judged is None:
+            return None
+        self.renew(judged.hypothesis)
+        return self.judge.judge(judged.hypothesis)
+
+    def untuned(self, judged: Judged) -> Judged:
+        """Without retuning, if that is no worse."""
+        if not judged.hypothesis.factors:
+            return judged
+        plain = self.judge.judge(dataclasses.replace(judged.hypothesis, factors=()))
+        return plain if plain is not None and plain.cost <= judged.cost else judged
+
+    def pays(self, before: Judged, after: Judged) -> bool:
+        """Whether windows that were not fitted get better, by enough and surely."""
+        return unpaid(self.settings, before, after) is None
+
+    def prune(self, current: Judged, newest: bool = False) -> Judged:
+        """Drops effects that a later one has made superfluous.
+
+        Args:
+          newest: whether the last one may go too, as retuned parameters can replace it.
+        """
+        while len(current.hypothesis.effects) > 1:
+            kept = None
+            for index in range(len(current.hypothesis.effects) - (not newest)):
+                fewer = self.judge.judge(current.hypothesis.without(index))
+                if fewer is not None and not self.pays(fewer, current):
+                    kept = fewer
+                    break
+            if kept is None:
+                return current
+            current = kept
+        return current
