@@ -188,7 +188,7 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
         log_every=options.log_every,
         save_every=45.0,
         resume=options.resume,
-        start=options.work / job.start if job.start else None,
+        start=_start(job, name, options),
         compiled=options.compiled,
         horizons=job.horizons,
         burn=job.burn,
@@ -204,6 +204,13 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
     for horizon, values in manifest["metrics"]["model"].items():
         medians = {k: round(v["median"], 4) for k, v in values.items() if isinstance(v, dict)}
         print(f"{label}: {horizon} steps: {medians}", flush=True)
+
+
+def _start(job: Job, name: str, options: Any) -> Path | None:
+    """The checkpoint whose weights are trained on; None for none."""
+    if options.start is not None:
+        return Path(options.start / name)
+    return options.work / job.start if job.start else None
 
 
 @functools.lru_cache(maxsize=2)
@@ -294,6 +301,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--overhead", type=float, default=6.0, help="seconds a job for evaluation")
     parser.add_argument("--log-every", type=int, default=500)
     parser.add_argument("--resume", action="store_true")
+    parser.add_argument("--start", type=Path, help="folder of checkpoints to go on from, by job")
     parser.add_argument("--compiled", action="store_true", help="training steps, by torch")
     return parser
 

@@ -79,6 +79,45 @@ _SHORTEST = 4
 """Intervals of a free run that can be screened."""
 
 
+def tame(bench: Bench) -> Bench:
+    """The windows as far as the linear system along them says something.
+
+    Where bodies touch, products of derivatives can grow without limit, and a few windows would
+    drown all others; a window ends where a start's error has grown by a factor of 100.
+    """
+    windows, intervals = bench.windows, bench.intervals
+    size = _start_size(bench)
+    product = np.broadcast_to(np.eye(len(size)), (len(windows), len(size), len(size)))
+    reach, alive = np.zeros(len(windows), np.int64), np.ones(len(windows), bool)
+    for k in range(windows.length):
+        step = intervals.A[np.minimum(windows.first + k, len(intervals.A) - 1)]
+        product = np.where(alive[:, None, None], step @ product, 0.0)
+        grown = np.sqrt(((product * size / size[:, None]) ** 2).sum(axis=2))
+        alive &= grown[:, : len(size) // 2].max(axis=1) < _GROWTH
+        reach[alive] = k + 1
+    keep = reach >= _SHORTEST
+    if not keep.any():
+        return bench
+    inside = windows.length if windows.horizon is None else windows.horizon
+    horizon = np.minimum(inside, reach[:, None])
+    horizon = np.broadcast_to(horizon, (len(windows), len(size)))
+    cut = dataclasses.replace(windows, horizon=horizon).some(keep)
+    return dataclasses.replace(bench, windows=cut, fit=bench.fit[keep], check=bench.check[keep])
+
+
+_GROWTH = 100.0
+
+
+def _start_size(bench: Bench) -> Floats:
+    """[2 nv]: what the noise leaves unknown of a start; velocities by differences of positions."""
+    sigma, nv = np.concatenate(bench.noise), len(bench.noise[0])
+    step = float(np.median(np.concatenate([np.diff(one.time) for one in bench.samples])))
+    size = np.where(
+        np.isfinite(sigma), sigma, np.concatenate([sigma[:nv], sigma[:nv] / (4 * step)])
+    )
+    return np.where(np.isfinite(size), size, np.nanmax(size))
+
+
 def _moved(one: Samples, shooter: Shooter, first: int, qpos: Floats, qvel: Floats) -> Samples:
     """The recording with another reference in some of its rows."""
     rows = slice(first, first + len(qpos))

@@ -11,7 +11,7 @@ from orbisim.diagnosis.conclusion import Attribution, conclude
 from orbisim.diagnosis.joint import propose
 from orbisim.diagnosis.paying import unpaid
 from orbisim.diagnosis.refine import Judge, Judged
-from orbisim.diagnosis.rounds import best_addition
+from orbisim.diagnosis.rounds import best_addition, best_with_retuning
 from orbisim.diagnosis.screening import Screening, cleaned
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.state import NEAR, Progress, SearchState, strained
@@ -43,27 +43,42 @@ def _explain(state: SearchState, nothing: Judged, first: Screening) -> Judged:
             return single
     tuned = state.tuned(Hypothesis())
     alone = single if single is not None and state.done(single) else None
-    explains = tuned is not None and state.done(tuned) and not strained(tuned)
-    if tuned is not None and explains and (alone is None or tuned.cost < alone.cost):
+    if (
+        tuned is not None
+        and _explained(state, tuned)
+        and (alone is None or tuned.cost < alone.cost)
+    ):
         return tuned
     if alone is not None:
         return alone
-    both = _paired(state, nothing, single, first)
-    if both is not None:
-        single = state.renewed(state.prune(both))
-        if state.done(single):
-            return single
-    elif single is not None:
-        single = state.renewed(single)
-    start = single
-    if single is not None and state.tunables:
-        start = state.tuned(single.hypothesis) or single
-    elif single is None:
-        start = tuned or nothing
-    assert start is not None
-    if start is nothing or (state.done(start) and not strained(start)):
+    slow, best = state.bench.contacts, None
+    retuned = None if tuned is None or slow else best_with_retuning(state, tuned, first)
+    if retuned is not None:
+        retuned = state.renewed(retuned)
+    if not slow or single is None or _excess(single) > _MOST * _excess(nothing):
+        best = _paired(state, nothing, single, first)
+        best = None if best is None else state.prune(best)
+    best = best or single
+    if best is not None:
+        best = state.renewed(best)
+    ends = [one for one in (retuned, best) if one is not None and _explained(state, one)]
+    if ends:
+        return min(ends, key=lambda one: one.cost)
+    starts = [one for one in (retuned, best and state.tuned(best.hypothesis)) if one is not None]
+    start = min(starts, key=lambda one: one.cost) if starts else best or tuned or nothing
+    if start is nothing or _explained(state, start):
         return state.untuned(state.prune(start, newest=True))
     return _forward(state, start, tuned or nothing, first)
+
+
+def _excess(judged: Judged) -> float:
+    """Mean square of the residual beyond the noise."""
+    return max(judged.ratio**2 - 1.0, 0.0)
+
+
+def _explained(state: SearchState, judged: Judged) -> bool:
+    """Whether nothing is left, and no declared parameter would have to be far off."""
+    return state.done(judged) and not strained(judged)
 
 
 def _paired(
@@ -85,7 +100,8 @@ def _paired(
                 break
     if not fitted:
         return None
-    best = min(fitted, key=lambda judged: judged.cost)
+    few = sorted(fitted, key=lambda judged: judged.cost)[:_FEW]
+    best = min((state.judge.closer(one) for one in few), key=lambda judged: judged.cost)
     rival = nothing if single is None else single
     problem = unpaid(state.settings, rival, best)
     if not state.done(best) and best.ratio > _HALF * rival.ratio:
@@ -147,7 +163,7 @@ def _forward(state: SearchState, start: Judged, base: Judged, first: Screening) 
 
 def _add_all(state: SearchState, current: Judged) -> Judged:
     while len(current.hypothesis.effects) < state.settings.most_effects and not state.late:
-        if state.done(current) and not strained(current):
+        if _explained(state, current):
             return current
         state.say(f"screening what is left ({current.ratio:.3g} times the noise)")
         found = state.screen(current)
@@ -162,3 +178,5 @@ def _add_all(state: SearchState, current: Judged) -> Judged:
 _TOGETHER = 6
 _HUBER = 4.0
 _HALF = 0.5
+_MOST = 0.2
+_FEW = 2

@@ -413,6 +413,8 @@ class Hypothesis:
             value = float(_free_values(declared, e)[name])
             step = 1e-4 * max(abs(value), 0.05 * abs(scale), 1e-9)
             step = max(step, effect.resolution(model, name))
+            if effect.stepwise(e, name):
+                step = max(step, _COARSE * abs(value))
             found.append(Unknown(f"{e.effect}({e.target}).{name}", value, low, high, step))
         found += [
             Unknown(str(one), factor, 1 - REACH, 1 + REACH, 1e-4, 1.0, 1 / SPREAD**2)
@@ -420,6 +422,9 @@ class Hypothesis:
         ]
         return found
 
+
+_COARSE = 0.03
+"""Relative step of differences by parameters that act in steps."""
 
 SAME = {
     "torque_gain": "gain",

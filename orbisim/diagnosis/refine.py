@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
 from orbisim.diagnosis.gauss_newton import Fit, Hints, gauss_newton, glanced, start_derivatives
-from orbisim.diagnosis.linear import Intervals
+from orbisim.diagnosis.linear import Intervals, linearize
 from orbisim.diagnosis.retune import Tunable
 from orbisim.diagnosis.shooting import Shooter
 from orbisim.diagnosis.windows import Windows
@@ -113,6 +113,34 @@ class Judge:
         kept = np.delete(means, worst_first[: round(_TRIMMED * len(means))])
         return float(kept.mean())
 
+    def closer(self, judged: Judged, iterations: int = 5) -> Judged:
+        """The hypothesis fitted again, if that is better: with what a window's start does along its
+        own scene, then as differences show. Along the declared scene it may be quite another thing.
+        """
+        if self.bench.contacts:
+            return judged
+        kept = self._free, self._warm
+        best = judged
+        try:
+            for own in (True, False):
+                if best.ratio < _REACHED:
+                    break
+                again = self._judged_anew(best, own, iterations)
+                if again is not None and again.cost < best.cost:
+                    best = again
+        finally:
+            self._free, self._warm = kept
+        return best
+
+    def _judged_anew(self, judged: Judged, own: bool, iterations: int) -> Judged | None:
+        self._free, self._warm = {}, {}
+        if own:
+            intervals = linearize(self.bench.flow(judged.hypothesis))
+            self._free = {id(s): s.chained(intervals) for s in (self.fitted, self.check)}
+        else:
+            self.start_from(judged)
+        return self.judge(judged.hypothesis, iterations)
+
     def glance(self, hypothesis: Hypothesis) -> float:
         """What a hypothesis as it stands would leave, at the price of one simulation: mean squared
         residual over windows, with starts corrected linearly; infinite if it cannot be simulated.
@@ -191,6 +219,7 @@ class Judge:
         size = np.maximum(np.abs(fit.values[: len(free)]), 1e-3)
         change = np.sqrt(np.maximum(information, 0.0)) * size
         weak = change < max(_WEAK * change.max(initial=0.0), 1e-3)
+        weak &= np.array([not self._stepwise(fitted, i, name) for i, name in free], bool)
         if weak.all():
             return []
         return [name for name, w in zip(free, weak, strict=True) if w]
@@ -221,17 +250,27 @@ class Judge:
         misfit = independent * np.log(max(typical, 1e-12))
         return float(misfit + fit.penalty + size * np.log(independent))
 
+    @staticmethod
+    def _stepwise(hypothesis: Hypothesis, number: int, name: str) -> bool:
+        effect = hypothesis.effects[number]
+        return find(effect.effect).stepwise(effect, name)
+
     def _polish(self, hypothesis: Hypothesis, fit: Fit) -> tuple[Hypothesis, Fit]:
-        """Searches parameters that act in steps (delays) on their grid."""
+        """Searches parameters that act in steps (delays) on their grid, or on ever finer ones."""
         declared = self.bench.scene
         for index, (number, name) in enumerate(hypothesis.free(declared)):
             grid = find(hypothesis.effects[number].effect).resolution(declared.model, name)
-            if not grid:
-                continue
-            here = round(fit.values[index] / grid)
-            tried: dict[int, tuple[Hypothesis, Fit]] = {}
-            here = self._descend(hypothesis, fit, (number, name), index, grid, here, tried)
-            if here in tried and tried[here][1].square < fit.square:
+            grids = [grid] if grid else []
+            if not grid and self._stepwise(hypothesis, number, name):
+                grids = [share * abs(float(fit.values[index])) for share in _FINER]
+            for grid in grids:
+                if grid <= 0:
+                    continue
+                here = round(fit.values[index] / grid)
+                tried: dict[int, tuple[Hypothesis, Fit]] = {}
+                here = self._descend(hypothesis, fit, (number, name), index, grid, here, tried)
+                if here not in tried or not tried[here][1].square < fit.square:
+                    continue
                 held, other = tried[here]
                 held = held.at(declared, other.values)
                 hypothesis = dataclasses.replace(held, frozen=held.frozen - {(number, name)})
@@ -283,7 +322,11 @@ def _means(shooter: Shooter, fit: Fit) -> Floats:
 
 _IMPACTS = 4.0
 """Huber threshold where there are contacts: some impacts no fit of the start reproduces."""
+_REACHED = 1.05
+"""Residual over noise below which a fit is not made better."""
 _GRID_STEPS = 12
+_FINER = (0.12, 0.03, 0.008)
+"""Grids for what acts in steps, of its value."""
 _GRID_STEPS_IN_CONTACT = 2
 _TRIMMED = 0.15
 

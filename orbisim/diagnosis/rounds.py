@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -20,27 +20,63 @@ def best_addition(
     state: SearchState, current: Judged, suspects: Sequence[Suspect], screening: Screening
 ) -> Judged | None:
     """The best effect to add, if any pays."""
+    found = _suspects(state, current.hypothesis, suspects, screening)
+    return _best_of(state, current, found, current.hypothesis.plus)
+
+
+def best_with_retuning(state: SearchState, tuned: Judged, screening: Screening) -> Judged | None:
+    """The best single effect where declared parameters are retuned with it, if any pays.
+
+    Args:
+      tuned: the declared parameters retuned, without effects. screening: of the declared scene.
+    """
+    alone = sorted((r for r in state.rivals if r.round == 1), key=lambda r: r.delta_bic)
+    found = [r.instance for r in alone[:_FEW]]
+    found += [e for s in screening.tuned if (e := cleaned(state.bench, s)) is not None]
+    first = {(e.effect, e.target): e for e in reversed(found[: _FEW + state.settings.shortlist])}
+    candidates = [(e, 0.0) for e in reversed(first.values())]
+    state.renew(Hypothesis())
+    return _best_of(state, tuned, candidates, lambda e: Hypothesis((e,)).tuned(state.tunables))
+
+
+def _best_of(
+    state: SearchState,
+    current: Judged,
+    candidates: Iterable[tuple[EffectInstance, float | None]],
+    plus: Callable[[EffectInstance], Hypothesis],
+) -> Judged | None:
+    """The best of some effects, if any pays.
+
+    Args:
+      candidates: effects, and what a screening says of each. plus: the hypothesis with one.
+    """
     state.round += 1
     state.judge.start_from(current)
     fitted: list[Judged] = []
-    for instance, bic in _suspects(state, current.hypothesis, suspects, screening):
+    for instance, bic in candidates:
         if fitted and (state.late or _settled(state, current, fitted, bic)):
             break
         state.say(f"round {state.round}: fitting {instance.effect} at {instance.target}")
-        judged = state.judge.judge(current.hypothesis.plus(instance), state.iterations)
+        judged = state.judge.judge(plus(instance), state.iterations)
         if judged is not None:
             fitted.append(judged)
         else:
             state.rejected.append((instance, "the scene with it cannot be simulated"))
     if not fitted:
         return None
-    fitted = _ranked(fitted)
+    fitted = _ranked(_closer(state, _ranked(fitted)))
     winner, reasons = _winner(state, current, fitted)
     state.rivals += [
         Rival(j.hypothesis.effects[-1], j.cost - fitted[0].cost, j.ratio, state.round, reason)
         for j, reason in zip(fitted, reasons, strict=True)
     ]
     return winner
+
+
+def _closer(state: SearchState, fitted: Sequence[Judged]) -> list[Judged]:
+    """The same with the best few fitted to the end."""
+    few = [state.judge.closer(judged, state.iterations) for judged in fitted[:_FEW]]
+    return [*few, *fitted[_FEW:]]
 
 
 def _winner(
@@ -155,6 +191,7 @@ def _ranked(fitted: Sequence[Judged]) -> list[Judged]:
 
 
 _TIE = 2.0
+_FEW = 3
 _GLANCES = 20
 _SHARE = 0.08
 _LITTLE = 0.1

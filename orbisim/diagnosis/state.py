@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.along import along
+from orbisim.diagnosis.along import along, tame
 from orbisim.diagnosis.bench import Bench, Hypothesis
 from orbisim.diagnosis.linear import linearize
 from orbisim.diagnosis.paying import unpaid
@@ -124,11 +124,12 @@ class SearchState:
             fitted = along(self.bench, judged)
         if fitted is None:
             return screen(self.bench, hypothesis, self.intervals, only, self.columns)
-        bench, numbers = fitted
+        bench, numbers = tame(fitted[0]), fitted[1]
         columns = None if self.columns is None else factor_columns(bench, self.tunables)
         force = missing_force(self.intervals)[numbers]
         own = screen(bench, hypothesis, bench.intervals, only, columns, force)
-        return merged(own, screen(self.bench, hypothesis, self.intervals, only, self.columns))
+        seen = tame(dataclasses.replace(self.bench, intervals=self.intervals))
+        return merged(own, screen(seen, hypothesis, self.intervals, only, self.columns))
 
     def find_tunables(self) -> None:
         """Declared parameters that the data feel at all."""

@@ -200,6 +200,9 @@ class Deadband(ActuatorEffect):
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("width", "control", 0.0, _LARGE, 0.1),)
 
+    def stepwise(self, instance: EffectInstance, name: str) -> bool:
+        return instance.options.get("kind") == "gate"
+
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Deadband(model, instance)
 

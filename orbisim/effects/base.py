@@ -163,6 +163,11 @@ class Effect(abc.ABC):
         """Step below which a parameter has no effect (delays act in timesteps); 0 for none."""
         return 0.0
 
+    def stepwise(self, instance: EffectInstance, name: str) -> bool:
+        """Whether a small change of a parameter mostly changes nothing, and then all at once: a
+        derivative says little about it."""
+        return False
+
     def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
         """Names of the parameters that a fit changes; the others follow from them."""
         return tuple(p.name for p in self.parameters(model, target))
