@@ -39,22 +39,23 @@ def _explain(state: SearchState, nothing: Judged, first: Screening) -> Judged:
     single = best_addition(state, nothing, first.suspects, first)
     if single is not None:
         single = state.renewed(single)
-        if state.done(single) and single.hypothesis.effects[0].effect not in SAME:
+        rivalled = single.hypothesis.effects[0].effect in SAME or _contested(state)
+        if state.done(single) and not rivalled:
             return single
     tuned = state.tuned(Hypothesis())
     alone = single if single is not None and state.done(single) else None
-    if (
-        tuned is not None
-        and _explained(state, tuned)
-        and (alone is None or tuned.cost < alone.cost)
-    ):
+    explains = tuned is not None and _explained(state, tuned)
+    if tuned is not None and explains and (alone is None or tuned.cost < alone.cost):
         return tuned
-    if alone is not None:
+    if alone is not None and not _contested(state):
         return alone
     slow, best = state.bench.contacts, None
     retuned = None if tuned is None or slow else best_with_retuning(state, tuned, first)
     if retuned is not None:
         retuned = state.renewed(retuned)
+    if alone is not None:
+        better = retuned is not None and retuned.cost < alone.cost - state.settings.margin
+        return retuned if better and retuned is not None else alone
     if not slow or single is None or _excess(single) > _MOST * _excess(nothing):
         best = _paired(state, nothing, single, first)
         best = None if best is None else state.prune(best)
@@ -69,6 +70,12 @@ def _explain(state: SearchState, nothing: Judged, first: Screening) -> Judged:
     if start is nothing or _explained(state, start):
         return state.untuned(state.prune(start, newest=True))
     return _forward(state, start, tuned or nothing, first)
+
+
+def _contested(state: SearchState) -> bool:
+    """Whether another effect than the best did nearly as well with parameters as declared: which
+    one is better may then be a matter of those."""
+    return any(0 < r.delta_bic < _NEARLY for r in state.rivals if r.round == 1)
 
 
 def _excess(judged: Judged) -> float:
@@ -179,4 +186,5 @@ _TOGETHER = 6
 _HUBER = 4.0
 _HALF = 0.5
 _MOST = 0.2
+_NEARLY = 60.0
 _FEW = 2

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from orbisim.diagnosis.refine import Judged
 from orbisim.diagnosis.settings import Settings
+
+Floats = npt.NDArray[np.float64]
 
 
 def unpaid(settings: Settings, before: Judged, after: Judged) -> str | None:
@@ -14,8 +17,14 @@ def unpaid(settings: Settings, before: Judged, after: Judged) -> str | None:
     Args:
       before, after: the hypothesis without and with the effect, fitted on the same windows.
     """
-    drop = before.checked - after.checked
-    excess = max(float(before.checked.mean()) - 1.0, 1e-12)
+    gain = before.cost - after.cost
+    if _unfelt(before, after):
+        if gain > _CLEARLY * settings.margin:
+            return None  # held-out data have the last word
+        return "the windows that it was not fitted to do not feel it"
+    one, other = (_capped(before, judged) for judged in (before, after))
+    drop = one - other
+    excess = max(float(one.mean()) - 1.0, 1e-12)
     mean, error = float(drop.mean()), float(drop.std() / np.sqrt(max(len(drop), 1)))
     if not mean > 0:
         return "it makes windows that it was not fitted to no better"
@@ -29,10 +38,28 @@ def unpaid(settings: Settings, before: Judged, after: Judged) -> str | None:
             f"on windows that it was not fitted to, its gain is {mean / error:.2g} standard errors "
             f"over windows; {settings.certainty:g} are needed"
         )
-    gain = before.cost - after.cost
     if not gain > settings.margin:
         return (
             f"the information criterion falls by {gain:.2g}, {settings.margin:g} are needed for "
             "the numbers that it adds"
         )
     return None
+
+
+def _unfelt(before: Judged, after: Judged) -> bool:
+    """Whether the effect changes nothing in any check window, as its event happens in none."""
+    change = np.abs(before.checked - after.checked)
+    return bool((change <= 1e-3 * np.maximum(before.checked, 1.0)).all())
+
+
+def _capped(before: Judged, judged: Judged) -> Floats:
+    """[windows]: what is left of check windows; where bodies touch, those that are hopeless in any
+    case do not hide what becomes of the others."""
+    if not before.touching:
+        return judged.checked
+    cap = _HOPELESS * max(float(np.median(before.checked)), 1.0)
+    return np.minimum(judged.checked, cap)
+
+
+_CLEARLY = 5.0
+_HOPELESS = 4.0

@@ -35,7 +35,7 @@ class Judged:
       ratio: residual over noise, on the fitted or on the check windows, whichever is larger.
       cost: information criterion of the fit; lower is better.
       check_fit: window starts on the check windows.
-      windows: those that it was fitted to.
+      windows: those that it was fitted to. touching: whether bodies touch in the data.
     """
 
     hypothesis: Hypothesis
@@ -45,6 +45,7 @@ class Judged:
     cost: float
     check_fit: Fit
     windows: Windows
+    touching: bool = False
 
 
 class Judge:
@@ -97,8 +98,9 @@ class Judge:
         )
         ratio = float(np.sqrt(square))
         return Judged(
-            fitted, fit, means, ratio, self._cost(fitted, fit), checked, self.fitted.windows
-        )
+            fitted, fit, means, ratio, self._cost(fitted, fit), checked, self.fitted.windows,
+            self.bench.contacts,
+        )  # fmt: skip
 
     def _typical(self, shooter: Shooter, means: Floats, trimmed: bool = True) -> float:
         """Mean over windows; with contacts, without the worst few.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
@@ -136,9 +137,23 @@ def _shortlist(
         return possible[:most]
     touching = [one for one in possible if find(one[0].effect).kind == "geom"]
     others = [one for one in possible if find(one[0].effect).kind != "geom"]
-    chosen = [*touching[:most], *others[: _GLANCES - most]]
+    chosen = [*_varied(touching)[:most], *_varied(others)[: _GLANCES - most]]
     left = {id(one): state.judge.glance(hypothesis.plus(one[0])) for one in chosen}
     return sorted(chosen, key=lambda one: left[id(one)])[:most]
+
+
+def _varied(
+    found: Sequence[tuple[EffectInstance, float]],
+) -> list[tuple[EffectInstance, float]]:
+    """At most two forms of an effect at a target."""
+    count: Counter[tuple[str, str]] = Counter()
+    kept = []
+    for one in found:
+        key = (one[0].effect, one[0].target)
+        count[key] += 1
+        if count[key] <= 2:
+            kept.append(one)
+    return kept
 
 
 def _structural(
@@ -190,8 +205,8 @@ def _ranked(fitted: Sequence[Judged]) -> list[Judged]:
     return sorted(fitted, key=rank)
 
 
-_TIE = 2.0
+_TIE = 4.0
 _FEW = 3
-_GLANCES = 20
+_GLANCES = 30
 _SHARE = 0.08
 _LITTLE = 0.1

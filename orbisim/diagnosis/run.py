@@ -213,7 +213,7 @@ def _confirmed(found: Attribution, unseen: Bench) -> Attribution:
     judge = Judge(unseen, unseen.intervals, most=_HELD_WINDOWS)
     before = judge.score(Hypothesis(), judge.check)
     after = judge.score(hypothesis, judge.check)
-    if after.square < before.square:
+    if after.square < (1 - _FELT) * before.square:
         return found
     doubt = [(effect, "it does not help on held-out data") for effect in hypothesis.effects]
     return dataclasses.replace(
@@ -222,6 +222,7 @@ def _confirmed(found: Attribution, unseen: Bench) -> Attribution:
 
 
 _HELD_WINDOWS = 96
+_FELT = 1e-4
 
 
 def _result(
