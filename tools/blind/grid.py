@@ -8,9 +8,10 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from blind.motion import Motion, targets
 from blind.outside import PLACES
 from blind.scenes import RIGS
-from blind.sizes import SIZES, Motion, targets
+from blind.sizes import SIZES
 
 NOISES = (1e-4, 5e-4, 2e-3)
 """Low, middle and high: standard deviation of positions, rad or m."""

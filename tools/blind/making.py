@@ -15,9 +15,10 @@ import numpy as np
 
 from blind.declared import alter
 from blind.grid import NOISES, Wish
+from blind.motion import Motion, observe
 from blind.outside import Outside, outside
 from blind.scenes import RIGS, Rig
-from blind.sizes import Motion, observe, sized
+from blind.sizes import sized
 from orbisim import Recording, Scene, load_scene, make_backend, replay
 from orbisim.diagnosis.scoring import score
 from orbisim.effects import EffectInstance, add_effects, find

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from blind.sizes import Motion, _inertia, _rms, _torque
+from blind.motion import Motion, inertia_of, rms, torque_of
 from orbisim.effects import Hook, Moment
 from orbisim.effects.base import index_of
 
@@ -253,8 +253,8 @@ def _values(
         if kind == "Vortex":
             return {"size": size, "waves": rng.uniform(4.0, 9.0)}
         return {"size": size, "correlation": rng.uniform(0.1, 0.3), "seed": seed}
-    q, torque = m.q(target), _torque(m, target)
-    speed = _rms(m.qvel[:, m.dof(target)])
+    q, torque = m.q(target), torque_of(m, target)
+    speed = rms(m.qvel[:, m.dof(target)])
     level = scale * torque
     reach = float(np.ptp(q)) / 2
     if kind == "CubicSpring":
@@ -271,7 +271,7 @@ def _values(
         waves = 2 * np.pi * rng.uniform(2.0, 3.0) / float(np.ptp(q))
         return {"level": rng.uniform(0.2, 0.4) * level, "periods": waves, "smooth": 0.05 * speed}
     slack = float(np.quantile(q, rng.uniform(0.4, 0.6)))
-    damping = 0.2 * _inertia(m, target)
+    damping = 0.2 * inertia_of(m, target)
     return {
         "slack": slack,
         "stiffness": rng.uniform(0.4, 0.8) * level / np.sqrt(reach),

@@ -2,139 +2,27 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Mapping
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from blind.scenes import Rig
-from orbisim import Recording, Scene
+from blind.motion import (
+    Motion,
+    actuated,
+    inertia_of,
+    per_speed,
+    per_square,
+    rms,
+    speed_of,
+    torque_of,
+    weight_of,
+)
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.base import index_of, is_scalar_joint, names_of_kind
-from orbisim.testing.excitation import _is_servo
 
 Floats = npt.NDArray[np.float64]
 
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Motion:
-    """What the declared scene does in its recordings without any effect.
-
-    Attributes:
-      rig, scene: the scene. qpos [N, nq], qvel, qacc [N, nv], ctrl [N, nu].
-      torque: [nv] typical size of the generalized force at a degree of freedom.
-      force: [N, nactuator] of the actuators.
-    """
-
-    rig: Rig
-    scene: Scene
-    qpos: Floats
-    qvel: Floats
-    qacc: Floats
-    ctrl: Floats
-    torque: Floats
-    force: Floats
-
-    @property
-    def model(self) -> mujoco.MjModel:
-        """The scene's model."""
-        return self.scene.model
-
-    def q(self, joint: str) -> Floats:
-        """Positions [N] of a hinge or slide."""
-        return self.qpos[:, int(self.model.jnt_qposadr[index_of(self.model, "joint", joint)])]
-
-    def dof(self, joint: str) -> int:
-        """The (first) degree of freedom of a joint."""
-        return int(self.model.jnt_dofadr[index_of(self.model, "joint", joint)])
-
-    def control(self, actuator: str) -> Floats:
-        """Controls [N] of an actuator."""
-        return self.ctrl[:, int(self.model.actuator_ctrladr[self.actuator(actuator)])]
-
-    def actuator(self, name: str) -> int:
-        """Number of an actuator."""
-        return index_of(self.model, "actuator", name)
-
-    def mass(self, body: str) -> float:
-        """Of the body alone, kg."""
-        return float(self.model.body_mass[index_of(self.model, "body", body)])
-
-    def extent(self, body: str) -> float:
-        """Radius of gyration of the body, m."""
-        i = index_of(self.model, "body", body)
-        return float(np.sqrt(self.model.body_inertia[i].max() / self.model.body_mass[i]))
-
-
-def observe(rig: Rig, scene: Scene, recordings: list[Recording]) -> Motion:
-    """The motion of clean recordings."""
-    model = scene.model
-    bound = [one.bind(scene) for one in recordings]
-    data = mujoco.MjData(model)
-    qacc, torque, force = [], [], []
-    for one in bound:
-        acceleration = np.gradient(one.qvel, one.time, axis=0)
-        for k in range(0, len(one.time), 4):
-            data.qpos[:], data.qvel[:], data.qacc[:] = one.qpos[k], one.qvel[k], acceleration[k]
-            data.ctrl[:] = one.ctrl[k]
-            mujoco.mj_inverse(model, data)
-            mujoco.mj_fwdActuation(model, data)
-            own = model.dof_M0 * np.abs(acceleration[k])
-            torque.append(np.maximum(np.abs(data.qfrc_inverse), 0.3 * own))
-            force.append(np.array(data.actuator_force))
-        qacc.append(acceleration)
-    return Motion(
-        rig,
-        scene,
-        np.concatenate([one.qpos for one in bound]),
-        np.concatenate([one.qvel for one in bound]),
-        np.concatenate(qacc),
-        np.concatenate([one.ctrl for one in bound]),
-        np.median(torque, axis=0) + 1e-9,
-        np.stack(force),
-    )
-
-
-# -- targets ---------------------------------------------------------------------------------------
-
-
-def targets(effect: str, motion: Motion) -> tuple[str, ...]:
-    """Where an effect makes physical sense in a scene; the catalogue decides what is possible."""
-    rig, model = motion.rig, motion.model
-    known = find(effect).targets(model)
-    by_geom = dict(rig.geoms)
-    if find(effect).kind == "geom":
-        return tuple(t for t in by_geom.get(effect, ()) if t in known)
-    if effect in ("payload", "com_offset", "constant_force"):
-        return tuple(t for t in rig.bodies if t in known)
-    if effect in ("linear_drag", "quadratic_drag"):
-        return tuple(t for t in rig.medium if t in known)
-    if effect == "magnus":
-        return rig.spinning
-    if effect == "buoyancy":
-        return rig.floating
-    if effect == "deadband":  # of a servo's command it would be nonsense: it is an angle
-        return tuple(t for t in known if _driven_through_zero(motion, t))
-    if effect in ("backlash", "joint_flexibility"):  # needs a motor before it
-        return tuple(t for t in known if _actuated(motion, t))
-    return known
-
-
-def _driven_through_zero(motion: Motion, actuator: str) -> bool:
-    ctrl = motion.control(actuator)
-    servo = _is_servo(motion.model, motion.actuator(actuator))
-    return not servo and bool(ctrl.min() < 0 < ctrl.max())
-
-
-def _actuated(motion: Motion, joint: str) -> bool:
-    model, number = motion.model, index_of(motion.model, "joint", joint)
-    by_joint = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
-    return bool((by_joint & (model.actuator_trnid[:, 0] == number)).any())
-
-
-# -- sizes -----------------------------------------------------------------------------------------
 
 Size = Callable[[Motion, str, np.random.Generator, float], EffectInstance]
 
@@ -160,10 +48,6 @@ def _sign(rng: np.random.Generator) -> float:
     return float(rng.choice([-1.0, 1.0]))
 
 
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
 def _single(name: str, value: str, low: float, high: float, unit: Callable[[Motion, str], float]):
     """An effect with one parameter: a share, between low and high, of a unit."""
 
@@ -172,39 +56,6 @@ def _single(name: str, value: str, low: float, high: float, unit: Callable[[Moti
         return EffectInstance(name, target, {value: size})
 
     return make
-
-
-def _torque(m: Motion, joint: str) -> float:
-    return float(m.torque[m.dof(joint)])
-
-
-def _per_speed(m: Motion, joint: str) -> float:
-    return _torque(m, joint) / _rms(m.qvel[:, m.dof(joint)])
-
-
-def _per_square(m: Motion, joint: str) -> float:
-    return _torque(m, joint) / _rms(m.qvel[:, m.dof(joint)]) ** 2
-
-
-def _inertia(m: Motion, joint: str) -> float:
-    return float(m.model.dof_M0[m.dof(joint)])
-
-
-def _weight(m: Motion, body: str) -> float:
-    return m.mass(body) * 9.81
-
-
-def _speed(m: Motion, body: str) -> float:
-    """Typical speed of a body's centre of mass, m/s."""
-    model, data = m.model, mujoco.MjData(m.model)
-    i, found = index_of(model, "body", body), []
-    jacobian = np.zeros((3, model.nv))
-    for k in range(0, len(m.qpos), 20):
-        data.qpos[:] = m.qpos[k]
-        mujoco.mj_fwdPosition(model, data)
-        mujoco.mj_jacBodyCom(model, data, jacobian, None, i)
-        found.append(jacobian @ m.qvel[k])
-    return _rms(np.linalg.norm(found, axis=1)) + 1e-6
 
 
 def _direction(m: Motion, body: str, rng: np.random.Generator, frame: str) -> Floats:
@@ -225,14 +76,14 @@ def _direction(m: Motion, body: str, rng: np.random.Generator, frame: str) -> Fl
 
 
 def _stribeck(m: Motion, joint: str, rng: np.random.Generator, scale: float) -> EffectInstance:
-    coulomb = scale * _between(rng, 0.05, 0.2) * _torque(m, joint)
-    speed = _between(rng, 0.1, 0.3) * _rms(m.qvel[:, m.dof(joint)])
+    coulomb = scale * _between(rng, 0.05, 0.2) * torque_of(m, joint)
+    speed = _between(rng, 0.1, 0.3) * rms(m.qvel[:, m.dof(joint)])
     values = {"coulomb": coulomb, "static": coulomb * rng.uniform(1.6, 2.5), "velocity": speed}
     return EffectInstance("stribeck_friction", joint, values)
 
 
 def _load(m: Motion, joint: str, rng: np.random.Generator, scale: float) -> EffectInstance:
-    kinds = ["actuator", "external"] if _actuated(m, joint) else ["external"]
+    kinds = ["actuator", "external"] if actuated(m, joint) else ["external"]
     values = {"coefficient": min(scale * _between(rng, 0.06, 0.25), 0.8)}
     name = "load_dependent_friction"
     return EffectInstance(name, joint, values, {"load": str(rng.choice(kinds))})
@@ -240,7 +91,7 @@ def _load(m: Motion, joint: str, rng: np.random.Generator, scale: float) -> Effe
 
 def _spring(m: Motion, joint: str, rng: np.random.Generator, scale: float) -> EffectInstance:
     q = m.q(joint)
-    stiffness = scale * _between(rng, 0.2, 0.8) * _torque(m, joint) / (np.std(q) + 1e-9)
+    stiffness = scale * _between(rng, 0.2, 0.8) * torque_of(m, joint) / (np.std(q) + 1e-9)
     rest = float(rng.uniform(*np.quantile(q, [0.1, 0.9])))
     return EffectInstance("joint_spring", joint, {"stiffness": stiffness, "rest_position": rest})
 
@@ -250,7 +101,7 @@ def _cogging(m: Motion, joint: str, rng: np.random.Generator, scale: float) -> E
     if is_scalar_joint(m.model, joint) and m.model.joint(joint).type[0] == 3:
         waves = max(4.0, round(waves))
     values = {
-        "amplitude": scale * _between(rng, 0.12, 0.35) * _torque(m, joint),
+        "amplitude": scale * _between(rng, 0.12, 0.35) * torque_of(m, joint),
         "periods": float(waves),
         "phase": float(rng.uniform(-np.pi, np.pi)),
     }
@@ -264,8 +115,8 @@ def _backlash(m: Motion, joint: str, rng: np.random.Generator, scale: float) -> 
 
 def _flexible(m: Motion, joint: str, rng: np.random.Generator, scale: float) -> EffectInstance:
     rate = 2 * np.pi * _between(rng, 4.0, 10.0) / np.sqrt(scale)
-    stiffness = _inertia(m, joint) * rate**2
-    damping = 2 * rng.uniform(0.04, 0.15) * _inertia(m, joint) * rate
+    stiffness = inertia_of(m, joint) * rate**2
+    damping = 2 * rng.uniform(0.04, 0.15) * inertia_of(m, joint) * rate
     values = {"stiffness": stiffness, "damping": damping}
     return EffectInstance("joint_flexibility", joint, values)
 
@@ -280,20 +131,20 @@ def _stop(m: Motion, joint: str, rng: np.random.Generator, scale: float) -> Effe
 def _coupling(m: Motion, joint: str, rng: np.random.Generator, scale: float) -> EffectInstance:
     others = [j for j in find("joint_coupling").targets(m.model) if j != joint]
     other = str(rng.choice(others))
-    by = str(rng.choice(["torque", "position", "velocity"] if _actuated(m, other) else
+    by = str(rng.choice(["torque", "position", "velocity"] if actuated(m, other) else
                         ["position", "velocity"]))  # fmt: skip
     source = {
-        "torque": _torque(m, other),
+        "torque": torque_of(m, other),
         "position": float(np.std(m.q(other))),
-        "velocity": _rms(m.qvel[:, m.dof(other)]),
+        "velocity": rms(m.qvel[:, m.dof(other)]),
     }[by]
-    size = _sign(rng) * scale * _between(rng, 0.1, 0.3) * _torque(m, joint) / (source + 1e-9)
+    size = _sign(rng) * scale * _between(rng, 0.1, 0.3) * torque_of(m, joint) / (source + 1e-9)
     options = {"other": other, "by": by}
     return EffectInstance("joint_coupling", joint, {"coefficient": size}, options)
 
 
 def _bias(m: Motion, actuator: str, rng: np.random.Generator, scale: float) -> EffectInstance:
-    size = _sign(rng) * scale * _between(rng, 0.05, 0.25) * _rms(m.force[:, m.actuator(actuator)])
+    size = _sign(rng) * scale * _between(rng, 0.05, 0.25) * rms(m.force[:, m.actuator(actuator)])
     return EffectInstance("torque_bias", actuator, {"offset": size})
 
 
@@ -351,16 +202,16 @@ def _offset(m: Motion, body: str, rng: np.random.Generator, scale: float) -> Eff
 
 
 def _push(m: Motion, body: str, rng: np.random.Generator, scale: float) -> EffectInstance:
-    size = scale * _between(rng, 0.05, 0.25) * _weight(m, body)
+    size = scale * _between(rng, 0.05, 0.25) * weight_of(m, body)
     return _vector("constant_force", "magnitude", size, body, _direction(m, body, rng, "world"))
 
 
 def _periodic(m: Motion, target: str, rng: np.random.Generator, scale: float) -> EffectInstance:
     options: Mapping[str, str] = {}
     if target in names_of_kind(m.model, "joint") and is_scalar_joint(m.model, target):
-        size = _between(rng, 0.1, 0.35) * _torque(m, target)
+        size = _between(rng, 0.1, 0.35) * torque_of(m, target)
     else:
-        size = _between(rng, 0.08, 0.25) * _weight(m, target)
+        size = _between(rng, 0.08, 0.25) * weight_of(m, target)
         axis = str(rng.choice(["x", "y", "z"]))
         options = {a: str(float(a == axis)) for a in "xyz"}
     values = {
@@ -384,15 +235,15 @@ def _tilt(m: Motion, target: str, rng: np.random.Generator, scale: float) -> Eff
 
 def _drag(name: str, power: int) -> Size:
     def make(m: Motion, body: str, rng: np.random.Generator, scale: float) -> EffectInstance:
-        size = scale * _between(rng, 0.05, 0.25) * _weight(m, body) / _speed(m, body) ** power
+        size = scale * _between(rng, 0.05, 0.25) * weight_of(m, body) / speed_of(m, body) ** power
         return EffectInstance(name, body, {"coefficient": size})
 
     return make
 
 
 def _magnus(m: Motion, body: str, rng: np.random.Generator, scale: float) -> EffectInstance:
-    spin = _rms(np.linalg.norm(m.qvel[:, 3:6], axis=1))
-    size = scale * _between(rng, 0.05, 0.2) * _weight(m, body) / (spin * _speed(m, body))
+    spin = rms(np.linalg.norm(m.qvel[:, 3:6], axis=1))
+    size = scale * _between(rng, 0.05, 0.2) * weight_of(m, body) / (spin * speed_of(m, body))
     return EffectInstance("magnus", body, {"coefficient": _sign(rng) * size})
 
 
@@ -453,13 +304,13 @@ def _clock(m: Motion, target: str, rng: np.random.Generator, scale: float) -> Ef
 
 
 SIZES: Mapping[str, Size] = {
-    "coulomb_friction": _single("coulomb_friction", "torque", 0.06, 0.3, _torque),
-    "viscous_damping": _single("viscous_damping", "coefficient", 0.06, 0.4, _per_speed),
-    "quadratic_damping": _single("quadratic_damping", "coefficient", 0.06, 0.4, _per_square),
+    "coulomb_friction": _single("coulomb_friction", "torque", 0.06, 0.3, torque_of),
+    "viscous_damping": _single("viscous_damping", "coefficient", 0.06, 0.4, per_speed),
+    "quadratic_damping": _single("quadratic_damping", "coefficient", 0.06, 0.4, per_square),
     "stribeck_friction": _stribeck,
     "load_dependent_friction": _load,
     "joint_spring": _spring,
-    "armature": _single("armature", "inertia", 0.12, 0.6, _inertia),
+    "armature": _single("armature", "inertia", 0.12, 0.6, inertia_of),
     "cogging": _cogging,
     "backlash": _backlash,
     "joint_flexibility": _flexible,
