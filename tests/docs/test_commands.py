@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-COMMAND = re.compile(r"python (tools/\w+\.py[^`"\n]*)")
+COMMAND = re.compile(r'python (tools/\w+\.py[^`"\n]*)')
 
 
 def commands() -> Iterator[tuple[str, ...]]:
