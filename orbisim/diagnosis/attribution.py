@@ -15,6 +15,7 @@ from orbisim.diagnosis.rounds import best_addition, best_with_retuning
 from orbisim.diagnosis.screening import Screening, cleaned
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.state import NEAR, Progress, SearchState, strained
+from orbisim.effects import EffectInstance, find
 
 
 def attribute(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> Attribution:
@@ -36,21 +37,22 @@ def attribute(bench: Bench, settings: Settings, say: Progress = lambda _: None) 
 
 def _explain(state: SearchState, nothing: Judged, first: Screening) -> Judged:
     """One effect if it is all; else declared parameters; else effects and parameters."""
+    rivals: list[EffectInstance] = []
     single = best_addition(state, nothing, first.suspects, first)
     if single is not None:
         single = state.renewed(single)
-        rivalled = single.hypothesis.effects[0].effect in SAME or _contested(state)
-        if state.done(single) and not rivalled:
+        rivals = _rivals(state, single)
+        same = single.hypothesis.effects[0].effect in SAME
+        if state.done(single) and not same and not rivals:
             return single
     tuned = state.tuned(Hypothesis())
     alone = single if single is not None and state.done(single) else None
     explains = tuned is not None and _explained(state, tuned)
     if tuned is not None and explains and (alone is None or tuned.cost < alone.cost):
         return tuned
-    if alone is not None and not _contested(state):
-        return alone
-    slow, best = state.bench.contacts, None
-    retuned = None if tuned is None or slow else best_with_retuning(state, tuned, first)
+    slow, best, retuned = state.bench.contacts, None, None
+    if tuned is not None and not slow and (alone is None or rivals):
+        retuned = best_with_retuning(state, tuned, first, rivals if alone is not None else None)
     if retuned is not None:
         retuned = state.renewed(retuned)
     if alone is not None:
@@ -72,10 +74,16 @@ def _explain(state: SearchState, nothing: Judged, first: Screening) -> Judged:
     return _forward(state, start, tuned or nothing, first)
 
 
-def _contested(state: SearchState) -> bool:
-    """Whether another effect than the best did nearly as well with parameters as declared: which
-    one is better may then be a matter of those."""
-    return any(0 < r.delta_bic < _NEARLY for r in state.rivals if r.round == 1)
+def _rivals(state: SearchState, single: Judged) -> list[EffectInstance]:
+    """Other effects that do nearly as well as the best with no more numbers: as long as parameters
+    are as declared, which one is better may be a matter of those."""
+    model, best = state.bench.scene.model, single.hypothesis.effects[0]
+
+    def numbers(one: EffectInstance) -> int:
+        return len(find(one.effect).free_parameters(model, one.target))
+
+    near = (r.instance for r in state.rivals if r.round == 1 and 0 < r.delta_bic < _NEARLY)
+    return [one for one in near if numbers(one) <= numbers(best)][:_FEW]
 
 
 def _excess(judged: Judged) -> float:

@@ -25,16 +25,24 @@ def best_addition(
     return _best_of(state, current, found, current.hypothesis.plus)
 
 
-def best_with_retuning(state: SearchState, tuned: Judged, screening: Screening) -> Judged | None:
+def best_with_retuning(
+    state: SearchState,
+    tuned: Judged,
+    screening: Screening,
+    only: Sequence[EffectInstance] | None = None,
+) -> Judged | None:
     """The best single effect where declared parameters are retuned with it, if any pays.
 
     Args:
       tuned: the declared parameters retuned, without effects. screening: of the declared scene.
+      only: the effects to try; if None the best of the first round and of the screening.
     """
-    alone = sorted((r for r in state.rivals if r.round == 1), key=lambda r: r.delta_bic)
-    found = [r.instance for r in alone[:_FEW]]
-    found += [e for s in screening.tuned if (e := cleaned(state.bench, s)) is not None]
-    first = {(e.effect, e.target): e for e in reversed(found[: _FEW + state.settings.shortlist])}
+    if only is None:
+        alone = sorted((r for r in state.rivals if r.round == 1), key=lambda r: r.delta_bic)
+        found = [r.instance for r in alone[:_FEW]]
+        found += [e for s in screening.tuned if (e := cleaned(state.bench, s)) is not None]
+        only = found[: _FEW + state.settings.shortlist]
+    first = {(e.effect, e.target): e for e in reversed(only)}
     candidates = [(e, 0.0) for e in reversed(first.values())]
     state.renew(Hypothesis())
     return _best_of(state, tuned, candidates, lambda e: Hypothesis((e,)).tuned(state.tunables))
