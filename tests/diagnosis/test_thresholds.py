@@ -1,0 +1,65 @@
+"""Effects that act at some moments only, or all at once: a derivative leads nowhere at first."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import orbisim
+from orbisim.diagnosis.along import tame
+from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
+from orbisim.diagnosis.refine import Judge
+from orbisim.diagnosis.samples import prepare_all
+from orbisim.effects import EffectInstance
+from orbisim.testing import inject_effect
+
+ASSETS = Path(__file__).parents[2] / "mjcf_assets"
+
+
+def _bench(scene: orbisim.Scene, effect: EffectInstance) -> Bench:
+    runs = inject_effect(scene, effect, duration=5.0, episodes=3, noise=1e-4, seed=4)
+    return make_bench(scene, prepare_all(runs, scene), 0.5)
+
+
+def test_a_saturated_servo() -> None:
+    """Along the declared scene a window's start is forgotten; a saturated servo remembers it."""
+    scene = orbisim.load_scene(ASSETS / "servo_pendulum" / "scene.xml")
+    force = float(np.abs(_forces(scene)).max())
+    truth = 0.4 * force
+    bench = _bench(scene, EffectInstance("torque_saturation", "servo", {"limit": truth}))
+    judge = Judge(bench, bench.intervals)
+    guess = EffectInstance("torque_saturation", "servo", {"limit": 1.2 * truth})
+    first = judge.judge(Hypothesis((guess,)))
+    assert first is not None
+    found = judge.closer(first)
+    assert found.hypothesis.effects[0].values["limit"] == pytest.approx(truth, rel=0.01)
+    assert found.ratio < 1.2
+
+
+def _forces(scene: orbisim.Scene) -> np.ndarray:
+    """Of the servo in recordings without the effect."""
+    (run,) = inject_effect(scene, [], duration=5.0, episodes=1, seed=4)
+    bound, model = run.bind(scene), scene.model
+    error = bound.ctrl[:, 0] - bound.qpos[:, 0]
+    return np.asarray(model.actuator_gainprm[0, 0] * error)
+
+
+def test_a_gate_that_opens_all_at_once(arm: orbisim.Scene) -> None:
+    truth = EffectInstance("deadband", "elbow", {"width": 0.2}, {"kind": "gate"})
+    bench = _bench(arm, truth)
+    guess = EffectInstance("deadband", "elbow", {"width": 0.15}, {"kind": "gate"})
+    found = Judge(bench, bench.intervals).judge(Hypothesis((guess,)))
+    assert found is not None
+    assert found.hypothesis.effects[0].values["width"] == pytest.approx(0.2, rel=0.03)
+
+
+def test_screening_ends_where_a_start_grows_without_limit(arm: orbisim.Scene) -> None:
+    bench = _bench(arm, EffectInstance("viscous_damping", "elbow", {"coefficient": 0.05}))
+    assert tame(bench).windows.reach().tolist() == bench.windows.reach().tolist()
+    wild = bench.intervals.A.copy()
+    middle = int(bench.windows.first[1]) + 10
+    wild[middle] *= 1e4
+    cut = tame(dataclasses.replace(bench, intervals=dataclasses.replace(bench.intervals, A=wild)))
+    assert cut.windows.reach()[1] == 10
+    assert (np.delete(cut.windows.reach(), 1) == np.delete(bench.windows.reach(), 1)).all()
