@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.refine import Judged
+from orbisim.diagnosis.refine import Judged, is_structural
 from orbisim.diagnosis.settings import Settings
 
 Floats = npt.NDArray[np.float64]
@@ -47,7 +47,10 @@ def unpaid(settings: Settings, before: Judged, after: Judged) -> str | None:
 
 
 def _unfelt(before: Judged, after: Judged) -> bool:
-    """Whether the effect changes nothing in any check window, as its event happens in none."""
+    """Whether the effect changes nothing in any check window, as its event happens in none. Added
+    joints do not count: free at the start of every window, they fit what they like in others."""
+    if is_structural(after.hypothesis):
+        return False
     change = np.abs(before.checked - after.checked)
     return bool((change <= 1e-3 * np.maximum(before.checked, 1.0)).all())
 

@@ -143,7 +143,7 @@ def _by_motion(
         notes.append(f"the search was ended after {settings.patience:g} s; more may be found")
     say("checking on held-out data")
     unseen = unseen.whole(found.bench.noise)
-    found = _confirmed(found, unseen)
+    found = _confirmed(found, unseen, held, window)
     sensed = sense(found, unseen, settings, notes, say)
     result = _result(scene, named, found, settings, fit, held, window, backend, notes, sensed)
     if rest:
@@ -202,19 +202,25 @@ def _held_back(scene: Scene, held: Sequence[Recording], window: float) -> Bench:
         raise InputError(f"held-out data ({sources}): {error}") from None
 
 
-def _confirmed(found: Attribution, unseen: Bench) -> Attribution:
+def _confirmed(
+    found: Attribution, unseen: Bench, held: Sequence[Recording], window: float
+) -> Attribution:
     """The finding, or none if it does not lower the residual of data that it has not seen.
 
-    Window starts are estimated for both scenes, so that noisy starts do not hide the gain.
+    Window starts are estimated for both scenes, so that noisy starts do not hide the gain; but free
+    runs from the recorded starts must not get worse either.
     """
-    hypothesis = found.after.hypothesis
+    hypothesis, scene = found.after.hypothesis, found.bench.scene
     if found.after is found.before:
         return found
     judge = Judge(unseen, unseen.intervals, most=_HELD_WINDOWS)
     before = judge.score(Hypothesis(), judge.check)
     after = judge.score(hypothesis, judge.check)
     if after.square < (1 - _FELT) * before.square:
-        return found
+        data = list(held)
+        free = score(hypothesis.scene(scene), data, window, hypothesis.effects).rms
+        if free <= score(scene, data, window).rms:
+            return found
     doubt = [(effect, "it does not help on held-out data") for effect in hypothesis.effects]
     return dataclasses.replace(
         found, after=found.before, evidence=(), rejected=(*found.rejected, *doubt)

@@ -5,15 +5,22 @@ from typing import Any
 
 import numpy as np
 
+from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.paying import unpaid
 from orbisim.diagnosis.settings import Settings
+from orbisim.effects import EffectInstance
 
 SETTINGS = Settings()
 
 
-def judged(checked: list[float], cost: float, touching: bool = False) -> Any:
+def judged(
+    checked: list[float], cost: float, touching: bool = False, effect: str = "hard_stop"
+) -> Any:
     """What `unpaid` reads of a fitted hypothesis."""
-    return SimpleNamespace(checked=np.array(checked), cost=cost, touching=touching)
+    hypothesis = Hypothesis((EffectInstance(effect, "joint", {}),))
+    return SimpleNamespace(
+        checked=np.array(checked), cost=cost, touching=touching, hypothesis=hypothesis
+    )
 
 
 def test_a_gain_everywhere_pays() -> None:
@@ -32,6 +39,12 @@ def test_an_event_in_no_check_window_must_pay_clearly() -> None:
     before = judged(checked, 900.0)
     assert unpaid(SETTINGS, before, judged(checked, 800.0)) is None
     assert "do not feel it" in str(unpaid(SETTINGS, before, judged(checked, 870.0)))
+
+
+def test_added_joints_must_show_in_check_windows() -> None:
+    checked = [1.0, 1.1, 0.9, 1.0]
+    soft = judged(checked, 100.0, effect="joint_flexibility")
+    assert unpaid(SETTINGS, judged(checked, 900.0), soft) is not None
 
 
 def test_a_hopeless_window_hides_nothing_where_bodies_touch() -> None:
