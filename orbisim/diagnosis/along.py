@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.bench import Bench
+from orbisim.diagnosis.bench import Bench, start_size
 from orbisim.diagnosis.linear import IntervalMap, linearize
 from orbisim.diagnosis.refine import Judged
 from orbisim.diagnosis.samples import Samples
@@ -86,12 +86,13 @@ def tame(bench: Bench) -> Bench:
     drown all others; a window ends where a start's error has grown by a factor of 100.
     """
     windows, intervals = bench.windows, bench.intervals
-    size = _start_size(bench)
+    step = float(np.median(np.concatenate([np.diff(one.time) for one in bench.samples])))
+    size = start_size(bench.noise, step)
     product = np.broadcast_to(np.eye(len(size)), (len(windows), len(size), len(size)))
     reach, alive = np.zeros(len(windows), np.int64), np.ones(len(windows), bool)
     for k in range(windows.length):
-        step = intervals.A[np.minimum(windows.first + k, len(intervals.A) - 1)]
-        product = np.where(alive[:, None, None], step @ product, 0.0)
+        turn = intervals.A[np.minimum(windows.first + k, len(intervals.A) - 1)]
+        product = np.where(alive[:, None, None], turn @ product, 0.0)
         grown = np.sqrt(((product * size / size[:, None]) ** 2).sum(axis=2))
         alive &= grown[:, : len(size) // 2].max(axis=1) < _GROWTH
         reach[alive] = k + 1
@@ -106,16 +107,6 @@ def tame(bench: Bench) -> Bench:
 
 
 _GROWTH = 100.0
-
-
-def _start_size(bench: Bench) -> Floats:
-    """[2 nv]: what the noise leaves unknown of a start; velocities by differences of positions."""
-    sigma, nv = np.concatenate(bench.noise), len(bench.noise[0])
-    step = float(np.median(np.concatenate([np.diff(one.time) for one in bench.samples])))
-    size = np.where(
-        np.isfinite(sigma), sigma, np.concatenate([sigma[:nv], sigma[:nv] / (4 * step)])
-    )
-    return np.where(np.isfinite(size), size, np.nanmax(size))
 
 
 def _moved(one: Samples, shooter: Shooter, first: int, qpos: Floats, qvel: Floats) -> Samples:

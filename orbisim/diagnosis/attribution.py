@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -37,28 +38,37 @@ def attribute(bench: Bench, settings: Settings, say: Progress = lambda _: None) 
 
 def _explain(state: SearchState, nothing: Judged, first: Screening) -> Judged:
     """One effect if it is all; else declared parameters; else effects and parameters."""
-    rivals: list[EffectInstance] = []
     single = best_addition(state, nothing, first.suspects, first)
-    if single is not None:
-        single = state.renewed(single)
-        rivals = _rivals(state, single)
-        same = single.hypothesis.effects[0].effect in SAME
-        if state.done(single) and not same and not rivals:
-            return single
-    tuned = state.tuned(Hypothesis())
+    single = None if single is None else state.renewed(single)
     alone = single if single is not None and state.done(single) else None
-    explains = tuned is not None and _explained(state, tuned)
-    if tuned is not None and explains and (alone is None or tuned.cost < alone.cost):
-        return tuned
-    slow, best, retuned = state.bench.contacts, None, None
-    if tuned is not None and not slow and (alone is None or rivals):
-        retuned = best_with_retuning(state, tuned, first, rivals if alone is not None else None)
-    if retuned is not None:
-        retuned = state.renewed(retuned)
     if alone is not None:
-        better = retuned is not None and retuned.cost < alone.cost - state.settings.margin
-        return retuned if better and retuned is not None else alone
-    if not slow or single is None or _excess(single) > _MOST * _excess(nothing):
+        rivals = _rivals(state, alone)
+        if not rivals and alone.hypothesis.effects[0].effect not in SAME:
+            return alone
+    tuned = state.tuned(Hypothesis())
+    better = tuned is not None and (alone is None or tuned.cost < alone.cost)
+    if tuned is not None and better and _explained(state, tuned):
+        return tuned
+    if alone is not None:
+        other = _retuned(state, tuned, first, rivals) if rivals else None
+        return alone if other is None or not _clearly(state, other, alone) else other
+    return _several(state, nothing, single, tuned, first)
+
+
+def _several(
+    state: SearchState,
+    nothing: Judged,
+    single: Judged | None,
+    tuned: Judged | None,
+    first: Screening,
+) -> Judged:
+    """Where one effect is not all: one with declared parameters retuned, two at once, or ever more.
+
+    Args:
+      single: the best single effect that pays. tuned: the declared parameters retuned.
+    """
+    retuned, best = _retuned(state, tuned, first), None
+    if not state.bench.contacts or single is None or _excess(single) > _MOST * _excess(nothing):
         best = _paired(state, nothing, single, first)
         best = None if best is None else state.prune(best)
     best = best or single
@@ -72,6 +82,25 @@ def _explain(state: SearchState, nothing: Judged, first: Screening) -> Judged:
     if start is nothing or _explained(state, start):
         return state.untuned(state.prune(start, newest=True))
     return _forward(state, start, tuned or nothing, first)
+
+
+def _retuned(
+    state: SearchState,
+    tuned: Judged | None,
+    first: Screening,
+    only: Sequence[EffectInstance] | None = None,
+) -> Judged | None:
+    """The best single effect with declared parameters retuned; not where bodies touch, where it
+    takes too long."""
+    if tuned is None or state.bench.contacts:
+        return None
+    found = best_with_retuning(state, tuned, first, only)
+    return None if found is None else state.renewed(found)
+
+
+def _clearly(state: SearchState, one: Judged, other: Judged) -> bool:
+    """Whether one explanation is better than another by more than chance."""
+    return one.cost < other.cost - state.settings.margin
 
 
 def _rivals(state: SearchState, single: Judged) -> list[EffectInstance]:

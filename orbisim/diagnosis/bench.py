@@ -272,12 +272,8 @@ def _apart(windows: Windows, run: Ints, worth: Floats) -> Bools:
 def _horizons(shooter: Shooter, noise: Noise) -> Ints:
     """[W, 2 nv]: samples until what the noise leaves unknown of the start has grown so much,
     through impacts, that nothing can be said: runs from starts that differ by the noise part."""
-    sigma, nv = np.concatenate(noise), len(noise[0])
-    measured = np.isfinite(sigma)
-    step = float(np.median(np.diff(shooter.time, axis=1)))
-    fallback = np.concatenate([sigma[:nv], sigma[:nv] / (4 * step)])
-    size = np.where(measured, sigma, fallback)
-    size = np.where(np.isfinite(size), size, np.nanmax(size))
+    measured, nv = np.isfinite(np.concatenate(noise)), len(noise[0])
+    size = start_size(noise, float(np.median(np.diff(shooter.time, axis=1))))
     rng = np.random.default_rng(0)
     variant, still = Variant(shooter.declared), np.zeros((len(shooter), 2 * nv))
     base = shooter.simulate(variant, still)
@@ -290,6 +286,19 @@ def _horizons(shooter: Shooter, noise: Noise) -> Ints:
     lost = (growth > _GROWTH**2) | (bend > _BEND**2)
     horizon = np.where(lost.any(axis=1), lost.argmax(axis=1) - 1, shooter.windows.length)
     return np.where(measured, np.maximum(horizon, _SURE), 0)
+
+
+def start_size(noise: Noise, step: float) -> Floats:
+    """[2 nv]: what the noise leaves unknown of a window's start; velocities that are not measured
+    by differences of positions.
+
+    Args:
+      step: typical time between samples, s.
+    """
+    sigma = np.concatenate(noise)
+    from_positions = np.concatenate([noise[0], noise[0] / (4 * step)])
+    size = np.where(np.isfinite(sigma), sigma, from_positions)
+    return np.where(np.isfinite(size), size, np.nanmax(size))
 
 
 _PROBES = 3

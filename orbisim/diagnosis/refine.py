@@ -261,13 +261,7 @@ class Judge:
         """Searches parameters that act in steps (delays) on their grid, or on ever finer ones."""
         declared = self.bench.scene
         for index, (number, name) in enumerate(hypothesis.free(declared)):
-            grid = find(hypothesis.effects[number].effect).resolution(declared.model, name)
-            grids = [grid] if grid else []
-            if not grid and self._stepwise(hypothesis, number, name):
-                grids = [share * abs(float(fit.values[index])) for share in _FINER]
-            for grid in grids:
-                if grid <= 0:
-                    continue
+            for grid in self._grids(hypothesis, number, name, float(fit.values[index])):
                 here = round(fit.values[index] / grid)
                 tried: dict[int, tuple[Hypothesis, Fit]] = {}
                 here = self._descend(hypothesis, fit, (number, name), index, grid, here, tried)
@@ -279,6 +273,16 @@ class Judge:
                 values = hypothesis.values(declared)
                 fit = dataclasses.replace(other, values=values, **_padded(other, index))
         return hypothesis, fit
+
+    def _grids(self, hypothesis: Hypothesis, number: int, name: str, value: float) -> list[float]:
+        """Steps of the grids on which a parameter is searched; none where it acts smoothly."""
+        model = self.bench.scene.model
+        grid = find(hypothesis.effects[number].effect).resolution(model, name)
+        if grid:
+            return [grid]
+        if value and self._stepwise(hypothesis, number, name):
+            return [share * abs(value) for share in _FINER]
+        return []
 
     def _descend(
         self,

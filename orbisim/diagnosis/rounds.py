@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,27 +44,34 @@ def best_with_retuning(
         found += [e for s in screening.tuned if (e := cleaned(state.bench, s)) is not None]
         only = found[: _FEW + state.settings.shortlist]
     first = {(e.effect, e.target): e for e in reversed(only)}
-    candidates = [(e, 0.0) for e in reversed(first.values())]
+    candidates = [Candidate(e) for e in reversed(first.values())]
     state.renew(Hypothesis())
     return _best_of(state, tuned, candidates, lambda e: Hypothesis((e,)).tuned(state.tunables))
+
+
+class Candidate(NamedTuple):
+    """An effect to fit, and whether that is slow: it adds a joint, and no screening ranked it."""
+
+    instance: EffectInstance
+    slow: bool = False
 
 
 def _best_of(
     state: SearchState,
     current: Judged,
-    candidates: Iterable[tuple[EffectInstance, float | None]],
+    candidates: Iterable[Candidate],
     plus: Callable[[EffectInstance], Hypothesis],
 ) -> Judged | None:
     """The best of some effects, if any pays.
 
     Args:
-      candidates: effects, and what a screening says of each. plus: the hypothesis with one.
+      candidates: the most promising first. plus: the hypothesis with one.
     """
     state.round += 1
     state.judge.start_from(current)
     fitted: list[Judged] = []
-    for instance, bic in candidates:
-        if fitted and (state.late or _settled(state, current, fitted, bic)):
+    for instance, slow in candidates:
+        if fitted and (state.late or _settled(current, fitted, slow)):
             break
         state.say(f"round {state.round}: fitting {instance.effect} at {instance.target}")
         judged = state.judge.judge(plus(instance), state.iterations)
@@ -112,52 +120,48 @@ def _winner(
     return winner, reasons
 
 
-def _settled(
-    state: SearchState, current: Judged, fitted: Sequence[Judged], bic: float | None
-) -> bool:
+def _settled(current: Judged, fitted: Sequence[Judged], slow: bool) -> bool:
     """Whether an explanation down to the noise makes clearly worse suspects idle, or one that
     leaves little those that are slow to fit."""
     best = min(fitted, key=lambda j: j.cost)
     if len(fitted) < 2:
         return False
-    if bic is None and best.ratio**2 - 1 < _LITTLE * (current.ratio**2 - 1):
+    if slow and best.ratio**2 - 1 < _LITTLE * (current.ratio**2 - 1):
         return True
-    return best.ratio <= 1.15 and (bic is None or len(fitted) >= 3)
+    return best.ratio <= 1.15 and (slow or len(fitted) >= 3)
 
 
 def _suspects(
     state: SearchState, hypothesis: Hypothesis, suspects: Sequence[Suspect], screening: Screening
-) -> Iterator[tuple[EffectInstance, float | None]]:
+) -> Iterator[Candidate]:
     """Best first; then play and elasticity, which no regression sees."""
-    yield from _shortlist(state, hypothesis, suspects)
-    yield from ((instance, None) for instance in _structural(state, hypothesis, screening))
+    yield from (Candidate(instance) for instance in _shortlist(state, hypothesis, suspects))
+    yield from (Candidate(one, slow=True) for one in _structural(state, hypothesis, screening))
 
 
 def _shortlist(
     state: SearchState, hypothesis: Hypothesis, suspects: Sequence[Suspect]
-) -> list[tuple[EffectInstance, float]]:
+) -> list[EffectInstance]:
     """The best. Where there are contacts, regressions say less: one simulation of each of many
     decides."""
-    found = ((cleaned(state.bench, s), s) for s in suspects)
-    possible = [(instance, s.bic) for instance, s in found if instance is not None]
+    cleaned_up = (cleaned(state.bench, suspect) for suspect in suspects)
+    possible = [instance for instance in cleaned_up if instance is not None]
     most = state.settings.shortlist
     if not state.bench.contacts or is_structural(hypothesis):
         return possible[:most]
-    touching = [one for one in possible if find(one[0].effect).kind == "geom"]
-    others = [one for one in possible if find(one[0].effect).kind != "geom"]
+    touching = [one for one in possible if find(one.effect).kind == "geom"]
+    others = [one for one in possible if find(one.effect).kind != "geom"]
     chosen = [*_varied(touching)[:most], *_varied(others)[: _GLANCES - most]]
-    left = {id(one): state.judge.glance(hypothesis.plus(one[0])) for one in chosen}
+    left = {id(one): state.judge.glance(hypothesis.plus(one)) for one in chosen}
     return sorted(chosen, key=lambda one: left[id(one)])[:most]
 
 
-def _varied(
-    found: Sequence[tuple[EffectInstance, float]],
-) -> list[tuple[EffectInstance, float]]:
+def _varied(found: Sequence[EffectInstance]) -> list[EffectInstance]:
     """At most two forms of an effect at a target."""
     count: Counter[tuple[str, str]] = Counter()
     kept = []
     for one in found:
-        key = (one[0].effect, one[0].target)
+        key = (one.effect, one.target)
         count[key] += 1
         if count[key] <= 2:
             kept.append(one)

@@ -29,9 +29,9 @@ def test_a_saturated_servo() -> None:
     truth = 0.4 * force
     bench = _bench(scene, EffectInstance("torque_saturation", "servo", {"limit": truth}))
     judge = Judge(bench, bench.intervals)
-    guess = EffectInstance("torque_saturation", "servo", {"limit": 1.2 * truth})
+    guess = EffectInstance("torque_saturation", "servo", {"limit": 0.8 * truth})
     first = judge.judge(Hypothesis((guess,)))
-    assert first is not None
+    assert first is not None and first.ratio > 5
     found = judge.closer(first)
     assert found.hypothesis.effects[0].values["limit"] == pytest.approx(truth, rel=0.01)
     assert found.ratio < 1.2
