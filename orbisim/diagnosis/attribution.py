@@ -15,7 +15,7 @@ from orbisim.diagnosis.refine import Judge, Judged
 from orbisim.diagnosis.rounds import best_addition, best_with_retuning
 from orbisim.diagnosis.screening import Screening, cleaned
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.state import NEAR, Progress, SearchState, strained
+from orbisim.diagnosis.state import NEAR, Progress, SearchState, quiet, strained
 from orbisim.effects import EffectInstance, find
 
 
@@ -23,8 +23,8 @@ def attribute(bench: Bench, settings: Settings, say: Progress = lambda _: None) 
     """Searches for the effects that a scene lacks."""
     state = SearchState(bench, settings, say)
     state.say("fitting the declared scene")
-    nothing = state.need(Hypothesis())
-    if state.done(nothing):
+    nothing = state.declared = state.need(Hypothesis())
+    if quiet(settings, nothing):
         return conclude(state, nothing, None)
     state.find_tunables()
     state.say("screening effects")

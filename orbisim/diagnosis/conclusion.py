@@ -60,9 +60,10 @@ def conclude(state: SearchState, current: Judged, first: Screening | None) -> At
         whole, state.intervals, state.tunables, state.columns, _MOST_WINDOWS,
         state.robust,
     )  # fmt: skip
-    before = judge.judge(Hypothesis())
+    before = _finally(state, judge, state.declared or current, Hypothesis())
     assert before is not None
-    after = judge.judge(current.hypothesis, 8) or current
+    after = _finally(state, judge, current, current.hypothesis) or current
+    after = duel(state, judge, after)
     if not current.hypothesis.effects and not current.hypothesis.factors:
         after = before
     else:
@@ -78,10 +79,85 @@ def conclude(state: SearchState, current: Judged, first: Screening | None) -> At
         for index in range(len(after.hypothesis.effects))
     )
     evidence = tuple(one.cost - after.cost for one in fewer)
+    after = _rescaled(state, judge, after)
     return Attribution(
         state.bench, before, after, first, tuple(state.rivals), evidence,
         tuple(state.rejected), state.late and not state.done(after),
     )  # fmt: skip
+
+
+def _rescaled(state: SearchState, judge: Judge, after: Judged) -> Judged:
+    """The same effects with final values. Where much is left and large residuals count linearly,
+    large is what exceeds the scale of what is left (Huber's proposal 2), not the noise of a good
+    encoder: with that nearly all of them would, and values would be those of a median."""
+    if state.robust is None or state.bench.contacts or after.ratio <= NEAR:
+        return after
+    seen = judge.fitted.seen.reshape(len(judge.fitted), -1)
+    scale = _TO_SIGMA * float(np.median(np.abs(after.fit.residual[seen])))
+    if not after.hypothesis.effects or scale <= 1:
+        return after
+    again = Judge(
+        judge.bench, state.intervals, state.tunables, state.columns, _MOST_WINDOWS,
+        state.robust * scale,
+    )  # fmt: skip
+    again.start_from(after)
+    found = again.judge(after.hypothesis, 8)
+    if found is None:
+        return after
+    return dataclasses.replace(after, hypothesis=found.hypothesis, fit=found.fit)
+
+
+_TO_SIGMA = 1.4826
+"""Standard deviation over the median absolute value of a normal distribution."""
+
+
+def _finally(
+    state: SearchState, judge: Judge, known: Judged, hypothesis: Hypothesis
+) -> Judged | None:
+    """A hypothesis fitted on all windows.
+
+    Args:
+      known: what has windows' starts close to the hypothesis' own.
+    """
+    if state.bench.contacts:  # a start from nothing takes long
+        judge.start_from(known, state.bench.fit)
+    return judge.judge(hypothesis, 8 if hypothesis.effects else 5)
+
+
+def duel(state: SearchState, judge: Judge, after: Judged) -> Judged:
+    """The best of the final effect and of its nearest rivals, now on all windows."""
+    effects, best = after.hypothesis.effects, after
+    if not effects:
+        return after
+    last = effects[-1]
+    rounds = {r.round for r in state.rivals if _same(r.instance, last) and not r.reason}
+    near = [
+        rival
+        for rival in state.rivals
+        if rival.pays and rival.round in rounds and not _same(rival.instance, last)
+        if abs(rival.delta_bic) < state.settings.margin
+    ]
+    judge.start_from(after)
+    for rival in sorted(near, key=lambda r: r.delta_bic)[:_DUELS]:
+        other = dataclasses.replace(
+            after.hypothesis.without(len(effects) - 1).plus(rival.instance),
+            factors=after.hypothesis.factors,
+        )
+        judged = judge.judge(other, 8)
+        if judged is not None and judged.cost < best.cost - _TIE:
+            best = judged
+    if best is not after:
+        found = best.hypothesis.effects[-1]
+        state.say(f"{found.effect} at {found.target} is better on all windows")
+    return best
+
+
+def _same(one: EffectInstance, other: EffectInstance) -> bool:
+    return (one.effect, one.target) == (other.effect, other.target)
+
+
+_DUELS = 2
+_TIE = 4.0
 
 
 def _excess(state: SearchState, judged: Judged) -> float:

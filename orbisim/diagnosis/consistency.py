@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench
 from orbisim.diagnosis.refine import Judged, thinned
+from orbisim.effects import find
 
 Floats = npt.NDArray[np.float64]
 
@@ -37,8 +38,7 @@ def inconsistency(bench: Bench, judged: Judged, number: int) -> str | None:
     chosen = np.flatnonzero(thinned(bench.fit, windows))
     if len(chosen) != windows:
         return None
-    effect = judged.hypothesis.effects[number]
-    value = fit.values[index] - _neutral(effect.effect)
+    value = fit.values[index] - _neutral(bench, judged, number)
     weight = fit.information.sum(axis=0)[np.ix_(index, index)]
     whole = float(np.sqrt(max(value @ weight @ value, 1e-300)))
     for name, measure in _regimes(bench, chosen).items():
@@ -57,9 +57,13 @@ def inconsistency(bench: Bench, judged: Judged, number: int) -> str | None:
     return None
 
 
-def _neutral(effect: str) -> float:
-    """The value of an effect's parameters that changes nothing."""
-    return 1.0 if effect in ("torque_gain", "sensor_scale", "clock_skew") else 0.0
+def _neutral(bench: Bench, judged: Judged, number: int) -> Floats:
+    """The values of an effect's free parameters that change nothing."""
+    effect = judged.hypothesis.effects[number]
+    parameters = find(effect.effect).parameters(bench.scene.model, effect.target)
+    known = {p.name: p.neutral for p in parameters}
+    names = (n for i, n in judged.hypothesis.free(bench.scene) if i == number)
+    return np.array([known.get(name, 0.0) for name in names])
 
 
 def _prefers(

@@ -33,6 +33,7 @@ class Judged:
       hypothesis: with fitted values. fit: on the windows it was fitted to.
       checked: [windows] mean squared weighted residual of each check window, starts fitted.
       ratio: residual over noise, on the fitted or on the check windows, whichever is larger.
+      pooled: the same over all windows, with none left out.
       cost: information criterion of the fit; lower is better.
       check_fit: window starts on the check windows.
       windows: those that it was fitted to. touching: whether bodies touch in the data.
@@ -42,6 +43,7 @@ class Judged:
     fit: Fit
     checked: Floats
     ratio: float
+    pooled: float
     cost: float
     check_fit: Fit
     windows: Windows
@@ -72,7 +74,10 @@ class Judge:
         self.robust = _IMPACTS if robust is None and bench.contacts else robust
         self.fitted = bench.shooter(thinned(bench.fit, most))
         check = bench.check if bench.check.any() else bench.fit
-        self.check = bench.shooter(thinned(check, None if most is None else max(8, most // 2)))
+        if (check == bench.fit).all():
+            self.check = self.fitted
+        else:
+            self.check = bench.shooter(thinned(check, None if most is None else max(8, most // 2)))
         self._free: dict[int, Floats] = {}
         if not bench.contacts:
             self._free = {id(s): s.chained(intervals) for s in (self.fitted, self.check)}
@@ -82,11 +87,19 @@ class Judge:
             self._slopes = {one: response[..., f] for f, one in enumerate(tunables)}
         self._warm: dict[int, Floats] = {}
 
-    def judge(self, hypothesis: Hypothesis, iterations: int = 5) -> Judged | None:
-        """Fits the hypothesis' free parameters; None if it cannot be simulated."""
+    def judge(
+        self, hypothesis: Hypothesis, iterations: int = 5, polish: bool = True
+    ) -> Judged | None:
+        """Fits the hypothesis' free parameters; None if it cannot be simulated.
+
+        Args:
+          polish: whether parameters that act in steps are searched, which takes long.
+        """
         try:
             fitted, fit = self._fitted(hypothesis, iterations)
-            checked = self.score(fitted, self.check)
+            if polish:
+                fitted, fit = self._polish(fitted, fit)
+            checked = fit if self.check is self.fitted else self.score(fitted, self.check)
         except (OrbiSimError, np.linalg.LinAlgError):
             return None
         means = _means(self.check, checked)
@@ -96,10 +109,10 @@ class Judge:
             self._typical(self.fitted, fit_means, trimmed),
             self._typical(self.check, means, trimmed),
         )
-        ratio = float(np.sqrt(square))
+        pooled = float(np.mean([*fit_means, *means]))
         return Judged(
-            fitted, fit, means, ratio, self._cost(fitted, fit), checked, self.fitted.windows,
-            self.bench.contacts,
+            fitted, fit, means, float(np.sqrt(square)), float(np.sqrt(pooled)),
+            self._cost(fitted, fit), checked, self.fitted.windows, self.bench.contacts,
         )  # fmt: skip
 
     def _typical(self, shooter: Shooter, means: Floats, trimmed: bool = True) -> float:
@@ -118,14 +131,13 @@ class Judge:
     def closer(self, judged: Judged, iterations: int = 5) -> Judged:
         """The hypothesis fitted again, if that is better: with what a window's start does along its
         own scene, then as differences show. Along the declared scene it may be quite another thing.
+        Where bodies touch, only the latter.
         """
-        if self.bench.contacts:
-            return judged
         kept = self._free, self._warm
         best = judged
         try:
-            for own in (True, False):
-                if best.ratio < _REACHED:
+            for own in (False,) if self.bench.contacts else (True, False):
+                if best.ratio < _REACHED and not self.bench.contacts:
                     break
                 again = self._judged_anew(best, own, iterations)
                 if again is not None and again.cost < best.cost:
@@ -158,15 +170,27 @@ class Judge:
         dof = np.maximum(self.fitted.data - 2 * self.fitted.nv, 1)
         return self._typical(self.fitted, left / dof)
 
-    def start_from(self, judged: Judged) -> None:
-        """Takes a hypothesis' window starts, and what they do, as first guesses for others."""
+    def start_from(self, judged: Judged, fitted: Bools | None = None) -> None:
+        """Takes a hypothesis' window starts, and what they do, as first guesses for others.
+
+        Args:
+          fitted: where all windows are fitted, which of them the hypothesis was fitted to; it was
+            checked on the others. None if the windows are the same.
+        """
+        starts = {self.fitted: judged.fit.start, self.check: judged.check_fit.start}
+        if fitted is not None:
+            joined = np.zeros((len(fitted), judged.fit.start.shape[1]))
+            if fitted.sum() != len(judged.fit.start) or len(fitted) != len(self.fitted):
+                return  # some were left out for speed
+            joined[fitted], joined[~fitted] = judged.fit.start, judged.check_fit.start
+            starts = {self.fitted: joined}
         variant = judged.hypothesis.variant(self.bench.scene)
-        for shooter, fit in ((self.fitted, judged.fit), (self.check, judged.check_fit)):
-            if len(fit.start) != len(shooter):
+        for shooter, start in starts.items():
+            if len(start) != len(shooter):
                 continue
-            self._warm[id(shooter)] = fit.start
+            self._warm[id(shooter)] = start
             if self.bench.contacts:
-                self._free[id(shooter)] = start_derivatives(shooter, variant, fit.start)
+                self._free[id(shooter)] = start_derivatives(shooter, variant, start)
 
     def score(self, hypothesis: Hypothesis, shooter: Shooter, iterations: int = 4) -> Fit:
         """Residuals of fixed parameters, window starts fitted."""
@@ -194,7 +218,7 @@ class Judge:
             fitted = self._reset(hypothesis, fitted, weak)
             fit = self._fit(fitted, iterations)
             fitted = fitted.at(declared, fit.values)
-        return self._polish(fitted, fit)
+        return fitted, fit
 
     def _fit(self, hypothesis: Hypothesis, iterations: int) -> Fit:
         declared = self.bench.scene

@@ -74,37 +74,58 @@ def _best_of(
         if fitted and (state.late or _settled(current, fitted, slow)):
             break
         state.say(f"round {state.round}: fitting {instance.effect} at {instance.target}")
-        judged = state.judge.judge(plus(instance), state.iterations)
+        quick = state.bench.contacts  # the best few are fitted again
+        judged = state.judge.judge(plus(instance), state.iterations, polish=not quick)
         if judged is not None:
             fitted.append(judged)
         else:
             state.rejected.append((instance, "the scene with it cannot be simulated"))
     if not fitted:
         return None
-    fitted = _ranked(_closer(state, _ranked(fitted)))
-    winner, reasons = _winner(state, current, fitted)
+    fitted = _ranked(_closer(state, distinct(_ranked(fitted))))
+    unpaying = [unpaid(state.settings, current, judged) for judged in fitted]
+    winner, reasons = _winner(state, fitted, unpaying)
     state.rivals += [
-        Rival(j.hypothesis.effects[-1], j.cost - fitted[0].cost, j.ratio, state.round, reason)
-        for j, reason in zip(fitted, reasons, strict=True)
-    ]
+        Rival(
+            j.hypothesis.effects[-1], j.cost - fitted[0].cost, j.ratio, state.round, reason,
+            pays=problem is None,
+        )
+        for j, reason, problem in zip(fitted, reasons, unpaying, strict=True)
+    ]  # fmt: skip
     return winner
 
 
+def distinct(ranked: Sequence[Judged]) -> list[Judged]:
+    """The better of two fits of the same effect."""
+    first: dict[tuple[str, str, str], Judged] = {}
+    for judged in ranked:
+        last = judged.hypothesis.effects[-1]
+        first.setdefault((last.effect, last.target, str(sorted(last.options.items()))), judged)
+    return list(first.values())
+
+
 def _closer(state: SearchState, fitted: Sequence[Judged]) -> list[Judged]:
-    """The same with the best few fitted to the end."""
-    few = [state.judge.closer(judged, state.iterations) for judged in fitted[:_FEW]]
-    return [*few, *fitted[_FEW:]]
+    """The same with the best few fitted to the end; where bodies touch and fits are slow, only if
+    it is not clear which is best."""
+    few = fitted[:_FEW]
+    if state.bench.contacts:
+        few = [judged for judged in few if judged.cost < fitted[0].cost + _NEARLY]
+        few = few if len(few) > 1 else []
+    return [*(state.judge.closer(one, state.iterations) for one in few), *fitted[len(few) :]]
 
 
 def _winner(
-    state: SearchState, current: Judged, fitted: Sequence[Judged]
+    state: SearchState, fitted: Sequence[Judged], unpaying: Sequence[str | None]
 ) -> tuple[Judged | None, list[str]]:
-    """The first of the best that pays, and why each of the others was not taken."""
+    """The first of the best that pays, and why each of the others was not taken.
+
+    Args:
+      unpaying: why each does not pay, if it does not.
+    """
     winner: Judged | None = None
     reasons: list[str] = []
-    for place, judged in enumerate(fitted):
+    for place, (judged, reason) in enumerate(zip(fitted, unpaying, strict=True)):
         last = len(judged.hypothesis.effects) - 1
-        reason = unpaid(state.settings, current, judged)
         if reason is None and winner is not None:
             best = winner.hypothesis.effects[-1]
             reason = f"it explains less than {best.effect} at {best.target}"
@@ -122,13 +143,15 @@ def _winner(
 
 def _settled(current: Judged, fitted: Sequence[Judged], slow: bool) -> bool:
     """Whether an explanation down to the noise makes clearly worse suspects idle, or one that
-    leaves little those that are slow to fit."""
+    leaves little those that are slow to fit. Where bodies touch, the order of suspects says less.
+    """
     best = min(fitted, key=lambda j: j.cost)
     if len(fitted) < 2:
         return False
     if slow and best.ratio**2 - 1 < _LITTLE * (current.ratio**2 - 1):
         return True
-    return best.ratio <= 1.15 and (slow or len(fitted) >= 3)
+    little = best.pooled**2 - 1 < _HALF * (current.pooled**2 - 1)
+    return best.ratio <= 1.15 and little and (slow or (len(fitted) >= 3 and not best.touching))
 
 
 def _suspects(
@@ -143,27 +166,41 @@ def _shortlist(
     state: SearchState, hypothesis: Hypothesis, suspects: Sequence[Suspect]
 ) -> list[EffectInstance]:
     """The best. Where there are contacts, regressions say less: one simulation of each of many
-    decides."""
+    decides, and the first few are fitted from two starts."""
     cleaned_up = (cleaned(state.bench, suspect) for suspect in suspects)
     possible = [instance for instance in cleaned_up if instance is not None]
     most = state.settings.shortlist
     if not state.bench.contacts or is_structural(hypothesis):
         return possible[:most]
-    touching = [one for one in possible if find(one.effect).kind == "geom"]
-    others = [one for one in possible if find(one.effect).kind != "geom"]
-    chosen = [*_varied(touching)[:most], *_varied(others)[: _GLANCES - most]]
+    chosen = [*varied(possible, 2)[:_GLANCES], *usual(state, possible)]
     left = {id(one): state.judge.glance(hypothesis.plus(one)) for one in chosen}
-    return sorted(chosen, key=lambda one: left[id(one)])[:most]
+    ranked = sorted(chosen, key=lambda one: left[id(one)])
+    first = varied(ranked, 1)[:most]
+    few = {(one.effect, one.target) for one in first[:_FEW]}
+    again = [one for one in ranked if (one.effect, one.target) in few]
+    return [*first, *(one for one in varied(again, 2) if one not in first)]
 
 
-def _varied(found: Sequence[EffectInstance]) -> list[EffectInstance]:
-    """At most two forms of an effect at a target."""
+def usual(state: SearchState, possible: Sequence[EffectInstance]) -> list[EffectInstance]:
+    """Effects on bodies at sizes in proportion to their masses, and on contacts at usual ones,
+    whatever a regression says."""
+    named = {(e.effect, e.target) for e in possible if find(e.effect).kind in ("body", "geom")}
+    model = state.bench.scene.model
+    return [
+        clean(state.bench.scene, EffectInstance(name, target, dict(values)))
+        for name, target in sorted(named)
+        for values in find(name).trials(model, target)
+    ]
+
+
+def varied(found: Sequence[EffectInstance], most: int) -> list[EffectInstance]:
+    """The first few forms of each effect at a target."""
     count: Counter[tuple[str, str]] = Counter()
     kept = []
     for one in found:
         key = (one.effect, one.target)
         count[key] += 1
-        if count[key] <= 2:
+        if count[key] <= most:
             kept.append(one)
     return kept
 
@@ -219,6 +256,8 @@ def _ranked(fitted: Sequence[Judged]) -> list[Judged]:
 
 _TIE = 4.0
 _FEW = 3
-_GLANCES = 30
+_NEARLY = 25.0
+_GLANCES = 100
 _SHARE = 0.08
 _LITTLE = 0.1
+_HALF = 0.5

@@ -34,6 +34,7 @@ class Rival:
       instance: with fitted values. delta_bic: to the round's winner, positive is worse.
       ratio: residual over noise on check windows. round: number of the round.
       reason: why it was not taken; empty for the one that was.
+      pays: whether windows that it was not fitted to get better by enough and surely.
     """
 
     instance: EffectInstance
@@ -41,11 +42,20 @@ class Rival:
     ratio: float
     round: int
     reason: str = ""
+    pays: bool = False
 
 
 def enough(settings: Settings, judged: Judged) -> float:
     """Residual over noise below which there is nothing to explain, given how much data there is."""
     return settings.enough + 3.0 / np.sqrt(2.0 * max(judged.fit.count, 1))
+
+
+def quiet(settings: Settings, declared: Judged) -> bool:
+    """Whether there is nothing to explain: the declared scene predicts all windows to within noise.
+
+    Where bodies touch, an effect may show in a few windows only, which `Judged.ratio` leaves out.
+    """
+    return max(declared.ratio, declared.pooled) <= enough(settings, declared)
 
 
 def strained(judged: Judged) -> bool:
@@ -63,7 +73,8 @@ class SearchState:
       tunables: declared parameters that the data feel. columns: their effect on the motion,
         [intervals, 2 nv, tunables]; None without.
       robust: Huber threshold; None for the default.
-      rivals, rejected: as in `Attribution`. round: number of the present round.
+      declared: the declared scene, judged. round: number of the present round.
+      rivals, rejected: as in `Attribution`.
     """
 
     def __init__(self, bench: Bench, settings: Settings, say: Progress) -> None:
@@ -75,6 +86,7 @@ class SearchState:
         self.intervals = bench.intervals
         self.robust = settings.robust
         self.round = 0
+        self.declared: Judged | None = None
         self.judge = self._judge()
         self._started = time.monotonic()
 
@@ -152,6 +164,8 @@ class SearchState:
     def renewed(self, judged: Judged) -> Judged:
         """The same hypothesis, judged with noise and derivatives along its own scene."""
         self.renew(judged.hypothesis)
+        if self.bench.contacts:  # a start from nothing takes long
+            self.judge.start_from(judged)
         again = self.need(judged.hypothesis)
         self.judge.start_from(again)
         return again
@@ -166,6 +180,8 @@ class SearchState:
         if judged is None:
             return None
         self.renew(judged.hypothesis)
+        if self.bench.contacts:
+            self.judge.start_from(judged)
         return self.judge.judge(judged.hypothesis)
 
     def untuned(self, judged: Judged) -> Judged:

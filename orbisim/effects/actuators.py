@@ -45,7 +45,7 @@ class TorqueGain(ActuatorEffect):
     phrase = "another gain"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (Parameter("gain", "1", -10.0, 100.0, 1.0),)
+        return (Parameter("gain", "1", -10.0, 100.0, 1.0, neutral=1.0),)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         actuator = spec_element(spec, "actuator", instance.target)

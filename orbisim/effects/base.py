@@ -37,6 +37,7 @@ class Parameter:
       unit: SI.
       low, high: bounds of what is physically meaningful.
       scale: a typical size, where a search starts.
+      neutral: the value at which nothing changes, where all others have theirs.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Parameter:
     low: float
     high: float
     scale: float
+    neutral: float = 0.0
 
     def check(self, effect: str, target: str, value: float) -> float:
         """The value as a float.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import mujoco
 import numpy as np
 
@@ -71,6 +73,14 @@ class Payload(BodyEffect):
         whole = Candidate(self.name, target, columns, solve)
         return [whole, *(self._at(view, target, place) for place in _places(view.model, target))]
 
+    def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
+        """A tenth and a third of the body's mass at its centre of mass."""
+        body = index_of(model, "body", target)
+        place = dict(
+            zip(("com_x", "com_y", "com_z"), map(float, model.body_ipos[body]), strict=True)
+        )
+        return [{"mass": share * float(model.body_mass[body]), **place} for share in _SHARES]
+
     def _at(self, view: View, target: str, place: np.ndarray) -> Candidate:
         """A point mass at a known place."""
         parts = dict(zip(("com_x", "com_y", "com_z"), map(float, place), strict=True))
@@ -95,6 +105,7 @@ def _places(model: mujoco.MjModel, target: str) -> list[np.ndarray]:
 
 
 _MOST_PLACES = 6
+_SHARES = (0.1, 0.3)
 
 
 class ComOffset(BodyEffect):
@@ -146,6 +157,11 @@ class Buoyancy(BodyEffect):
         lift = motion.force(-np.asarray(view.model.opt.gravity))
         return [Candidate(self.name, target, (Column("force", lift),), positive("displaced_mass"))]
 
+    def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
+        """A tenth and a third of the body's mass."""
+        mass = float(model.body_mass[index_of(model, "body", target)])
+        return [{"displaced_mass": share * mass} for share in _SHARES]
+
 
 class ConstantForce(BodyEffect):
     """A force of constant size and direction in the world, at the centre of mass."""
@@ -171,6 +187,12 @@ class ConstantForce(BodyEffect):
         motion = view.body_motion(index_of(view.model, "body", target))
         columns = tuple(Column("force", motion.force(axis)) for axis in np.eye(3))
         return [Candidate(self.name, target, columns, _vector("magnitude"))]
+
+    def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
+        """A tenth of 1 g times the body's mass along each axis, there and back."""
+        size = float(model.body_mass[index_of(model, "body", target)])
+        found = (sign * size * axis for axis in np.eye(3) for sign in (1.0, -1.0))
+        return [{"magnitude": size, **dict(zip(_AXES, map(float, f), strict=True))} for f in found]
 
 
 class PeriodicDisturbance(Effect):

@@ -33,7 +33,8 @@ class _Coefficient(ContactEffect):
     scale: float
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (Parameter("coefficient", self.unit, 0.0, 100.0, self.scale),)
+        declared = _prevailing(model, target, self.index, self.condim)
+        return (Parameter("coefficient", self.unit, 0.0, 100.0, self.scale, declared),)
 
     def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
         declared = float(model.geom_friction[index_of(model, "geom", target), self.index])
@@ -83,8 +84,8 @@ class AnisotropicFriction(ContactEffect):
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (
-            Parameter("ratio", "1", 0.01, 100.0, 0.5),
-            Parameter("coefficient", "1", 1e-5, 100.0, 0.5),
+            Parameter("ratio", "1", 0.01, 100.0, 0.5, neutral=1.0),
+            Parameter("coefficient", "1", 1e-5, 100.0, 0.5, _prevailing(model, target, 0, 3)),
         )
 
     def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
@@ -112,9 +113,10 @@ class Restitution(ContactEffect):
     phrase = "restitution"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        stiffness, ratio = _declared_spring(model, target)
         return (
-            Parameter("coefficient", "1", 0.0, 1.2, 0.5),
-            Parameter("stiffness", "1/s^2", 10.0, 1e9, 1e5),
+            Parameter("coefficient", "1", 0.0, 1.2, 0.5, restitution_of(ratio)),
+            Parameter("stiffness", "1/s^2", 10.0, 1e9, 1e5, stiffness),
         )
 
     def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
@@ -169,9 +171,10 @@ class ContactCompliance(ContactEffect):
     phrase = "a compliant contact"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        stiffness, ratio = _declared_spring(model, target)
         return (
-            Parameter("stiffness", "1/s^2", 10.0, 1e9, 2e3),
-            Parameter("damping_ratio", "1", 0.0, 100.0, 1.0),
+            Parameter("stiffness", "1/s^2", 10.0, 1e9, 2e3, stiffness),
+            Parameter("damping_ratio", "1", 0.0, 100.0, 1.0, ratio),
         )
 
     def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
@@ -210,6 +213,27 @@ class Adhesion(ContactEffect):
 def _prevail(spec: mujoco.MjSpec, geom: Any) -> None:
     """Makes the geom's contact parameters win over its partners'."""
     geom.priority = max((int(g.priority) for g in spec.geoms), default=0) + 1
+
+
+def _prevailing(model: mujoco.MjModel, target: str, index: int, condim: int) -> float:
+    """A friction coefficient as declared: the larger of the geom's own and its partners', or that
+    of the higher priority; 0 if no contact has the dimension in which it acts."""
+    own = index_of(model, "geom", target)
+    geoms = [own, *_partners(model, own)]
+    first = max(int(model.geom_priority[g]) for g in geoms)
+    ruling = [g for g in geoms if model.geom_priority[g] == first]
+    if max(int(model.geom_condim[g]) for g in ruling) < condim:
+        return 0.0
+    return max(float(model.geom_friction[g, index]) for g in ruling)
+
+
+def _declared_spring(model: mujoco.MjModel, target: str) -> tuple[float, float]:
+    """Stiffness, 1/s^2, and damping ratio of the geom's `solref`; without `solimp`, which changes
+    both by a few percent."""
+    first, second = map(float, model.geom_solref[index_of(model, "geom", target)])
+    if first > 0:
+        return 1 / max(first * second, 1e-9) ** 2, second
+    return -first, -second / (2 * np.sqrt(max(-first, 1e-12)))
 
 
 def _partners(model: mujoco.MjModel, own: int) -> list[int]:

@@ -91,7 +91,7 @@ class SensorScale(MeasurementEffect):
         return (*super().targets(model), *free)
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (Parameter("factor", "1", 0.1, 10.0, 1.0),)
+        return (Parameter("factor", "1", 0.1, 10.0, 1.0, neutral=1.0),)
 
     def screen(self, view: View, target: str) -> list[Candidate]:
         if target not in names_of_kind(view.model, "joint"):
@@ -133,7 +133,7 @@ class ClockSkew(Effect):
     measurement = True
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (Parameter("factor", "1", 0.1, 10.0, 1.0),)
+        return (Parameter("factor", "1", 0.1, 10.0, 1.0, neutral=1.0),)
 
     def screen(self, view: View, target: str) -> list[Candidate]:
         """A fast clock makes every interval look longer than it was."""

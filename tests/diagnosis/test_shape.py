@@ -24,7 +24,7 @@ def test_dependence_is_the_share_that_follows() -> None:
 def _judged(checked: list[float], cost: float) -> Judged:
     zero = np.zeros(0)
     fit = Fit(zero, zero, 1.0, 0.0, 1, zero, zero, zero, zero, zero)
-    return Judged(Hypothesis(), fit, np.array(checked), 1.0, cost, fit, None)  # type: ignore[arg-type]
+    return Judged(Hypothesis(), fit, np.array(checked), 1.0, 1.0, cost, fit, None)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

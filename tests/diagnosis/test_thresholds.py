@@ -2,6 +2,8 @@
 
 import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,8 @@ from orbisim.diagnosis.along import tame
 from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
 from orbisim.diagnosis.refine import Judge
 from orbisim.diagnosis.samples import prepare_all
+from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.state import quiet
 from orbisim.effects import EffectInstance
 from orbisim.testing import inject_effect
 
@@ -52,6 +56,25 @@ def test_a_gate_that_opens_all_at_once(arm: orbisim.Scene) -> None:
     found = Judge(bench, bench.intervals).judge(Hypothesis((guess,)))
     assert found is not None
     assert found.hypothesis.effects[0].values["width"] == pytest.approx(0.2, rel=0.03)
+
+
+def test_a_residual_in_few_windows_is_looked_at() -> None:
+    def declared(ratio: float, pooled: float) -> Any:
+        return SimpleNamespace(ratio=ratio, pooled=pooled, fit=SimpleNamespace(count=5000))
+
+    assert quiet(Settings(), declared(1.0, 1.05))
+    assert not quiet(Settings(), declared(1.0, 1.3))
+    assert not quiet(Settings(), declared(1.3, 1.0))
+
+
+def test_starts_of_fitted_and_checked_windows_are_put_together(arm: orbisim.Scene) -> None:
+    bench = _bench(arm, EffectInstance("viscous_damping", "elbow", {"coefficient": 0.05}))
+    apart = Judge(bench, bench.intervals).judge(Hypothesis())
+    judge = Judge(bench.whole(), bench.intervals)
+    assert apart is not None and judge.check is judge.fitted
+    judge.start_from(apart, bench.fit)
+    together = judge.score(Hypothesis(), judge.fitted, 0)
+    assert together.square == pytest.approx(apart.fit.square + apart.check_fit.square, rel=1e-9)
 
 
 def test_screening_ends_where_a_start_grows_without_limit(arm: orbisim.Scene) -> None:

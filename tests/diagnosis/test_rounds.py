@@ -1,0 +1,55 @@
+"""Which suspects of a round are simulated, and from which values."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import orbisim
+from orbisim.diagnosis.bench import Hypothesis
+from orbisim.diagnosis.rounds import distinct, usual, varied
+from orbisim.effects import EffectInstance
+
+SCENE = """
+<mujoco model="box">
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 .1" friction=".5"/>
+    <body name="box" pos="0 0 .1">
+      <freejoint/>
+      <geom name="shell" type="box" size=".1 .1 .1" mass="2" friction=".5"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def friction(coefficient: float) -> EffectInstance:
+    return EffectInstance("sliding_friction", "shell", {"coefficient": coefficient})
+
+
+def payload(mass: float) -> EffectInstance:
+    place = {"com_x": 0.0, "com_y": 0.0, "com_z": 9.0}
+    return EffectInstance("payload", "box", {"mass": mass, **place})
+
+
+def test_effects_are_also_tried_at_sizes_that_fit_the_scene() -> None:
+    state: Any = SimpleNamespace(bench=SimpleNamespace(scene=orbisim.load_scene(SCENE)))
+    bias = EffectInstance("sensor_bias", "box", {"offset": 0.1})
+    found = usual(state, [payload(77.0), friction(50.0), payload(88.0), bias])
+    masses = [e.values["mass"] for e in found if e.effect == "payload"]
+    assert masses == pytest.approx([0.2, 0.6])
+    assert all(e.values["com_z"] == 0 for e in found if e.effect == "payload")
+    levels = [e.values["coefficient"] for e in found if e.effect == "sliding_friction"]
+    assert {0.35, 0.7} <= set(np.round(levels, 9))
+    assert {e.effect for e in found} == {"payload", "sliding_friction"}
+
+
+def test_few_forms_of_an_effect_and_the_better_of_two_fits() -> None:
+    forms = [friction(0.1), payload(1.0), friction(0.2), friction(0.3)]
+    assert varied(forms, 1) == forms[:2]
+    assert varied(forms, 2) == forms[:3]
+    fits: list[Any] = [SimpleNamespace(hypothesis=Hypothesis((one,))) for one in forms]
+    assert distinct(fits) == fits[:2]
+    other = EffectInstance("sliding_friction", "shell", {"coefficient": 1.0}, {"side": "left"})
+    assert len(distinct([*fits, SimpleNamespace(hypothesis=Hypothesis((other,)))])) == 3
