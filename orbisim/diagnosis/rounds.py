@@ -182,13 +182,12 @@ def _shortlist(
 
 
 def usual(state: SearchState, possible: Sequence[EffectInstance]) -> list[EffectInstance]:
-    """Effects on bodies at sizes in proportion to their masses, and on contacts at usual ones,
-    whatever a regression says."""
-    named = {(e.effect, e.target) for e in possible if find(e.effect).kind in ("body", "geom")}
+    """Effects on bodies at sizes in proportion to their masses, whatever a regression says."""
+    bodies = {(e.effect, e.target) for e in possible if find(e.effect).kind == "body"}
     model = state.bench.scene.model
     return [
         clean(state.bench.scene, EffectInstance(name, target, dict(values)))
-        for name, target in sorted(named)
+        for name, target in sorted(bodies)
         for values in find(name).trials(model, target)
     ]
 

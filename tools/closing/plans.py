@@ -110,7 +110,7 @@ PLANS = (
         reference="166 mm to 44 mm with the published friction",
         fit=24,
         settings={
-            "patience": 100.0,
+            "patience": 300.0,
             "most_effects": 4,
             "most_left": _REAL,
             "windows": 24,
