@@ -134,7 +134,7 @@ PLANS = (
         metric=end_of_run(),
         reference="317 mm to 83 mm with the literature's coefficients",
         settings={
-            "patience": 90.0,
+            "patience": 400.0,
             "most_effects": 2,
             "most_left": _REAL,
             "robust": 4.0,  # stray positions of the cameras
