@@ -79,14 +79,14 @@ def conclude(state: SearchState, current: Judged, first: Screening | None) -> At
         for index in range(len(after.hypothesis.effects))
     )
     evidence = tuple(one.cost - after.cost for one in fewer)
-    after = _rescaled(state, judge, after)
+    after = rescaled(state, judge, after)
     return Attribution(
         state.bench, before, after, first, tuple(state.rivals), evidence,
         tuple(state.rejected), state.late and not state.done(after),
     )  # fmt: skip
 
 
-def _rescaled(state: SearchState, judge: Judge, after: Judged) -> Judged:
+def rescaled(state: SearchState, judge: Judge, after: Judged) -> Judged:
     """The same effects with final values. Where much is left and large residuals count linearly,
     large is what exceeds the scale of what is left (Huber's proposal 2), not the noise of a good
     encoder: with that nearly all of them would, and values would be those of a median."""
@@ -148,7 +148,11 @@ def duel(state: SearchState, judge: Judge, after: Judged) -> Judged:
             best = judged
     if best is not after:
         found = best.hypothesis.effects[-1]
-        state.say(f"{found.effect} at {found.target} is better on all windows")
+        reason = f"on all windows, {found.effect} at {found.target} explains more"
+        state.rivals = [
+            dataclasses.replace(r, reason=reason) if _same(r.instance, last) else r
+            for r in state.rivals
+        ]
     return best
 
 

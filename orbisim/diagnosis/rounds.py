@@ -182,7 +182,8 @@ def _shortlist(
 
 
 def usual(state: SearchState, possible: Sequence[EffectInstance]) -> list[EffectInstance]:
-    """Effects on bodies at sizes in proportion to their masses, whatever a regression says."""
+    """Effects on bodies at usual sizes, whatever a regression says: payloads and forces in
+    proportion to masses."""
     bodies = {(e.effect, e.target) for e in possible if find(e.effect).kind == "body"}
     model = state.bench.scene.model
     return [

@@ -228,8 +228,8 @@ def _prevailing(model: mujoco.MjModel, target: str, index: int, condim: int) -> 
 
 
 def _declared_spring(model: mujoco.MjModel, target: str) -> tuple[float, float]:
-    """Stiffness, 1/s^2, and damping ratio of the geom's `solref`; without `solimp`, which changes
-    both by a few percent."""
+    """Stiffness, 1/s^2, and damping ratio of the geom's `solref` in its direct form; `solimp`
+    scales both forms alike."""
     first, second = map(float, model.geom_solref[index_of(model, "geom", target)])
     if first > 0:
         return 1 / max(first * second, 1e-9) ** 2, second

@@ -4,18 +4,22 @@ import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
-from orbisim.diagnosis.bench import Hypothesis
-from orbisim.diagnosis.conclusion import duel
+import orbisim
+from orbisim.diagnosis.bench import Hypothesis, make_bench
+from orbisim.diagnosis.conclusion import duel, rescaled
+from orbisim.diagnosis.refine import Judge
+from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.state import Rival
 from orbisim.effects import EffectInstance
+from orbisim.testing import inject_effect
 
 DELAY = EffectInstance("actuator_delay", "motor", {"delay": 0.02})
 LAG = EffectInstance("actuator_lag", "motor", {"time_constant": 0.02})
 
 
 def won_by(costs: dict[str, float], rival: Rival) -> str:
-    """The effect that is left of a delay and a rival.
+    """The effect that is left of a delay and a rival; the other is told why.
 
     Args:
       costs: of each effect on all windows; an effect that is not listed must not be tried.
@@ -31,7 +35,9 @@ def won_by(costs: dict[str, float], rival: Rival) -> str:
     )
     judges: Any = SimpleNamespace(judge=judge, start_from=lambda judged: None)
     after = judge(Hypothesis((DELAY,)), 8)
-    return str(duel(state, judges, after).hypothesis.effects[-1].effect)
+    winner = str(duel(state, judges, after).hypothesis.effects[-1].effect)
+    assert ("on all windows" in state.rivals[0].reason) == (winner != "actuator_delay")
+    return winner
 
 
 NEAR = Rival(LAG, 3.0, 1.0, 1, "it explains less than actuator_delay at motor", pays=True)
@@ -49,3 +55,22 @@ def test_those_that_do_not_pay_or_are_far_off_or_of_another_round_are_not_tried(
     costs = {"actuator_delay": 100.0}
     for change in ({"pays": False}, {"delta_bic": 50.0}, {"round": 2}):
         assert won_by(costs, dataclasses.replace(NEAR, **change)) == "actuator_delay"
+
+
+def test_final_values_of_a_robust_fit_follow_the_scale_of_what_is_left(arm: orbisim.Scene) -> None:
+    """Where the noise is far below what the effects leave, not every residual is an outlier."""
+    damping = EffectInstance("viscous_damping", "elbow", {"coefficient": 0.05})
+    friction = EffectInstance("coulomb_friction", "elbow", {"torque": 0.1})
+    runs = inject_effect(arm, [damping, friction], duration=5.0, episodes=3, noise=1e-6, seed=4)
+    bench = make_bench(arm, prepare_all(runs, arm), 0.5).whole()
+    judge = Judge(bench, bench.intervals, robust=4.0)
+    before = judge.judge(Hypothesis((damping,)))
+    assert before is not None and before.ratio > 10
+    state: Any = SimpleNamespace(
+        robust=4.0, bench=bench, intervals=bench.intervals, tunables=(), columns=None
+    )
+    after = rescaled(state, judge, before)
+    left = [float((one.fit.residual**2).sum()) for one in (before, after)]
+    assert left[1] < left[0] and (after.ratio, after.cost) == (before.ratio, before.cost)
+    state.robust = None
+    assert rescaled(state, judge, before) is before

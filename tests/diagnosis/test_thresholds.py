@@ -75,6 +75,10 @@ def test_starts_of_fitted_and_checked_windows_are_put_together(arm: orbisim.Scen
     judge.start_from(apart, bench.fit)
     together = judge.score(Hypothesis(), judge.fitted, 0)
     assert together.square == pytest.approx(apart.fit.square + apart.check_fit.square, rel=1e-9)
+    few = Judge(bench.whole(), bench.intervals, most=3)
+    few.start_from(apart, bench.fit)  # most windows are left out: a start from nothing
+    again = few.judge(Hypothesis())
+    assert again is not None and len(again.windows) == 3
 
 
 def test_screening_ends_where_a_start_grows_without_limit(arm: orbisim.Scene) -> None:
