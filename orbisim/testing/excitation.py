@@ -196,7 +196,7 @@ def servo(plan: Plan) -> Excitation:
     for u in range(model.nu):
         low, high = _control_range(model, u)
         # a servo cannot follow fast motions; a motor's torque may change faster
-        fast = 1.0 if _is_servo(model, u) else 3.0
+        fast = 1.0 if is_servo(model, u) else 3.0
         for e in range(plan.episodes):
             signal = program(rng, plan.count, plan.rate, fast)
             reference[e, :, u] = 0.5 * (low + high) + _REACH * 0.5 * (high - low) * signal
@@ -221,7 +221,7 @@ def _control_range(model: mujoco.MjModel, u: int) -> tuple[float, float]:
     return -1.0, 1.0
 
 
-def _is_servo(model: mujoco.MjModel, u: int) -> bool:
+def is_servo(model: mujoco.MjModel, u: int) -> bool:
     """Whether the actuator's force depends on its length: a position servo."""
     return bool(model.actuator_biastype[u] and model.actuator_biasprm[u, 1])
 
@@ -254,7 +254,7 @@ def _start_at_commands(model: mujoco.MjModel, qpos: Floats, ctrl: Floats) -> Non
     """Puts the joints of servos where their first commands [E, nu] ask for."""
     for u in range(model.nu):
         joint = _driven_joint(model, u)
-        if joint is not None and _is_servo(model, u):
+        if joint is not None and is_servo(model, u):
             factor = -model.actuator_gainprm[u, 0] / model.actuator_biasprm[u, 1]
             length = (
                 factor * ctrl[:, u] + -model.actuator_biasprm[u, 0] / (model.actuator_biasprm[u, 1])
@@ -267,7 +267,7 @@ def _centring(model: mujoco.MjModel) -> Feedback | None:
     driven = []
     for u in range(model.nu):
         joint = _driven_joint(model, u)
-        if joint is not None and joint.kind == Kind.SLIDE and not _is_servo(model, u):
+        if joint is not None and joint.kind == Kind.SLIDE and not is_servo(model, u):
             low, high = _control_range(model, u)
             stiffness = 0.5 * (high - low)
             mass = float(model.dof_M0[joint.v.start])

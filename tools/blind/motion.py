@@ -12,7 +12,7 @@ from blind.scenes import Rig
 from orbisim import Recording, Scene
 from orbisim.effects import find
 from orbisim.effects.base import index_of
-from orbisim.testing.excitation import _is_servo
+from orbisim.testing.excitation import is_servo
 
 Floats = npt.NDArray[np.float64]
 
@@ -120,7 +120,7 @@ def targets(effect: str, motion: Motion) -> tuple[str, ...]:
 
 def _driven_through_zero(motion: Motion, actuator: str) -> bool:
     ctrl = motion.control(actuator)
-    servo = _is_servo(motion.model, motion.actuator(actuator))
+    servo = is_servo(motion.model, motion.actuator(actuator))
     return not servo and bool(ctrl.min() < 0 < ctrl.max())
 
 
