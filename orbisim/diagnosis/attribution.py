@@ -12,10 +12,11 @@ from orbisim.diagnosis.conclusion import Attribution, conclude
 from orbisim.diagnosis.joint import propose
 from orbisim.diagnosis.paying import unpaid
 from orbisim.diagnosis.refine import Judge, Judged
-from orbisim.diagnosis.rounds import best_addition, best_with_retuning
+from orbisim.diagnosis.rounds import best_addition, best_with_retuning, simpler, tied
 from orbisim.diagnosis.screening import Screening, cleaned
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.state import NEAR, Progress, SearchState, quiet, strained
+from orbisim.diagnosis.swapping import swapped
 from orbisim.effects import EffectInstance, find
 
 
@@ -33,7 +34,7 @@ def attribute(bench: Bench, settings: Settings, say: Progress = lambda _: None) 
     together = _jointly(state, found)
     if together is not None:
         found = state.prune(_add_all(state, together))
-    return conclude(state, found, first)
+    return conclude(state, swapped(state, found), first)
 
 
 def _explain(state: SearchState, nothing: Judged, first: Screening) -> Judged:
@@ -140,12 +141,14 @@ def _paired(
         judged = state.judge.judge(Hypothesis((one, other)), state.iterations)
         if judged is not None:
             fitted.append(judged)
-            if state.done(judged):
+            if sum(state.done(one) for one in fitted) > _FEW:
                 break
     if not fitted:
         return None
     few = sorted(fitted, key=lambda judged: judged.cost)[:_FEW]
-    best = min((state.judge.closer(one) for one in few), key=lambda judged: judged.cost)
+    few = sorted((state.judge.closer(one) for one in few), key=lambda judged: judged.cost)
+    level = [judged for judged in few if tied(judged, few[0])]
+    best = min(level, key=lambda judged: simpler(state.bench.scene.model, judged.hypothesis))
     rival = nothing if single is None else single
     problem = unpaid(state.settings, rival, best)
     if not state.done(best) and best.ratio > _HALF * rival.ratio:
@@ -216,6 +219,8 @@ def _add_all(state: SearchState, current: Judged) -> Judged:
         if winner is None:
             return current
         current = state.renewed(state.prune(winner))
+        if not _explained(state, current):
+            current = swapped(state, current)
     return current
 
 

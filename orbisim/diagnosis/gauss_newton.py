@@ -144,12 +144,14 @@ class Hints:
       slopes: [W, data] by the unknown of that number.
       exact: whether derivatives by the starts are taken anew in every iteration (contacts).
       rough: whether `free` holds only at first (contacts).
+      quick: whether to do without starting badly fitting windows anew (contacts).
     """
 
     free: Floats | None = None
     slopes: Mapping[int, Floats] = dataclasses.field(default_factory=dict)
     exact: bool = False
     rough: bool = False
+    quick: bool = False
 
 
 class _Problem:
@@ -191,7 +193,8 @@ class _Problem:
         if free is None or not hinted:
             free = self.start_jacobian(here)
         active = np.ones(len(shooter), bool) if only is None else only.copy()
-        iteration, again = 0, only is None and bool(self.hints.exact or self.hints.rough)
+        hints, iteration = self.hints, 0
+        again = only is None and (hints.exact or hints.rough) and not hints.quick
         while True:
             if iteration >= iterations:
                 retried = self._retried(here) if again else None

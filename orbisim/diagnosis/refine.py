@@ -157,11 +157,12 @@ class Judge:
 
     def glance(self, hypothesis: Hypothesis) -> float:
         """What a hypothesis as it stands would leave, at the price of one simulation: mean squared
-        residual over windows, with starts corrected linearly; infinite if it cannot be simulated.
-
-        Needs `start_from` before.
+        residual over windows, with starts corrected linearly; infinite if it cannot be simulated,
+        or if `start_from` was not called before.
         """
-        start, free = self._warm[id(self.fitted)], self._free[id(self.fitted)]
+        start, free = self._warm.get(id(self.fitted)), self._free.get(id(self.fitted))
+        if start is None or free is None:
+            return np.inf
         try:
             variant = hypothesis.variant(self.bench.scene)
             left = glanced(self.fitted, variant, start, free, self.robust)
@@ -169,6 +170,14 @@ class Judge:
             return np.inf
         dof = np.maximum(self.fitted.data - 2 * self.fitted.nv, 1)
         return self._typical(self.fitted, left / dof)
+
+    def tried(self, hypothesis: Hypothesis) -> float:
+        """What one step of a fit leaves, as `glance`."""
+        try:
+            fit = self._fit(hypothesis, 1, quick=True)
+        except (OrbiSimError, np.linalg.LinAlgError):
+            return np.inf
+        return self._typical(self.fitted, _means(self.fitted, fit))
 
     def start_from(self, judged: Judged, fitted: Bools | None = None) -> None:
         """Takes a hypothesis' window starts, and what they do, as first guesses for others.
@@ -205,9 +214,11 @@ class Judge:
             robust=self.robust,
         )
 
-    def _hints(self, shooter: Shooter, slopes: Mapping[int, Floats] | None = None) -> Hints:
+    def _hints(
+        self, shooter: Shooter, slopes: Mapping[int, Floats] | None = None, quick: bool = False
+    ) -> Hints:
         free = self._free.get(id(shooter))
-        return Hints(free, slopes or {}, exact=free is None, rough=self.bench.contacts)
+        return Hints(free, slopes or {}, exact=free is None, rough=self.bench.contacts, quick=quick)
 
     def _fitted(self, hypothesis: Hypothesis, iterations: int) -> tuple[Hypothesis, Fit]:
         declared = self.bench.scene
@@ -220,7 +231,7 @@ class Judge:
             fitted = fitted.at(declared, fit.values)
         return fitted, fit
 
-    def _fit(self, hypothesis: Hypothesis, iterations: int) -> Fit:
+    def _fit(self, hypothesis: Hypothesis, iterations: int, quick: bool = False) -> Fit:
         declared = self.bench.scene
         first = len(hypothesis.free(declared))
         slopes = {
@@ -233,7 +244,7 @@ class Judge:
             lambda values: hypothesis.at(declared, values).variant(declared),
             hypothesis.unknowns(declared),
             start=self._warm.get(id(self.fitted)),
-            hints=self._hints(self.fitted, slopes),
+            hints=self._hints(self.fitted, slopes, quick),
             iterations=iterations + 3 if is_structural(hypothesis) else iterations,
             robust=self.robust,
         )

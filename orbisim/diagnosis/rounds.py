@@ -6,7 +6,9 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
+import mujoco
 import numpy as np
+import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis, clean
 from orbisim.diagnosis.consistency import inconsistency
@@ -50,10 +52,17 @@ def best_with_retuning(
 
 
 class Candidate(NamedTuple):
-    """An effect to fit, and whether that is slow: it adds a joint, and no screening ranked it."""
+    """An effect to fit.
+
+    Attributes:
+      instance: with the values to start from.
+      slow: whether that takes long: it adds a joint, and no screening ranked it.
+      moved: by how much the parameters of the effects before may change then; None if not known.
+    """
 
     instance: EffectInstance
     slow: bool = False
+    moved: npt.NDArray[np.float64] | None = None
 
 
 def _best_of(
@@ -70,12 +79,14 @@ def _best_of(
     state.round += 1
     state.judge.start_from(current)
     fitted: list[Judged] = []
-    for instance, slow in candidates:
-        if fitted and (state.late or _settled(current, fitted, slow)):
+    for candidate in candidates:
+        instance = candidate.instance
+        if fitted and (state.late or _settled(current, fitted, candidate.slow)):
             break
         state.say(f"round {state.round}: fitting {instance.effect} at {instance.target}")
         quick = state.bench.contacts  # the best few are fitted again
-        judged = state.judge.judge(plus(instance), state.iterations, polish=not quick)
+        start = begin(state, plus(instance), candidate.moved)
+        judged = state.judge.judge(start, state.iterations, polish=not quick)
         if judged is not None:
             fitted.append(judged)
         else:
@@ -93,6 +104,27 @@ def _best_of(
         for j, reason, problem in zip(fitted, reasons, unpaying, strict=True)
     ]  # fmt: skip
     return winner
+
+
+def begin(
+    state: SearchState, hypothesis: Hypothesis, moved: npt.NDArray[np.float64] | None
+) -> Hypothesis:
+    """Where a fit begins: the effects before as they are or, if that leaves less, moved."""
+    other = _moved(state, hypothesis, moved)
+    if other is hypothesis or is_structural(hypothesis):
+        return hypothesis
+    return min((hypothesis, other), key=state.judge.glance)
+
+
+def _moved(
+    state: SearchState, hypothesis: Hypothesis, moved: npt.NDArray[np.float64] | None
+) -> Hypothesis:
+    """With other values of the first parameters."""
+    if moved is None or not moved.any():
+        return hypothesis
+    values = hypothesis.values(state.bench.scene)
+    values[: len(moved)] += moved
+    return hypothesis.at(state.bench.scene, values)
 
 
 def distinct(ranked: Sequence[Judged]) -> list[Judged]:
@@ -158,27 +190,39 @@ def _suspects(
     state: SearchState, hypothesis: Hypothesis, suspects: Sequence[Suspect], screening: Screening
 ) -> Iterator[Candidate]:
     """Best first; then play and elasticity, which no regression sees."""
-    yield from (Candidate(instance) for instance in _shortlist(state, hypothesis, suspects))
+    yield from _shortlist(state, hypothesis, suspects)
     yield from (Candidate(one, slow=True) for one in _structural(state, hypothesis, screening))
 
 
 def _shortlist(
     state: SearchState, hypothesis: Hypothesis, suspects: Sequence[Suspect]
-) -> list[EffectInstance]:
+) -> list[Candidate]:
     """The best. Where there are contacts, regressions say less: one simulation of each of many
     decides, and the first few are fitted from two starts."""
-    cleaned_up = (cleaned(state.bench, suspect) for suspect in suspects)
-    possible = [instance for instance in cleaned_up if instance is not None]
-    most = state.settings.shortlist
+    possible = [
+        Candidate(instance, moved=suspect.moved)
+        for suspect in suspects
+        if (instance := cleaned(state.bench, suspect)) is not None
+    ]
+    most = state.settings.shortlist + (_MORE if hypothesis.effects else 0)
     if not state.bench.contacts or is_structural(hypothesis):
         return possible[:most]
-    chosen = [*varied(possible, 2)[:_GLANCES], *usual(state, possible)]
-    left = {id(one): state.judge.glance(hypothesis.plus(one)) for one in chosen}
-    ranked = sorted(chosen, key=lambda one: left[id(one)])
+    some = [one.instance for one in possible]
+    chosen = [*varied(possible, 2)[:_GLANCES], *map(Candidate, usual(state, some))]
+    ranked = _sorted(chosen, lambda one: state.judge.glance(hypothesis.plus(one.instance)))
+    if hypothesis.effects:  # what is there changes too: a glance without that says little
+        tried = varied(ranked, 2)[:_TRIED]
+        ranked = _sorted(tried, lambda one: state.judge.tried(hypothesis.plus(one.instance)))
     first = varied(ranked, 1)[:most]
-    few = {(one.effect, one.target) for one in first[:_FEW]}
-    again = [one for one in ranked if (one.effect, one.target) in few]
-    return [*first, *(one for one in varied(again, 2) if one not in first)]
+    few = {_place(one) for one in first[:_FEW]}
+    again = [one for one in ranked if _place(one) in few]
+    return [*first, *(one for one in varied(again, 2) if not any(one is f for f in first))]
+
+
+def _sorted(found: Sequence[Candidate], left: Callable[[Candidate], float]) -> list[Candidate]:
+    """By what each leaves."""
+    left_by = [left(one) for one in found]
+    return [found[i] for i in np.argsort(left_by, kind="stable")]
 
 
 def usual(state: SearchState, possible: Sequence[EffectInstance]) -> list[EffectInstance]:
@@ -193,16 +237,19 @@ def usual(state: SearchState, possible: Sequence[EffectInstance]) -> list[Effect
     ]
 
 
-def varied(found: Sequence[EffectInstance], most: int) -> list[EffectInstance]:
+def varied(found: Sequence[Candidate], most: int) -> list[Candidate]:
     """The first few forms of each effect at a target."""
     count: Counter[tuple[str, str]] = Counter()
     kept = []
     for one in found:
-        key = (one.effect, one.target)
-        count[key] += 1
-        if count[key] <= most:
+        count[_place(one)] += 1
+        if count[_place(one)] <= most:
             kept.append(one)
     return kept
+
+
+def _place(one: Candidate) -> tuple[str, str]:
+    return (one.instance.effect, one.instance.target)
 
 
 def _structural(
@@ -242,6 +289,20 @@ def _best_trial(
     return best
 
 
+def tied(one: Judged, other: Judged) -> bool:
+    """Whether the data do not tell two hypotheses apart."""
+    return abs(one.cost - other.cost) < _TIE
+
+
+def simpler(model: mujoco.MjModel, hypothesis: Hypothesis) -> tuple[int, list[int]]:
+    """By what of equally good hypotheses one is taken: fewest numbers, then first in the catalogue;
+    numbers that the data do not determine count too."""
+    names = effect_names()
+    effects = hypothesis.effects
+    numbers = sum(len(find(e.effect).free_parameters(model, e.target)) for e in effects)
+    return numbers, sorted(names.index(e.effect) for e in effects)
+
+
 def _ranked(fitted: Sequence[Judged]) -> list[Judged]:
     """Best first; of those that the data do not tell apart, the first in the catalogue first."""
     order = {name: i for i, name in enumerate(effect_names())}
@@ -258,6 +319,8 @@ _TIE = 4.0
 _FEW = 3
 _NEARLY = 25.0
 _GLANCES = 100
+_TRIED = 30
+_MORE = 2
 _SHARE = 0.08
 _LITTLE = 0.1
 _HALF = 0.5

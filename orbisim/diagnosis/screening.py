@@ -13,8 +13,9 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, Hypothesis, clean, completed
 from orbisim.diagnosis.linear import IntervalMap, Intervals
+from orbisim.diagnosis.nuisance import Apart, levelled, own_columns
 from orbisim.diagnosis.regress import Normal, fit, normal_equations, profiled, total
-from orbisim.diagnosis.retune import SPREAD, Tunable, retuned
+from orbisim.diagnosis.retune import SPREAD
 from orbisim.diagnosis.view import MotionView
 from orbisim.effects import EffectInstance, add_effects, effect_names, find
 from orbisim.effects.screening import Candidate, Column, Solve
@@ -24,7 +25,6 @@ from orbisim.scene import Scene
 Floats = npt.NDArray[np.float64]
 
 _SMOOTH = 7
-_TUNE_STEP = 1e-3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -34,11 +34,14 @@ class Suspect:
     Attributes:
       instance: the effect. bic: difference of the Bayesian information criterion to no effect, in
         linear approximation (negative is better). ratio: residual over noise with it.
+      moved: what the free parameters of the effects that are there already change by then; None if
+        that is not known.
     """
 
     instance: EffectInstance
     bic: float
     ratio: float
+    moved: Floats | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -70,7 +73,8 @@ def screen(
     factors: Floats | None = None,
     force: Floats | None = None,
 ) -> Screening:
-    """Looks for effects that would explain what a hypothesis leaves.
+    """Looks for effects that would explain what a hypothesis leaves, also where its own effects
+    take other values then.
 
     Args:
       intervals: the linear system along the hypothesis.
@@ -86,18 +90,32 @@ def screen(
     first = len(columns)
     columns += _force_columns(view.missing_force, flow)
     nuisance = [] if factors is None else [Column("state", f) for f in np.moveaxis(factors, 2, 0)]
+    own = own_columns(bench, hypothesis, flow)
     windows = bench.windows.some(bench.fit)
     known = bench.known_signal(hypothesis)
-    both = [*columns, *nuisance]
-    normal = total(normal_equations(bench.samples, intervals, windows, both, bench.noise, known))
-    index = list(range(len(columns), len(both)))
-    tuned = profiled(normal, index, np.full(len(index), 1 / SPREAD**2))
+    both = [*columns, *nuisance, *own.columns]
+    normals = normal_equations(bench.samples, intervals, windows, both, bench.noise, known)
+    index = list(range(len(columns), len(columns) + len(nuisance)))
+    after = list(range(len(columns) + len(nuisance), len(both)))
+
+    def ranked(normal: Normal) -> tuple[list[Suspect], list[Suspect]]:
+        """Suspects, and those when declared parameters may be retuned too."""
+        apart = own.apart(normal, after)
+        tuned = profiled(apart.normal, index, np.full(len(index), 1 / SPREAD**2))
+        return _rank(found, apart.normal, bench, apart), _rank(found, tuned, bench) if index else []
+
+    normal = total(normals)
+    suspects, tuned = ranked(normal)
+    if hypothesis.effects:
+        steady = ranked(total(levelled(normals)))
+        suspects = list(_in_turns(suspects, steady[0], lambda s: _key(s.instance)))
+        tuned = list(_in_turns(tuned, steady[1], lambda s: _key(s.instance)))
     return Screening(
-        suspects=tuple(_rank(found, normal, bench)),
+        suspects=tuple(suspects),
         shares=_shares(normal, first, len(columns) - first),
         force=view.missing_force,
         intervals=intervals,
-        tuned=tuple(_rank(found, tuned, bench)) if index else (),
+        tuned=tuple(tuned),
         pairs=tuple(_pairs(found, normal, bench)),
     )
 
@@ -129,18 +147,6 @@ def _in_turns(one: Sequence[T], other: Sequence[T], key: Callable[[T], Any]) -> 
 
 def _key(instance: EffectInstance) -> tuple[str, ...]:
     return (instance.effect, instance.target, *sorted(instance.options.values()))
-
-
-def factor_columns(bench: Bench, chosen: Sequence[Tunable]) -> Floats:
-    """Change of every interval's end for each unit of a factor, [N, 2 nv, F], by simulation."""
-    flow = bench.flow(Hypothesis())
-    base = flow.advance()
-    out = np.zeros((len(flow), 2 * flow.model.nv, len(chosen)))
-    for f, one in enumerate(chosen):
-        moved = flow.advance(scene=retuned(bench.scene, {one: 1 + _TUNE_STEP}))
-        change = flow.tangent(*base, *moved) / _TUNE_STEP
-        out[:, :, f] = np.nan_to_num(change, posinf=0.0, neginf=0.0)
-    return out
 
 
 def missing_force(intervals: Intervals) -> Floats:
@@ -212,7 +218,9 @@ def _constant(values: Mapping[str, float], _: Floats) -> Mapping[str, float]:
     return values
 
 
-def _rank(found: Sequence[Candidate], normal: Normal, bench: Bench) -> list[Suspect]:
+def _rank(
+    found: Sequence[Candidate], normal: Normal, bench: Bench, apart: Apart | None = None
+) -> list[Suspect]:
     """Suspects by information criterion; the best shape of each effect at each target."""
     best: dict[tuple[str, ...], Suspect] = {}
     start = 0
@@ -223,7 +231,8 @@ def _rank(found: Sequence[Candidate], normal: Normal, bench: Bench) -> list[Susp
         values = candidate.solve(coefficients)
         if values is None or not np.isfinite(left):
             continue
-        suspect = _suspect(candidate, values, left, normal, bench)
+        moved = None if apart is None else apart.moved(index, coefficients)
+        suspect = _suspect(candidate, values, left, normal, bench, moved)
         key = (candidate.effect, candidate.target, *sorted(candidate.options.values()))
         if key not in best or suspect.bic < best[key].bic:
             best[key] = suspect
@@ -254,7 +263,10 @@ def _pairs(
             continue
         one = _suspect(a, first, left, normal, bench)
         other = _suspect(b, second, left, normal, bench)
-        result.append((left, one, other))
+        numbers = _numbers(a, bench) + _numbers(b, bench)
+        misfit = max(left, normal.count) / max(normal.count, 1)
+        worth = normal.count * np.log(misfit) + numbers * np.log(max(normal.count, 2))
+        result.append((worth, one, other))
     result.sort(key=lambda pair: pair[0])
     return [(one, other) for _, one, other in result[:_PAIRED]]
 
@@ -294,7 +306,12 @@ def _solve(candidate: Candidate, normal: Normal, index: list[int]) -> tuple[Floa
 
 
 def _suspect(
-    candidate: Candidate, values: Mapping[str, float], left: float, normal: Normal, bench: Bench
+    candidate: Candidate,
+    values: Mapping[str, float],
+    left: float,
+    normal: Normal,
+    bench: Bench,
+    moved: Floats | None = None,
 ) -> Suspect:
     instance = EffectInstance(
         candidate.effect,
@@ -302,15 +319,19 @@ def _suspect(
         dict(values),
         dict(candidate.options),
     )
-    free = find(candidate.effect).free_parameters(bench.scene.model, candidate.target)
-    penalty = len(free) * np.log(max(normal.count, 2))
+    penalty = _numbers(candidate, bench) * np.log(max(normal.count, 2))
     before, after = (max(x, normal.count) for x in (normal.square, left))
     bic = (
         normal.count * np.log(after / before) + penalty
         if before > normal.count
         else (left - normal.square + penalty)
     )
-    return Suspect(instance, float(bic), float(np.sqrt(left / max(normal.count, 1))))
+    return Suspect(instance, float(bic), float(np.sqrt(left / max(normal.count, 1))), moved)
+
+
+def _numbers(candidate: Candidate, bench: Bench) -> int:
+    """How many numbers an effect adds."""
+    return len(find(candidate.effect).free_parameters(bench.scene.model, candidate.target))
 
 
 def _force_columns(force: Floats, flow: IntervalMap) -> list[Column]:

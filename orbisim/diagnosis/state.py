@@ -12,10 +12,11 @@ import numpy.typing as npt
 from orbisim.diagnosis.along import along, tame
 from orbisim.diagnosis.bench import Bench, Hypothesis
 from orbisim.diagnosis.linear import linearize
+from orbisim.diagnosis.nuisance import factor_columns
 from orbisim.diagnosis.paying import unpaid
 from orbisim.diagnosis.refine import Judge, Judged, is_structural
 from orbisim.diagnosis.retune import REACH, Tunable, tunables
-from orbisim.diagnosis.screening import Screening, factor_columns, merged, missing_force, screen
+from orbisim.diagnosis.screening import Screening, merged, missing_force, screen
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
 
@@ -43,6 +44,9 @@ class Rival:
     round: int
     reason: str = ""
     pays: bool = False
+
+
+_FURTHER = 4
 
 
 def enough(settings: Settings, judged: Judged) -> float:
@@ -168,7 +172,23 @@ class SearchState:
             self.judge.start_from(judged)
         again = self.need(judged.hypothesis)
         self.judge.start_from(again)
-        return again
+        return self._settled(again) if self.bench.contacts else again
+
+    def _settled(self, judged: Judged) -> Judged:
+        """Fitted on, as long as that still brings much: what is left would be explained by the
+        next effect, and steps through impacts are short."""
+        for _ in range(_FURTHER):
+            if self.done(judged) or self.late or is_structural(judged.hypothesis):
+                break
+            again = self.judge.judge(judged.hypothesis)
+            if again is None or again.cost >= judged.cost:
+                break
+            little = judged.cost - again.cost < self.settings.margin
+            judged = again
+            self.judge.start_from(judged)
+            if little:
+                break
+        return judged
 
     def tuned(self, hypothesis: Hypothesis) -> Judged | None:
         """The hypothesis with declared parameters retuned."""

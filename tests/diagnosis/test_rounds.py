@@ -7,7 +7,7 @@ import pytest
 
 import orbisim
 from orbisim.diagnosis.bench import Hypothesis
-from orbisim.diagnosis.rounds import distinct, usual, varied
+from orbisim.diagnosis.rounds import Candidate, distinct, usual, varied
 from orbisim.effects import EffectInstance
 
 SCENE = """
@@ -44,8 +44,9 @@ def test_effects_are_also_tried_at_sizes_that_fit_the_scene() -> None:
 
 def test_few_forms_of_an_effect_and_the_better_of_two_fits() -> None:
     forms = [friction(0.1), payload(1.0), friction(0.2), friction(0.3)]
-    assert varied(forms, 1) == forms[:2]
-    assert varied(forms, 2) == forms[:3]
+    starts = [Candidate(one) for one in forms]
+    assert varied(starts, 1) == starts[:2]
+    assert varied(starts, 2) == starts[:3]
     fits: list[Any] = [SimpleNamespace(hypothesis=Hypothesis((one,))) for one in forms]
     assert distinct(fits) == fits[:2]
     other = EffectInstance("sliding_friction", "shell", {"coefficient": 1.0}, {"side": "left"})

@@ -1,0 +1,141 @@
+"""What else may change while an effect is looked for: declared parameters, and the parameters of
+effects that were found before."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.diagnosis.bench import Bench, Hypothesis
+from orbisim.diagnosis.linear import IntervalMap
+from orbisim.diagnosis.regress import Normal, profiled
+from orbisim.diagnosis.retune import Tunable, retuned
+from orbisim.effects import find
+from orbisim.effects.screening import Column
+
+Floats = npt.NDArray[np.float64]
+
+_TUNE_STEP = 1e-3
+
+
+def factor_columns(bench: Bench, chosen: Sequence[Tunable]) -> Floats:
+    """Change of every interval's end for each unit of a factor, [N, 2 nv, F], by simulation."""
+    flow = bench.flow(Hypothesis())
+    base = flow.advance()
+    out = np.zeros((len(flow), 2 * flow.model.nv, len(chosen)))
+    for f, one in enumerate(chosen):
+        moved = flow.advance(scene=retuned(bench.scene, {one: 1 + _TUNE_STEP}))
+        change = flow.tangent(*base, *moved) / _TUNE_STEP
+        out[:, :, f] = np.nan_to_num(change, posinf=0.0, neginf=0.0)
+    return out
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Apart:
+    """Normal equations after the columns of a hypothesis' own parameters have been fitted away.
+
+    Attributes:
+      normal: what is left; columns that say nothing else are zero.
+      offset: [P], slope: [P, C]: the own parameters change by `offset - slope @ x` if the columns
+        have coefficients x.
+    """
+
+    normal: Normal
+    offset: Floats
+    slope: Floats
+
+    def moved(self, index: Sequence[int], coefficients: Floats) -> Floats:
+        """[P]: change of the own parameters when some columns have these coefficients."""
+        return np.asarray(self.offset - self.slope[:, list(index)] @ coefficients)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class OwnColumns:
+    """What the free parameters of a hypothesis' effects change, for each unit.
+
+    Attributes:
+      columns: of those that have any. which: their numbers. count: of all free parameters.
+    """
+
+    columns: tuple[Column, ...]
+    which: tuple[int, ...]
+    count: int
+
+    def apart(self, normal: Normal, index: Sequence[int]) -> Apart:
+        """Fits the own columns away.
+
+        Args:
+          index: where they stand in the normal equations.
+        """
+        at = list(index)
+        rest = profiled(normal, at, np.zeros(len(at)))
+        same = np.diag(rest.gram) < _NEW * np.diag(normal.gram)
+        gram, moment = rest.gram.copy(), rest.moment.copy()
+        gram[same], gram[:, same], moment[same] = 0.0, 0.0, 0.0
+        rest = dataclasses.replace(rest, gram=gram, moment=moment)
+        inner = normal.gram[np.ix_(at, at)]
+        scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+        inverse = np.linalg.pinv(inner / np.outer(scale, scale), rcond=1e-9)
+        inverse = inverse / np.outer(scale, scale)
+        offset, slope = np.zeros(self.count), np.zeros((self.count, len(normal.moment)))
+        which = list(self.which)
+        offset[which] = inverse @ normal.moment[at]
+        slope[which] = inverse @ normal.gram[at]
+        return Apart(rest, offset, slope)
+
+
+_NEW = 1e-6
+"""Share of a column that must not be in the span of the others."""
+
+
+def own_columns(bench: Bench, hypothesis: Hypothesis, flow: IntervalMap) -> OwnColumns:
+    """What the free parameters of a hypothesis' effects change, by simulation; not of those that
+    add joints, whose state nothing reads.
+
+    Args:
+      flow: of the hypothesis.
+    """
+    free = hypothesis.free(bench.scene)
+    if not free:
+        return OwnColumns((), (), 0)
+    values, unknowns = hypothesis.values(bench.scene), hypothesis.unknowns(bench.scene)
+    base, seen = flow.advance(), bench.known_signal(hypothesis)
+    columns: list[Column] = []
+    which: list[int] = []
+    for k, (number, _) in enumerate(free):
+        effect = find(hypothesis.effects[number].effect)
+        if effect.structural:
+            continue
+        step = (
+            unknowns[k].step
+            if values[k] + unknowns[k].step <= unknowns[k].high
+            else -unknowns[k].step
+        )
+        moved = values.copy()
+        moved[k] += step
+        other = hypothesis.at(bench.scene, moved)
+        change = [b - a for a, b in zip(seen, bench.known_signal(other), strict=True)]
+        if any(one.any() for one in change):
+            pairs = list(zip(flow.recording, flow.row, strict=True))
+            ends = [change[i][r] for i, r in pairs] + [change[i][r + 1] for i, r in pairs]
+            columns.append(Column("signal", np.array(ends) / step))
+        else:
+            difference = flow.tangent(*base, *bench.flow(other).advance())
+            difference = np.nan_to_num(difference, posinf=0.0, neginf=0.0)
+            columns.append(Column("state", difference / step))
+        which.append(k)
+    return OwnColumns(tuple(columns), tuple(which), len(free))
+
+
+def levelled(normals: Sequence[Normal]) -> list[Normal]:
+    """Windows with those that leave much more than most weighed less, as Huber's loss would."""
+    left = np.sqrt([max(one.square, 0.0) / max(one.count, 1) for one in normals])
+    usual = float(np.median(left))
+    weights = np.minimum(1.0, usual / np.maximum(left, 1e-300))
+    return [
+        Normal(w * one.gram, w * one.moment, w * one.square, one.count)
+        for w, one in zip(weights, normals, strict=True)
+    ]

@@ -1,0 +1,97 @@
+"""A last look at several effects: whether another one in the place of each does better."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from orbisim.diagnosis.bench import Hypothesis
+from orbisim.diagnosis.consistency import inconsistency
+from orbisim.diagnosis.linear import linearize
+from orbisim.diagnosis.refine import Judged, is_structural
+from orbisim.diagnosis.rounds import begin, simpler, tied
+from orbisim.diagnosis.screening import Suspect, cleaned, screen
+from orbisim.diagnosis.state import NEAR, Rival, SearchState
+
+
+def swapped(state: SearchState, current: Judged) -> Judged:
+    """The same explanation, with other effects where these do better given all others.
+
+    Effects are found one after the other, and the first was chosen while the others were missing.
+    Not where bodies touch, or joints were added: that would take too long.
+    """
+    if state.bench.contacts or is_structural(current.hypothesis):
+        return current
+    places = [(e.effect, e.target) for e in current.hypothesis.effects]
+    for place in places if len(places) > 1 else ():
+        left = [(e.effect, e.target) for e in current.hypothesis.effects]
+        if place in left and len(left) > 1 and not state.late:
+            current = _improved(state, current, left.index(place))
+    return current
+
+
+def _improved(state: SearchState, current: Judged, index: int) -> Judged:
+    """With the best effect in the place of one."""
+    own = current.hypothesis.effects[index]
+    fewer = state.judge.judge(current.hypothesis.without(index))
+    if fewer is None:
+        return current
+    state.say(f"looking for another effect instead of {own.effect} at {own.target}")
+    best = current
+    for suspect in _rivals(state, current, fewer, index):
+        instance = cleaned(state.bench, suspect)
+        if instance is None or state.late:
+            continue
+        judged = _fitted(state, begin(state, fewer.hypothesis.plus(instance), suspect.moved), best)
+        if judged is None or not _better(state, judged, best):
+            continue
+        last = len(judged.hypothesis.effects) - 1
+        if not state.pays(fewer, judged):
+            continue
+        if judged.ratio > NEAR and inconsistency(state.bench, judged, last) is not None:
+            continue
+        best = judged
+    if best is current:
+        return current
+    found = best.hypothesis.effects[-1]
+    state.rivals.append(
+        Rival(
+            own, current.cost - best.cost, current.ratio, state.round,
+            f"it explains less than {found.effect} at {found.target}", pays=True,
+        )
+    )  # fmt: skip
+    return state.renewed(state.prune(best, newest=True))
+
+
+def _fitted(state: SearchState, start: Hypothesis, best: Judged) -> Judged | None:
+    """Fitted, to the end if it comes near the best; declared parameters start anew, as what they
+    made up for has changed."""
+    anew = dataclasses.replace(start, factors=tuple((one, 1.0) for one, _ in start.factors))
+    judged = state.judge.judge(anew, state.iterations)
+    if judged is not None and judged.cost < best.cost + _NEARLY:
+        judged = state.judge.closer(judged, state.iterations)
+    return judged
+
+
+def _rivals(state: SearchState, current: Judged, fewer: Judged, index: int) -> list[Suspect]:
+    """Suspects that a screening ranks before an effect, and some after it."""
+    own = current.hypothesis.effects[index]
+    bench, only = state.bench, state.settings.effects
+    intervals = linearize(bench.flow(fewer.hypothesis))
+    found = screen(bench, fewer.hypothesis, intervals, only, state.columns)
+    ranked = found.tuned if fewer.hypothesis.factors else found.suspects
+    same = [(s.instance.effect, s.instance.target) == (own.effect, own.target) for s in ranked]
+    until = (same.index(True) if any(same) else 0) + 1 + _AFTER
+    return [s for s, own_one in zip(ranked[:until], same, strict=False) if not own_one][:_MOST]
+
+
+def _better(state: SearchState, judged: Judged, best: Judged) -> bool:
+    """Whether it explains more, or as much with fewer numbers."""
+    if tied(judged, best):
+        model = state.bench.scene.model
+        return simpler(model, judged.hypothesis) < simpler(model, best.hypothesis)
+    return judged.cost < best.cost
+
+
+_AFTER = 3
+_NEARLY = 100.0
+_MOST = 6
