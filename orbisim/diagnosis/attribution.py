@@ -52,7 +52,7 @@ def _explain(state: SearchState, nothing: Judged, first: Screening) -> Judged:
         return tuned
     if alone is not None:
         other = _retuned(state, tuned, first, rivals) if rivals else None
-        return alone if other is None or not _clearly(state, other, alone) else other
+        return other if other is not None and _preferable(state, other, alone) else alone
     return _several(state, nothing, single, tuned, first)
 
 
@@ -99,9 +99,13 @@ def _retuned(
     return None if found is None else state.renewed(found)
 
 
-def _clearly(state: SearchState, one: Judged, other: Judged) -> bool:
-    """Whether one explanation is better than another by more than chance."""
-    return one.cost < other.cost - state.settings.margin
+def _preferable(state: SearchState, one: Judged, other: Judged) -> bool:
+    """Whether one explanation is better than another by more than chance, or as good with an effect
+    of fewer numbers: of what declared parameters that are a little off do, an effect with many can
+    do some by chance."""
+    model = state.bench.scene.model
+    fewer = simpler(model, one.hypothesis)[0] < simpler(model, other.hypothesis)[0]
+    return one.cost < other.cost - (-_TIE if fewer else state.settings.margin)
 
 
 def _rivals(state: SearchState, single: Judged) -> list[EffectInstance]:
@@ -229,4 +233,5 @@ _HUBER = 4.0
 _HALF = 0.5
 _MOST = 0.2
 _NEARLY = 60.0
+_TIE = 4.0
 _FEW = 2

@@ -179,7 +179,7 @@ def _doubt(state: SearchState, whole: Bench, before: Judged, after: Judged) -> s
     if left > state.settings.most_left:
         return f"{100 * left:.0f} % of the residual's amplitude remains"
     for index in range(len(after.hypothesis.effects)):
-        problem = inconsistency(whole, after, index)
+        problem = inconsistency(whole, after, index, state.settings.tolerance)
         if problem is not None:
             return problem
     return None

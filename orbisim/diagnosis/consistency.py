@@ -12,16 +12,18 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench
 from orbisim.diagnosis.refine import Judged, thinned
+from orbisim.diagnosis.settings import Settings
 from orbisim.effects import find
 
 Floats = npt.NDArray[np.float64]
 
-_TOLERANCE = 0.35
 _SIGMAS = 3.0
 _FEWEST = 8
 
 
-def inconsistency(bench: Bench, judged: Judged, number: int) -> str | None:
+def inconsistency(
+    bench: Bench, judged: Judged, number: int, tolerance: float = Settings().tolerance
+) -> str | None:
     """What the parameters of an effect depend on, if they do; None if they are the same everywhere.
 
     The difference between what the windows of two regimes prefer is weighed by what it changes in
@@ -29,6 +31,7 @@ def inconsistency(bench: Bench, judged: Judged, number: int) -> str | None:
 
     Args:
       number: of the effect in the hypothesis.
+      tolerance: share of the effect's size by which it may differ.
     """
     fit = judged.fit
     windows = len(fit.per_window)
@@ -49,7 +52,7 @@ def inconsistency(bench: Bench, judged: Judged, number: int) -> str | None:
         gap = high - low
         change = float(np.sqrt(max(gap @ weight @ gap, 0.0)))
         chance = float(np.sqrt(max(np.trace(weight @ (low_var + high_var)), 0.0)))
-        if change > _TOLERANCE * whole and change > _SIGMAS * chance:
+        if change > tolerance * whole and change > _SIGMAS * chance:
             return (
                 f"it would have to be {100 * change / whole:.0f} % different at low and at high "
                 f"{name}: something else is at work"

@@ -164,7 +164,7 @@ def _winner(
         elif reason is None and place >= 3:
             reason = "it explains less than three others, none of which was believed"
         elif reason is None and judged.ratio > NEAR:
-            reason = inconsistency(state.bench, judged, last)
+            reason = inconsistency(state.bench, judged, last, state.settings.tolerance)
             if reason is not None:
                 state.rejected.append((judged.hypothesis.effects[-1], reason))
         if reason is None:

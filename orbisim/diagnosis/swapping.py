@@ -44,10 +44,9 @@ def _improved(state: SearchState, current: Judged, index: int) -> Judged:
         judged = _fitted(state, begin(state, fewer.hypothesis.plus(instance), suspect.moved), best)
         if judged is None or not _better(state, judged, best):
             continue
-        last = len(judged.hypothesis.effects) - 1
         if not state.pays(fewer, judged):
             continue
-        if judged.ratio > NEAR and inconsistency(state.bench, judged, last) is not None:
+        if judged.ratio > NEAR and _doubtful(state, judged):
             continue
         best = judged
     if best is current:
@@ -60,6 +59,12 @@ def _improved(state: SearchState, current: Judged, index: int) -> Judged:
         )
     )  # fmt: skip
     return state.renewed(state.prune(best, newest=True))
+
+
+def _doubtful(state: SearchState, judged: Judged) -> bool:
+    """Whether the last effect would have to be another one in other motion."""
+    last = len(judged.hypothesis.effects) - 1
+    return inconsistency(state.bench, judged, last, state.settings.tolerance) is not None
 
 
 def _fitted(state: SearchState, start: Hypothesis, best: Judged) -> Judged | None:

@@ -25,6 +25,7 @@ from orbisim.effects.screening import (
     Column,
     Floats,
     Solve,
+    Values,
     View,
     directions,
     keyed,
@@ -333,6 +334,20 @@ class StribeckFriction(JointEffect):
             Parameter("static", unit, 0.0, _LARGE, 0.2),
             Parameter("velocity", speed, 1e-4, 100.0, 0.1),
         )
+
+    def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
+        """What static friction exceeds the Coulomb level by, instead of the former."""
+        return ("coulomb", "excess", "velocity")
+
+    def encode(self, model: mujoco.MjModel, target: str, values: Values) -> Values:
+        """The excess of static friction; less than the Coulomb level it is not."""
+        excess = max(values["static"] - values["coulomb"], 0.0)
+        return {"coulomb": values["coulomb"], "excess": excess, "velocity": values["velocity"]}
+
+    def complete(self, model: mujoco.MjModel, target: str, values: Values) -> Values:
+        """Static friction from its excess."""
+        static = max(values["coulomb"], 0.0) + max(values["excess"], 0.0)
+        return {"coulomb": values["coulomb"], "static": static, "velocity": values["velocity"]}
 
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _FrictionLevel(model, instance, _stribeck)

@@ -144,9 +144,13 @@ class _Filter:
             mujoco.mj_resetData(model, data)
             data.qpos[:], data.qvel[:] = self.qpos[row], self.qvel[row]
             return spread
-        spread = every @ spread @ every.T
-        spread[range(nv, 2 * nv), range(nv, 2 * nv)] += self.process * duration
-        return spread
+        with np.errstate(all="ignore"):
+            grown = every @ spread @ every.T
+        if not np.isfinite(grown).all():  # so unstable a scene that nothing is known from before
+            return spread
+        grown = 0.5 * (grown + grown.T)
+        grown[range(nv, 2 * nv), range(nv, 2 * nv)] += self.process * duration
+        return np.asarray(grown)
 
     def _correct(self, row: int, spread: Floats) -> Floats:
         """Moves the state towards what was read."""
@@ -155,7 +159,7 @@ class _Filter:
         mujoco.mj_differentiatePos(model, off, 1.0, data.qpos, self.qpos[row])
         surprise = np.concatenate([off, self.qvel[row] - data.qvel])[read]
         expected = spread[np.ix_(read, read)] + self.noise
-        scale = np.sqrt(np.diag(expected))
+        scale = np.sqrt(np.maximum(np.diag(expected), np.diag(self.noise)))
         inverse = np.linalg.pinv(expected / np.outer(scale, scale), hermitian=True)
         inverse /= np.outer(scale, scale)
         gain = spread[:, read] @ inverse
