@@ -163,7 +163,8 @@ class _Filter:
         inverse = np.linalg.pinv(expected / np.outer(scale, scale), hermitian=True)
         inverse /= np.outer(scale, scale)
         gain = spread[:, read] @ inverse
-        size = float(np.sqrt(surprise @ inverse @ surprise / len(read)))
+        with np.errstate(all="ignore"):
+            size = float(np.sqrt(max(surprise @ inverse @ surprise / len(read), 0.0)))
         move = gain @ surprise * min(1.0, _GATE / max(size, 1e-12))
         mujoco.mj_integratePos(model, data.qpos, move[:nv], 1.0)
         data.qvel[:] += move[nv:]

@@ -7,6 +7,7 @@ import pytest
 
 import orbisim
 from orbisim.effects import EffectInstance, add_effects
+from orbisim.engine_log import engine_warnings, ignore
 from orbisim.recording import Recording
 from orbisim.recording.initial import starts
 from orbisim.testing import inject_effect
@@ -75,3 +76,15 @@ def test_a_recorded_hidden_joint_stays_as_it_was_recorded(arm: orbisim.Scene) ->
     states = starts(run.replace(signals={**run.signals, **shown}).bind(true))
     column = int(true.model.joint("elbow_backlash").qposadr[0])
     np.testing.assert_array_equal(states.qpos[:, column], 0.01)
+
+
+@pytest.mark.parametrize("damping", [-1.0, -10.0])
+def test_a_scene_that_gains_energy_is_scored_all_the_same(
+    arm: orbisim.Scene, damping: float
+) -> None:
+    """What is known of the state that is not read grows without limit then."""
+    unstable = EffectInstance("viscous_damping", "shoulder", {"coefficient": damping})
+    run = _run(arm, HIDDEN[2])
+    with engine_warnings(ignore):
+        found = orbisim.replay(add_effects(arm, [HIDDEN[2], unstable]), run)
+    assert found.rms > 1000 * NOISE
