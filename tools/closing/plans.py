@@ -113,7 +113,7 @@ PLANS = (
             "patience": 300.0,
             "most_effects": 4,
             "most_left": _REAL,
-            "tolerance": 0.5,
+            "tolerance": 0.5,  # friction shows in windows with contact only, the later ones
             "windows": 24,
             # what contacts and cameras do
             "effects": (
