@@ -235,17 +235,18 @@ def alternatives_of(found: Attribution) -> tuple[Alternative, ...]:
     """Rivals of the search, and effects that are known to look like the ones found."""
     chosen = found.after.hypothesis.effects
     taken = {(e.effect, e.target) for e in chosen}
+    own = _own_places(found)
     best: dict[tuple[str, str], Alternative] = {}
-    for rival in sorted(found.rivals, key=lambda r: r.delta_bic):
+    for rival in sorted(found.rivals, key=lambda r: (not r.reason, r.delta_bic)):
         key = (rival.instance.effect, rival.instance.target)
         if key in taken or key in best:
             continue
         tips = [t for e in chosen if (t := advice(e.effect, key[0])) is not None]
         text = f"leaves {rival.ratio:.3g} times the noise in round {rival.round}"
-        if chosen and rival.delta_bic < 20:
+        if abs(rival.delta_bic - own.get(rival.round, np.inf)) < _APART:
             text = "this data hardly tells it apart from what was found"
-        elif rival.reason:
-            text += f"; {rival.reason}"
+        else:
+            text += f"; {rival.reason or 'dropped later'}"
         if tips:
             text += f"; to tell them apart, {tips[0]}"
         best[key] = Alternative(*key, rival.delta_bic, text)
@@ -260,6 +261,21 @@ def alternatives_of(found: Attribution) -> tuple[Alternative, ...]:
             if not any(a.effect == other for a in result) and other not in {t[0] for t in taken}:
                 result.append(Alternative(other, "", None, f"known to look alike; {text}"))
     return tuple(result)
+
+
+def _own_places(found: Attribution) -> dict[int, float]:
+    """For each round that an effect of the final explanation took part in, how far the best such
+    effect was behind the round's winner."""
+    chosen = {(e.effect, e.target) for e in found.after.hypothesis.effects}
+    own: dict[int, float] = {}
+    for rival in found.rivals:
+        if (rival.instance.effect, rival.instance.target) in chosen:
+            own[rival.round] = min(rival.delta_bic, own.get(rival.round, np.inf))
+    return own
+
+
+_APART = 20.0
+"""Information criterion within which two effects of a round count as hardly told apart."""
 
 
 def candidates_of(found: Attribution) -> tuple[Candidate, ...]:
