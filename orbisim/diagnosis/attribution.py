@@ -13,9 +13,10 @@ from orbisim.diagnosis.joint import propose
 from orbisim.diagnosis.paying import unpaid
 from orbisim.diagnosis.refine import Judge, Judged
 from orbisim.diagnosis.rounds import best_addition, best_with_retuning, simpler, tied
-from orbisim.diagnosis.screening import Screening, cleaned
+from orbisim.diagnosis.screening import cleaned
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.state import NEAR, Progress, SearchState, quiet, strained
+from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.swapping import swapped
 from orbisim.effects import EffectInstance, find
 
@@ -104,8 +105,9 @@ def _preferable(state: SearchState, one: Judged, other: Judged) -> bool:
     of fewer numbers: of what declared parameters that are a little off do, an effect with many can
     do some by chance."""
     model = state.bench.scene.model
-    fewer = simpler(model, one.hypothesis)[0] < simpler(model, other.hypothesis)[0]
-    return one.cost < other.cost - (-_TIE if fewer else state.settings.margin)
+    if simpler(model, one.hypothesis)[0] < simpler(model, other.hypothesis)[0]:
+        return one.cost < other.cost or tied(one, other)
+    return one.cost < other.cost - state.settings.margin
 
 
 def _rivals(state: SearchState, single: Judged) -> list[EffectInstance]:
@@ -233,5 +235,4 @@ _HUBER = 4.0
 _HALF = 0.5
 _MOST = 0.2
 _NEARLY = 60.0
-_TIE = 4.0
 _FEW = 2

@@ -11,8 +11,8 @@ from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.laws import imitated
 from orbisim.diagnosis.refine import Judge, Judged
 from orbisim.diagnosis.samples import Samples
-from orbisim.diagnosis.screening import Screening
 from orbisim.diagnosis.state import NEAR, Rival, SearchState
+from orbisim.diagnosis.suspects import Screening
 from orbisim.effects import EffectInstance
 
 

@@ -67,6 +67,10 @@ class Unknown:
     centre: float = 0.0
     precision: float = 0.0
 
+    def step_from(self, value: float) -> float:
+        """The difference step, backwards where forwards would leave the bounds."""
+        return -self.step if value + self.step > self.high else self.step
+
 
 def gauss_newton(
     shooter: Shooter,
@@ -347,9 +351,7 @@ class _Problem:
             if p in self.hints.slopes:
                 slopes[..., p] = self.hints.slopes[p]
                 continue
-            step = unknown.step
-            if values[p] + step > unknown.high:
-                step = -step
+            step = unknown.step_from(float(values[p]))
             moved = values.copy()
             moved[p] += step
             after = self.shooter.scaled(self.shooter.simulate(self.build(moved), xi))

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
 from orbisim.diagnosis.linear import IntervalMap
-from orbisim.diagnosis.regress import Normal, profiled
+from orbisim.diagnosis.regress import Normal, fit, profiled
 from orbisim.diagnosis.retune import Tunable, retuned
 from orbisim.effects import find
 from orbisim.effects.screening import Column
@@ -39,17 +39,23 @@ class Apart:
 
     Attributes:
       normal: what is left; columns that say nothing else are zero.
-      offset: [P], slope: [P, C]: the own parameters change by `offset - slope @ x` if the columns
-        have coefficients x.
+      whole: with the own columns. own: where these stand. which: numbers of their parameters.
+      count: of all own parameters.
     """
 
     normal: Normal
-    offset: Floats
-    slope: Floats
+    whole: Normal
+    own: tuple[int, ...]
+    which: tuple[int, ...]
+    count: int
 
     def moved(self, index: Sequence[int], coefficients: Floats) -> Floats:
         """[P]: change of the own parameters when some columns have these coefficients."""
-        return np.asarray(self.offset - self.slope[:, list(index)] @ coefficients)
+        explained = self.whole.gram[:, list(index)] @ coefficients
+        left = dataclasses.replace(self.whole, moment=self.whole.moment - explained)
+        change = np.zeros(self.count)
+        change[list(self.which)] = fit(left, self.own)[0]
+        return change
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -64,27 +70,18 @@ class OwnColumns:
     which: tuple[int, ...]
     count: int
 
-    def apart(self, normal: Normal, index: Sequence[int]) -> Apart:
+    def apart(self, normal: Normal, own: Sequence[int]) -> Apart:
         """Fits the own columns away.
 
         Args:
-          index: where they stand in the normal equations.
+          own: where they stand in the normal equations.
         """
-        at = list(index)
-        rest = profiled(normal, at, np.zeros(len(at)))
+        rest = profiled(normal, own, np.zeros(len(own)))
         same = np.diag(rest.gram) < _NEW * np.diag(normal.gram)
         gram, moment = rest.gram.copy(), rest.moment.copy()
         gram[same], gram[:, same], moment[same] = 0.0, 0.0, 0.0
         rest = dataclasses.replace(rest, gram=gram, moment=moment)
-        inner = normal.gram[np.ix_(at, at)]
-        scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
-        inverse = np.linalg.pinv(inner / np.outer(scale, scale), rcond=1e-9)
-        inverse = inverse / np.outer(scale, scale)
-        offset, slope = np.zeros(self.count), np.zeros((self.count, len(normal.moment)))
-        which = list(self.which)
-        offset[which] = inverse @ normal.moment[at]
-        slope[which] = inverse @ normal.gram[at]
-        return Apart(rest, offset, slope)
+        return Apart(rest, normal, tuple(own), self.which, self.count)
 
 
 _NEW = 1e-6
@@ -109,11 +106,7 @@ def own_columns(bench: Bench, hypothesis: Hypothesis, flow: IntervalMap) -> OwnC
         effect = find(hypothesis.effects[number].effect)
         if effect.structural:
             continue
-        step = (
-            unknowns[k].step
-            if values[k] + unknowns[k].step <= unknowns[k].high
-            else -unknowns[k].step
-        )
+        step = unknowns[k].step_from(float(values[k]))
         moved = values.copy()
         moved[k] += step
         other = hypothesis.at(bench.scene, moved)
@@ -134,6 +127,8 @@ def levelled(normals: Sequence[Normal]) -> list[Normal]:
     """Windows with those that leave much more than most weighed less, as Huber's loss would."""
     left = np.sqrt([max(one.square, 0.0) / max(one.count, 1) for one in normals])
     usual = float(np.median(left))
+    if not usual > 0:
+        return list(normals)
     weights = np.minimum(1.0, usual / np.maximum(left, 1e-300))
     return [
         Normal(w * one.gram, w * one.moment, w * one.square, one.count)

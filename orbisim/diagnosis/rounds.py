@@ -14,8 +14,9 @@ from orbisim.diagnosis.bench import Hypothesis, clean
 from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.paying import unpaid
 from orbisim.diagnosis.refine import Judged, is_structural
-from orbisim.diagnosis.screening import Screening, Suspect, cleaned
+from orbisim.diagnosis.screening import cleaned
 from orbisim.diagnosis.state import NEAR, Rival, SearchState
+from orbisim.diagnosis.suspects import Screening, Suspect
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.errors import OrbiSimError
 

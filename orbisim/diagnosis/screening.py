@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import itertools
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeVar
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +14,7 @@ from orbisim.diagnosis.linear import IntervalMap, Intervals
 from orbisim.diagnosis.nuisance import Apart, levelled, own_columns
 from orbisim.diagnosis.regress import Normal, fit, normal_equations, profiled, total
 from orbisim.diagnosis.retune import SPREAD
+from orbisim.diagnosis.suspects import Screening, Suspect, in_turns, key_of
 from orbisim.diagnosis.view import MotionView
 from orbisim.effects import EffectInstance, add_effects, effect_names, find
 from orbisim.effects.screening import Candidate, Column, Solve
@@ -25,44 +24,6 @@ from orbisim.scene import Scene
 Floats = npt.NDArray[np.float64]
 
 _SMOOTH = 7
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Suspect:
-    """An effect with first estimates of its parameters.
-
-    Attributes:
-      instance: the effect. bic: difference of the Bayesian information criterion to no effect, in
-        linear approximation (negative is better). ratio: residual over noise with it.
-      moved: what the free parameters of the effects that are there already change by then; None if
-        that is not known.
-    """
-
-    instance: EffectInstance
-    bic: float
-    ratio: float
-    moved: Floats | None = None
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Screening:
-    """Result of a screening.
-
-    Attributes:
-      suspects: best first, one for each effect, target and options.
-      pairs: of effects, best first.
-      shares: [nv] share of the residual that a missing force at each degree of freedom explains.
-      force: [N, nv] missing generalized force over every sampling interval.
-      intervals: the linear system along the scene that was screened.
-      tuned: suspects when declared parameters may be retuned too.
-    """
-
-    suspects: tuple[Suspect, ...]
-    shares: Floats
-    force: Floats
-    intervals: Intervals
-    tuned: tuple[Suspect, ...] = ()
-    pairs: tuple[tuple[Suspect, Suspect], ...] = ()
 
 
 def screen(
@@ -108,8 +69,8 @@ def screen(
     suspects, tuned = ranked(normal)
     if hypothesis.effects:
         steady = ranked(total(levelled(normals)))
-        suspects = list(_in_turns(suspects, steady[0], lambda s: _key(s.instance)))
-        tuned = list(_in_turns(tuned, steady[1], lambda s: _key(s.instance)))
+        suspects = list(in_turns(suspects, steady[0], lambda s: key_of(s.instance)))
+        tuned = list(in_turns(tuned, steady[1], lambda s: key_of(s.instance)))
     return Screening(
         suspects=tuple(suspects),
         shares=_shares(normal, first, len(columns) - first),
@@ -118,35 +79,6 @@ def screen(
         tuned=tuple(tuned),
         pairs=tuple(_pairs(found, normal, bench)),
     )
-
-
-def merged(one: Screening, other: Screening) -> Screening:
-    """Two screenings of the same data along different motions: suspects of both, in turns."""
-    return dataclasses.replace(
-        one,
-        suspects=_in_turns(one.suspects, other.suspects, lambda s: _key(s.instance)),
-        tuned=_in_turns(one.tuned, other.tuned, lambda s: _key(s.instance)),
-        pairs=_in_turns(
-            one.pairs, other.pairs, lambda p: (_key(p[0].instance), _key(p[1].instance))
-        ),
-    )
-
-
-T = TypeVar("T")
-
-
-def _in_turns(one: Sequence[T], other: Sequence[T], key: Callable[[T], Any]) -> tuple[T, ...]:
-    """Both sequences, element by element; what was there before is left out."""
-    both = itertools.chain.from_iterable(itertools.zip_longest(one, other))
-    found: dict[Any, T] = {}
-    for item in both:
-        if item is not None:
-            found.setdefault(key(item), item)
-    return tuple(found.values())
-
-
-def _key(instance: EffectInstance) -> tuple[str, ...]:
-    return (instance.effect, instance.target, *sorted(instance.options.values()))
 
 
 def missing_force(intervals: Intervals) -> Floats:

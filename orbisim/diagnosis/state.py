@@ -16,8 +16,9 @@ from orbisim.diagnosis.nuisance import factor_columns
 from orbisim.diagnosis.paying import unpaid
 from orbisim.diagnosis.refine import Judge, Judged, is_structural
 from orbisim.diagnosis.retune import REACH, Tunable, tunables
-from orbisim.diagnosis.screening import Screening, merged, missing_force, screen
+from orbisim.diagnosis.screening import missing_force, screen
 from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.suspects import Screening, merged
 from orbisim.effects import EffectInstance
 
 Floats = npt.NDArray[np.float64]
@@ -44,9 +45,6 @@ class Rival:
     round: int
     reason: str = ""
     pays: bool = False
-
-
-_FURTHER = 4
 
 
 def enough(settings: Settings, judged: Judged) -> float:
@@ -232,3 +230,7 @@ class SearchState:
                 return current
             current = kept
         return current
+
+
+_FURTHER = 4
+"""How often a fit through contacts goes on at most."""

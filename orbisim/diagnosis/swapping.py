@@ -1,4 +1,4 @@
-"""A last look at several effects: whether another one in the place of each does better."""
+"""Several effects looked at again: whether another one in the place of each does better."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.linear import linearize
 from orbisim.diagnosis.refine import Judged, is_structural
 from orbisim.diagnosis.rounds import begin, simpler, tied
-from orbisim.diagnosis.screening import Suspect, cleaned, screen
+from orbisim.diagnosis.screening import cleaned, screen
 from orbisim.diagnosis.state import NEAR, Rival, SearchState
+from orbisim.diagnosis.suspects import Suspect
 
 
 def swapped(state: SearchState, current: Judged) -> Judged:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from orbisim.diagnosis.linear import Intervals
-from orbisim.diagnosis.screening import Screening, Suspect, merged
+from orbisim.diagnosis.suspects import Screening, Suspect, merged
 from orbisim.effects import EffectInstance
 
 

@@ -40,6 +40,8 @@ def test_windows_that_leave_much_more_than_most_weigh_less() -> None:
     many = [one, one, one, Normal(np.eye(2), np.ones(2), 4000.0, 10)]
     weights = [float(n.gram[0, 0]) for n in levelled(many)]
     assert weights == pytest.approx([1, 1, 1, 0.05])
+    clean = Normal(np.eye(2), np.ones(2), 0.0, 10)
+    assert all(n.gram[0, 0] == 1 for n in levelled([clean, clean, one]))
 
 
 def test_a_second_effect_is_seen_although_the_first_has_taken_part_of_it(

@@ -1,0 +1,88 @@
+"""What a screening finds, and how two screenings become one."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.diagnosis.linear import Intervals
+from orbisim.effects import EffectInstance
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Suspect:
+    """An effect with first estimates of its parameters.
+
+    Attributes:
+      instance: the effect. bic: difference of the Bayesian information criterion to no effect, in
+        linear approximation (negative is better). ratio: residual over noise with it.
+      moved: what the free parameters of the effects that are there already change by then; None if
+        that is not known.
+    """
+
+    instance: EffectInstance
+    bic: float
+    ratio: float
+    moved: Floats | None = None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Screening:
+    """Result of a screening.
+
+    Attributes:
+      suspects: best first, one for each effect, target and options.
+      pairs: of effects, best first.
+      shares: [nv] share of the residual that a missing force at each degree of freedom explains.
+      force: [N, nv] missing generalized force over every sampling interval.
+      intervals: the linear system along the scene that was screened.
+      tuned: suspects when declared parameters may be retuned too.
+    """
+
+    suspects: tuple[Suspect, ...]
+    shares: Floats
+    force: Floats
+    intervals: Intervals
+    tuned: tuple[Suspect, ...] = ()
+    pairs: tuple[tuple[Suspect, Suspect], ...] = ()
+
+
+def merged(one: Screening, other: Screening) -> Screening:
+    """Two screenings of the same data along different motions: suspects of both, in turns."""
+    return dataclasses.replace(
+        one,
+        suspects=in_turns(one.suspects, other.suspects, lambda s: key_of(s.instance)),
+        tuned=in_turns(one.tuned, other.tuned, lambda s: key_of(s.instance)),
+        pairs=in_turns(
+            one.pairs, other.pairs, lambda p: (key_of(p[0].instance), key_of(p[1].instance))
+        ),
+    )
+
+
+T = TypeVar("T")
+
+
+def in_turns(one: Sequence[T], other: Sequence[T], key: Callable[[T], Any]) -> tuple[T, ...]:
+    """Both sequences, element by element; what was there before is left out.
+
+    Args:
+      key: what makes two elements the same.
+    """
+    both = itertools.chain.from_iterable(itertools.zip_longest(one, other))
+    found: dict[Any, T] = {}
+    for item in both:
+        if item is not None:
+            found.setdefault(key(item), item)
+    return tuple(found.values())
+
+
+def key_of(instance: EffectInstance) -> tuple[str, ...]:
+    """Effect, target and options: suspects of the same key differ in values alone."""
+    return (instance.effect, instance.target, *sorted(instance.options.values()))
