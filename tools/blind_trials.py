@@ -42,6 +42,12 @@ def generate(args: argparse.Namespace) -> int:
     else:
         wishes = every({name: motion_of(name) for name in RIGS}, args.seed)
         jobs = [(wish, f"t{i:04d}") for i, wish in enumerate(wishes)]
+    if args.scenes:
+        unknown = sorted(set(args.scenes) - set(RIGS))
+        if unknown:
+            print(f"no scene {unknown[0]!r}; there are {', '.join(RIGS)}", file=sys.stderr)
+            return 2
+        jobs = [(wish, name) for wish, name in jobs if wish.scene in args.scenes]
     if args.limit:
         jobs = jobs[: args.limit]
     entries: list[dict[str, Any]] = []
@@ -97,6 +103,7 @@ def main(argv: list[str] | None = None) -> int:
     making.add_argument("--seed", type=int, default=2026)
     making.add_argument("--workers", type=int, default=1)
     making.add_argument("--limit", type=int, default=0)
+    making.add_argument("--scenes", nargs="*", default=[], help="only trials of these")
     making.add_argument("--sample", action="store_true", help="only the fixed few")
     making.set_defaults(work=generate)
     running = commands.add_parser("run", help="diagnose trials, and let the peer fit them")

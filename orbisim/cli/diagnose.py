@@ -73,7 +73,7 @@ from orbisim.cli.common import (
 )
 @click.option(
     "--patience",
-    default=180.0,
+    default=300.0,
     show_default=True,
     help="Seconds after which no further effect is looked for.",
 )

@@ -92,11 +92,21 @@ def _retuned(
     first: Screening,
     only: Sequence[EffectInstance] | None = None,
 ) -> Judged | None:
-    """The best single effect with declared parameters retuned; not where bodies touch, where it
-    takes too long."""
-    if tuned is None or state.bench.contacts:
+    """The best single effect with declared parameters retuned.
+
+    Args:
+      only: the effects to try; all if None. Where bodies touch these are ranked anew then: along
+        the retuned scene the motion is another.
+    """
+    if tuned is None or state.late:
         return None
-    found = best_with_retuning(state, tuned, first, only)
+    if only is None and state.bench.contacts:
+        state.renew(tuned.hypothesis)
+        state.judge.start_from(tuned)
+        state.say("screening effects with declared parameters retuned")
+        found = best_addition(state, tuned, (again := state.screen(tuned)).tuned, again)
+    else:
+        found = best_with_retuning(state, tuned, first, only)
     return None if found is None else state.renewed(found)
 
 
@@ -234,5 +244,5 @@ _TOGETHER = 6
 _HUBER = 4.0
 _HALF = 0.5
 _MOST = 0.2
-_NEARLY = 60.0
+_NEARLY = 130.0
 _FEW = 2

@@ -11,7 +11,7 @@ from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.laws import imitated
 from orbisim.diagnosis.refine import Judge, Judged
 from orbisim.diagnosis.samples import Samples
-from orbisim.diagnosis.state import NEAR, Rival, SearchState
+from orbisim.diagnosis.state import NEAR, Rival, SearchState, strained
 from orbisim.diagnosis.suspects import Screening
 from orbisim.effects import EffectInstance
 
@@ -171,6 +171,8 @@ def _excess(state: SearchState, judged: Judged) -> float:
 
 def _doubt(state: SearchState, whole: Bench, before: Judged, after: Judged) -> str | None:
     """Why an explanation that does not reach the noise is none; None if it is one."""
+    if not after.hypothesis.effects and strained(after):
+        return "a declared parameter would have to be further off than any is"
     if after.ratio <= NEAR:
         return None
     if not after.hypothesis.effects:

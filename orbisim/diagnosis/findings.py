@@ -14,11 +14,11 @@ from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.confidence import confidence
 from orbisim.diagnosis.confounds import advice, standing
 from orbisim.diagnosis.gauss_newton import Fit
+from orbisim.diagnosis.paying import enough
 from orbisim.diagnosis.result import Alternative, Candidate, Estimate, FoundEffect, Retuned, Verdict
 from orbisim.diagnosis.scoring import Score, score
 from orbisim.diagnosis.sensing import Sensed
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.state import enough
 from orbisim.effects import find
 from orbisim.recording import Recording
 from orbisim.recording.joints import joints

@@ -124,19 +124,76 @@ def start_derivatives(shooter: Shooter, variant: Variant, start: Floats) -> Floa
     return problem.start_jacobian(problem.trial(np.zeros(0), start))
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Own:
+    """What the unknowns of a fit change.
+
+    Attributes:
+      slopes: [W, data, P] of the weighted data, for each unit. values: [P] where.
+      simulated: [W, data] weighted, there. unknowns: with priors.
+    """
+
+    slopes: Floats
+    values: Floats
+    simulated: Floats
+    unknowns: Sequence[Unknown]
+
+
+def own_slopes(
+    shooter: Shooter,
+    build: Callable[[Floats], Variant],
+    unknowns: Sequence[Unknown],
+    start: Floats,
+) -> Own:
+    """Derivatives of the weighted data by the unknowns where they begin, by differences.
+
+    Args:
+      start: [W, 2 nv] window starts.
+    """
+    problem = _Problem(shooter, build, unknowns, Hints(), None)
+    values = np.clip(problem.begin, problem.low, problem.high)
+    here = problem.trial(values, start)
+    return Own(problem.slopes(here), values, shooter.scaled(here.simulated), unknowns)
+
+
 def glanced(
-    shooter: Shooter, variant: Variant, start: Floats, free: Floats, robust: float | None
-) -> Floats:
-    """[W]: sum of squares that one simulation leaves if the starts are corrected linearly.
+    shooter: Shooter,
+    variant: Variant,
+    start: Floats,
+    free: Floats,
+    robust: float | None,
+    own: Own | None = None,
+    only: Bools | None = None,
+) -> tuple[Floats, float]:
+    """[W]: cost that one simulation leaves if starts are corrected linearly; and how large, in
+    units of itself, that would best be in which `variant` differs (1 if `own` is None).
 
     Args:
       start: [W, 2 nv] where to start. free: [W, data, 2 nv] derivatives by the starts.
+      own: what is corrected too: its unknowns, and how large that is in which `variant` differs.
+      only: [W] the windows to look at, all if None; what is returned of others is meaningless.
     """
-    problem = _Problem(shooter, lambda _: variant, [], Hints(free), robust)
-    none = np.zeros(0)
-    here = problem.trial(none, problem.widened(none, start))
-    left, _ = problem.projected(here.residual, np.zeros((*here.residual.shape, 0)), free)
-    return np.asarray((left**2).sum(axis=1))
+    if own is None:
+        unknowns, values = [], np.zeros(0)
+    else:
+        unknowns, values = [*own.unknowns, _SIZE], np.append(own.values, 1.0)
+    problem = _Problem(shooter, lambda _: variant, unknowns, Hints(free), robust)
+    here = problem.trial(values, problem.widened(values, start), only)
+    slopes, residual = np.zeros((*here.residual.shape, 0)), here.residual
+    if own is not None:
+        change = shooter.scaled(here.simulated) - own.simulated
+        slopes = np.concatenate([own.slopes, change[..., None]], axis=2)
+    if only is not None:
+        slopes = np.where(only[:, None, None], slopes, 0.0)
+        residual = np.where(only[:, None], residual, 0.0)
+    left, step = problem.corrected(values, residual, slopes, free)
+    return left, 1.0 if own is None else 1.0 + float(step[-1])
+
+
+_SIZE = Unknown("size", 1.0, 0.2, 3.0, 1e-4, 1.0, 1.0)
+_GLANCED = 1e-4
+"""Damping of a glance's step."""
+_REWEIGHTED = 5
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -148,7 +205,9 @@ class Hints:
       slopes: [W, data] by the unknown of that number.
       exact: whether derivatives by the starts are taken anew in every iteration (contacts).
       rough: whether `free` holds only at first (contacts).
-      quick: whether to do without starting badly fitting windows anew (contacts).
+      quick: whether to do without starting badly fitting windows anew (contacts), and without
+        information, score and covariance.
+      trim: share of the windows that unknowns need not fit.
     """
 
     free: Floats | None = None
@@ -156,6 +215,7 @@ class Hints:
     exact: bool = False
     rough: bool = False
     quick: bool = False
+    trim: float = 0.0
 
 
 class _Problem:
@@ -207,7 +267,7 @@ class _Problem:
                 iterations, again, hinted = iterations + 3, False, False
                 here, active = retried, np.ones(len(shooter), bool)
                 free, at = self._updated(free, at, here)
-            slopes = self._slopes(here)
+            slopes = self.slopes(here)
             found = self._search(here, slopes, free, damping, brakes, active)
             if found is None:
                 if not hinted:
@@ -217,7 +277,8 @@ class _Problem:
                 continue
             if not self.unknowns:  # windows are independent of each other
                 active = here.cost - found.cost > tolerance * here.cost
-            gain = (here.total - found.total) / max(here.total, 1e-300)
+            before, after = self.total(here), self.total(found)
+            gain = (before - after) / max(before, 1e-300)
             here, damping = found, max(damping / 10, 1e-9)
             iteration += 1
             if gain < tolerance and not (hinted and self.hints.rough):
@@ -304,10 +365,11 @@ class _Problem:
             worse = trial.cost > here.cost
             brakes[worse] = np.maximum(brakes[worse] * 100, 1e-3)
             brakes[~worse] = np.maximum(brakes[~worse] / 10, 1e-12)
-            if worse.any() and (trial.total >= here.total or self.hints.exact):
+            now = self.total(here)
+            if worse.any() and (self.total(trial) >= now or self.hints.exact):
                 stay = self.trial(values, here.xi, worse, trial) if self.unknowns else here
                 trial = self._better(trial, stay)
-            if trial.total < here.total:
+            if self.total(trial) < now:
                 return trial
             damping = max(damping * 10, 1e-3)
         return None
@@ -338,11 +400,24 @@ class _Problem:
         size, k = np.abs(residual), self.robust
         return np.asarray(np.where(size <= k, size**2, 2 * k * size - k**2).sum(axis=1))
 
+    def _trusted(self, cost: Floats) -> Bools:
+        """[W]: the windows whose costs count for the unknowns; all but the worst few, where impacts
+        make costs jump (least trimmed squares; Rousseeuw, J. Am. Stat. Assoc. 79, 1984)."""
+        out = round(self.hints.trim * len(cost)) if self.unknowns else 0
+        found = np.ones(len(cost), bool)
+        if out:
+            found[np.argsort(-cost / np.maximum(self.shooter.data, 1), kind="stable")[:out]] = False
+        return found
+
+    def total(self, trial: _Trial) -> float:
+        """What a fit makes least."""
+        return float(trial.cost[self._trusted(trial.cost)].sum()) + trial.penalty
+
     def penalty(self, values: Floats) -> float:
         """What the priors charge."""
         return float((self.precision * (values - self.centre) ** 2).sum())
 
-    def _slopes(self, here: _Trial) -> Floats:
+    def slopes(self, here: _Trial) -> Floats:
         """Derivatives of the weighted simulated data by the parameters, [W, data, P]."""
         values, xi = here.values, here.xi
         base = self.shooter.scaled(here.simulated)
@@ -384,9 +459,30 @@ class _Problem:
             jacobian[..., j] = (after - base) / _START_STEP
         return np.clip(jacobian, -1e12, 1e12)
 
-    def projected(self, residual: Floats, slopes: Floats, free: Floats) -> tuple[Floats, Floats]:
-        """Residuals and slopes without what the starts explain."""
-        root = np.sqrt(self._weights(residual))[..., None]
+    def corrected(
+        self, values: Floats, residual: Floats, slopes: Floats, free: Floats
+    ) -> tuple[Floats, Floats]:
+        """[W]: cost after a linear correction of unknowns and starts; [P]: that of the unknowns.
+        Large residuals, which say how far from linear a window is, count less and less (reweighted
+        least squares)."""
+        now, none, step = residual, np.zeros(len(residual)), np.zeros(len(values))
+        for _ in range(1 if self.robust is None else _REWEIGHTED):
+            left, weighted = self.projected(residual, slopes, free, now)
+            step = self.bounded_step(values, left, weighted, _GLANCED)
+            wanted, root = residual - slopes @ step, np.sqrt(self._weights(now))
+            moves = _least_squares(free * root[..., None], wanted * root, none)
+            now = wanted - np.einsum("wdf,wf->wd", free, moves)
+        return self._window_costs(now), step
+
+    def projected(
+        self, residual: Floats, slopes: Floats, free: Floats, weighed_by: Floats | None = None
+    ) -> tuple[Floats, Floats]:
+        """Residuals and slopes without what the starts explain.
+
+        Args:
+          weighed_by: [W, data] residuals that give the weights; `residual` if None.
+        """
+        root = np.sqrt(self._weights(residual if weighed_by is None else weighed_by))[..., None]
         weighted = slopes * root
         left = residual * root[..., 0]
         basis = np.linalg.qr(free * root)[0]
@@ -394,29 +490,60 @@ class _Problem:
         inner = np.einsum("wdf,wdp->wfp", basis, weighted)
         return left, weighted - np.einsum("wdf,wfp->wdp", basis, inner)
 
+    def parameter_step(
+        self, values: Floats, left: Floats, weighted: Floats, damping: float
+    ) -> Floats:
+        """[P]: the damped step of the unknowns, zero where it would leave the bounds.
+
+        Args:
+          left, weighted: residuals and slopes without what the starts explain.
+        """
+        count = len(values)
+        if not count:
+            return np.zeros(0)
+        gram = np.einsum("wdp,wdq->pq", weighted, weighted) + np.diag(self.precision)
+        moment = np.einsum("wdp,wd->p", weighted, left)
+        moment = moment - self.precision * (values - self.centre)
+        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        scaled = gram / np.outer(scale, scale) + damping * np.eye(count)
+        step = np.linalg.lstsq(scaled, moment / scale, rcond=1e-10)[0] / scale
+        blocked = ((values >= self.high) & (step > 0)) | ((values <= self.low) & (step < 0))
+        step[blocked] = 0.0
+        return np.asarray(step)
+
+    def bounded_step(
+        self, values: Floats, left: Floats, weighted: Floats, damping: float
+    ) -> Floats:
+        """[P]: a step of which nothing leaves the bounds; if the last unknown would, it stops there
+        and the others make up for it."""
+        step = self.parameter_step(values, left, weighted, damping)
+        if not len(step):
+            return step
+        room = self.low - values, self.high - values
+        last = float(np.clip(step[-1], room[0][-1], room[1][-1]))
+        if last != step[-1]:
+            held = left - weighted[..., -1] * last
+            few = _Problem(self.shooter, self.build, self.unknowns[:-1], self.hints, self.robust)
+            step = np.append(
+                few.parameter_step(values[:-1], held, weighted[..., :-1], damping), last
+            )
+        return np.clip(step, *room)
+
     def _step(
         self, here: _Trial, slopes: Floats, free: Floats, damping: float, brakes: Floats
     ) -> tuple[Floats, Floats]:
-        values, residual = here.values, here.residual
-        left, weighted = self.projected(residual, slopes, free)
-        count = len(values)
-        step = np.zeros(count)
-        if count:
-            gram = np.einsum("wdp,wdq->pq", weighted, weighted) + np.diag(self.precision)
-            moment = np.einsum("wdp,wd->p", weighted, left)
-            moment = moment - self.precision * (values - self.centre)
-            scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-            scaled = gram / np.outer(scale, scale) + damping * np.eye(count)
-            step = np.linalg.lstsq(scaled, moment / scale, rcond=1e-10)[0] / scale
-            blocked = ((values >= self.high) & (step > 0)) | ((values <= self.low) & (step < 0))
-            step[blocked] = 0.0
+        residual = here.residual
+        trusted = self._trusted(here.cost)
+        left, weighted = self.projected(residual[trusted], slopes[trusted], free[trusted])
+        step = self.parameter_step(here.values, left, weighted, damping)
         root = np.sqrt(self._weights(residual))
         wanted = (residual - slopes @ step) * root
         return step, _least_squares(free * root[..., None], wanted, brakes)
 
     def _result(self, here: _Trial, free: Floats) -> Fit:
         values, xi, residual = here.values, here.xi, here.residual
-        slopes = self._slopes(here)
+        unasked = np.zeros((*residual.shape, len(values)))
+        slopes = unasked if self.hints.quick else self.slopes(here)
         left, weighted = self.projected(residual, slopes, free)
         information = np.einsum("wdp,wdq->wpq", weighted, weighted)
         score = np.einsum("wdp,wd->wp", weighted, left)

@@ -10,7 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
-from orbisim.diagnosis.gauss_newton import Fit, Hints, gauss_newton, glanced, start_derivatives
+from orbisim.diagnosis.gauss_newton import (
+    Fit,
+    Hints,
+    Own,
+    gauss_newton,
+    glanced,
+    own_slopes,
+    start_derivatives,
+)
 from orbisim.diagnosis.linear import Intervals, linearize
 from orbisim.diagnosis.retune import Tunable
 from orbisim.diagnosis.shooting import Shooter
@@ -56,7 +64,8 @@ class Judge:
     Args:
       bench: the data.
       intervals: linear system along a scene close to what will be judged, for quick derivatives.
-      tunables, columns: declared parameters and their effect on every interval [N, 2 nv, F].
+      tunables, columns: declared parameters and their effect on every interval [N, 2 nv, F]; not
+        used where bodies touch, as chained through impacts it says little.
       most: at most so many windows are fitted (spread evenly), for speed; None for all.
       robust: residuals beyond this many standard deviations count linearly; None for none.
     """
@@ -82,10 +91,12 @@ class Judge:
         if not bench.contacts:
             self._free = {id(s): s.chained(intervals) for s in (self.fitted, self.check)}
         self._slopes: dict[Tunable, Floats] = {}
-        if columns is not None:
+        if columns is not None and not bench.contacts:
             response = self.fitted.respond(intervals, columns)
             self._slopes = {one: response[..., f] for f, one in enumerate(tunables)}
         self._warm: dict[int, Floats] = {}
+        self._own: Own | None = None
+        self._told: tuple[Hypothesis, Floats] | None = None
 
     def judge(
         self, hypothesis: Hypothesis, iterations: int = 5, polish: bool = True
@@ -133,7 +144,7 @@ class Judge:
         own scene, then as differences show. Along the declared scene it may be quite another thing.
         Where bodies touch, only the latter.
         """
-        kept = self._free, self._warm
+        kept = self._free, self._warm, self._own, self._told
         best = judged
         try:
             for own in (False,) if self.bench.contacts else (True, False):
@@ -143,11 +154,11 @@ class Judge:
                 if again is not None and again.cost < best.cost:
                     best = again
         finally:
-            self._free, self._warm = kept
+            self._free, self._warm, self._own, self._told = kept
         return best
 
     def _judged_anew(self, judged: Judged, own: bool, iterations: int) -> Judged | None:
-        self._free, self._warm = {}, {}
+        self._free, self._warm, self._own, self._told = {}, {}, None, None
         if own:
             intervals = linearize(self.bench.flow(judged.hypothesis))
             self._free = {id(s): s.chained(intervals) for s in (self.fitted, self.check)}
@@ -156,28 +167,53 @@ class Judge:
         return self.judge(judged.hypothesis, iterations)
 
     def glance(self, hypothesis: Hypothesis) -> float:
-        """What a hypothesis as it stands would leave, at the price of one simulation: mean squared
-        residual over windows, with starts corrected linearly; infinite if it cannot be simulated,
-        or if `start_from` was not called before.
+        """As `sized_glance`, without the size."""
+        return self.sized_glance(hypothesis)[0]
+
+    def sized_glance(self, hypothesis: Hypothesis) -> tuple[float, float]:
+        """What a hypothesis would leave, at the price of one simulation: mean squared residual over
+        every other window, with starts, the numbers of the hypothesis that `start_from` was told,
+        and the size of the difference to that, corrected linearly, and this size; infinite if it
+        cannot be simulated, or if `start_from` was not called before.
         """
         start, free = self._warm.get(id(self.fitted)), self._free.get(id(self.fitted))
         if start is None or free is None:
-            return np.inf
+            return np.inf, 1.0
+        some = np.arange(len(self.fitted)) % 2 == 0 if len(self.fitted) >= _MANY else None
         try:
             variant = hypothesis.variant(self.bench.scene)
-            left = glanced(self.fitted, variant, start, free, self.robust)
+            own = self._own_slopes()
+            left, size = glanced(self.fitted, variant, start, free, self.robust, own, some)
         except (OrbiSimError, np.linalg.LinAlgError):
-            return np.inf
+            return np.inf, 1.0
         dof = np.maximum(self.fitted.data - 2 * self.fitted.nv, 1)
-        return self._typical(self.fitted, left / dof)
+        return self._typical(self.fitted, (left / dof)[slice(None) if some is None else some]), size
 
     def tried(self, hypothesis: Hypothesis) -> float:
-        """What one step of a fit leaves, as `glance`."""
+        """What one step of a fit leaves, over all windows; with derivatives by the numbers of the
+        hypothesis that `start_from` was told as they are there."""
         try:
             fit = self._fit(hypothesis, 1, quick=True)
         except (OrbiSimError, np.linalg.LinAlgError):
             return np.inf
         return self._typical(self.fitted, _means(self.fitted, fit))
+
+    def _own_slopes(self) -> Own | None:
+        """What the numbers of the hypothesis change that `start_from` was told; where bodies touch
+        alone, and not where joints were added."""
+        known, self._told = self._told, None
+        if known is not None:
+            self._own = self._slopes_of(*known)
+        return self._own
+
+    def _slopes_of(self, hypothesis: Hypothesis, start: Floats) -> Own | None:
+        declared = self.bench.scene
+        unknowns = hypothesis.unknowns(declared)
+        if is_structural(hypothesis):
+            return None
+        return own_slopes(
+            self.fitted, lambda v: hypothesis.at(declared, v).variant(declared), unknowns, start
+        )
 
     def start_from(self, judged: Judged, fitted: Bools | None = None) -> None:
         """Takes a hypothesis' window starts, and what they do, as first guesses for others.
@@ -200,6 +236,8 @@ class Judge:
             self._warm[id(shooter)] = start
             if self.bench.contacts:
                 self._free[id(shooter)] = start_derivatives(shooter, variant, start)
+                if shooter is self.fitted:
+                    self._own, self._told = None, (judged.hypothesis, start)
 
     def score(self, hypothesis: Hypothesis, shooter: Shooter, iterations: int = 4) -> Fit:
         """Residuals of fixed parameters, window starts fitted."""
@@ -218,7 +256,9 @@ class Judge:
         self, shooter: Shooter, slopes: Mapping[int, Floats] | None = None, quick: bool = False
     ) -> Hints:
         free = self._free.get(id(shooter))
-        return Hints(free, slopes or {}, exact=free is None, rough=self.bench.contacts, quick=quick)
+        trim = _TRIMMED if self.bench.contacts else 0.0
+        exact, rough = free is None, self.bench.contacts
+        return Hints(free, slopes or {}, exact=exact, rough=rough, quick=quick, trim=trim)
 
     def _fitted(self, hypothesis: Hypothesis, iterations: int) -> tuple[Hypothesis, Fit]:
         declared = self.bench.scene
@@ -239,6 +279,11 @@ class Judge:
             for f, (one, _) in enumerate(hypothesis.factors)
             if one in self._slopes
         }
+        own = self._own_slopes() if quick else None
+        if own is not None:
+            known = {one.name: own.slopes[..., k] for k, one in enumerate(own.unknowns)}
+            names = [one.name for one in hypothesis.unknowns(declared)]
+            slopes |= {k: known[name] for k, name in enumerate(names) if name in known}
         return gauss_newton(
             self.fitted,
             lambda values: hypothesis.at(declared, values).variant(declared),
@@ -253,7 +298,9 @@ class Judge:
         """Parameters of effects that hardly change the data, compared with the others."""
         free = fitted.free(self.bench.scene)
         information = np.diag(fit.information.sum(axis=0))[: len(free)]
-        size = np.maximum(np.abs(fit.values[: len(free)]), 1e-3)
+        values, unknowns = fit.values[: len(free)], fitted.unknowns(self.bench.scene)
+        at_end = np.array([not u.low < v < u.high for u, v in zip(unknowns, values, strict=False)])
+        size = np.maximum(np.where(at_end, 0.0, np.abs(values)), 1e-3)
         change = np.sqrt(np.maximum(information, 0.0)) * size
         weak = change < max(_WEAK * change.max(initial=0.0), 1e-3)
         weak &= np.array([not self._stepwise(fitted, i, name) for i, name in free], bool)
@@ -370,6 +417,8 @@ _FINER = (0.12, 0.03, 0.008)
 """Grids for what acts in steps, of its value."""
 _GRID_STEPS_IN_CONTACT = 2
 _TRIMMED = 0.15
+_MANY = 24
+"""Windows of which every other one does for a glance."""
 
 
 def _padded(fit: Fit, index: int) -> dict[str, Any]:

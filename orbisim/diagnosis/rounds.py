@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -12,6 +11,7 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis, clean
 from orbisim.diagnosis.consistency import inconsistency
+from orbisim.diagnosis.glances import Candidate, shortlist
 from orbisim.diagnosis.paying import unpaid
 from orbisim.diagnosis.refine import Judged, is_structural
 from orbisim.diagnosis.screening import cleaned
@@ -52,20 +52,6 @@ def best_with_retuning(
     return _best_of(state, tuned, candidates, lambda e: Hypothesis((e,)).tuned(state.tunables))
 
 
-class Candidate(NamedTuple):
-    """An effect to fit.
-
-    Attributes:
-      instance: with the values to start from.
-      slow: whether that takes long: it adds a joint, and no screening ranked it.
-      moved: by how much the parameters of the effects before may change then; None if not known.
-    """
-
-    instance: EffectInstance
-    slow: bool = False
-    moved: npt.NDArray[np.float64] | None = None
-
-
 def _best_of(
     state: SearchState,
     current: Judged,
@@ -80,6 +66,7 @@ def _best_of(
     state.round += 1
     state.judge.start_from(current)
     fitted: list[Judged] = []
+    begun: list[Candidate] = []
     for candidate in candidates:
         instance = candidate.instance
         if fitted and (state.late or _settled(current, fitted, candidate.slow)):
@@ -90,8 +77,10 @@ def _best_of(
         judged = state.judge.judge(start, state.iterations, polish=not quick)
         if judged is not None:
             fitted.append(judged)
+            begun.append(candidate)
         else:
             state.rejected.append((instance, "the scene with it cannot be simulated"))
+    fitted += _generalized(state, fitted, plus, [one.instance for one in begun])
     if not fitted:
         return None
     fitted = _ranked(_closer(state, distinct(_ranked(fitted))))
@@ -105,6 +94,27 @@ def _best_of(
         for j, reason, problem in zip(fitted, reasons, unpaying, strict=True)
     ]  # fmt: skip
     return winner
+
+
+def _generalized(
+    state: SearchState,
+    fitted: Sequence[Judged],
+    plus: Callable[[EffectInstance], Hypothesis],
+    begun: Sequence[EffectInstance],
+) -> list[Judged]:
+    """Effects that do worse than a special case of them, fitted again from there."""
+    found: list[Judged] = []
+    for general, own in zip(fitted, begun, strict=True):
+        for special in fitted:
+            other = special.hypothesis.effects[-1]
+            if special.cost >= general.cost or other.target != own.target:
+                continue
+            values = find(own.effect).generalized(own.values, other)
+            if values is not None:
+                start = plus(dataclasses.replace(own, values=dict(values)))
+                judged = state.judge.judge(start, state.iterations)
+                found += [judged] if judged is not None else []
+    return found
 
 
 def begin(
@@ -191,66 +201,8 @@ def _suspects(
     state: SearchState, hypothesis: Hypothesis, suspects: Sequence[Suspect], screening: Screening
 ) -> Iterator[Candidate]:
     """Best first; then play and elasticity, which no regression sees."""
-    yield from _shortlist(state, hypothesis, suspects)
+    yield from shortlist(state, hypothesis, suspects)
     yield from (Candidate(one, slow=True) for one in _structural(state, hypothesis, screening))
-
-
-def _shortlist(
-    state: SearchState, hypothesis: Hypothesis, suspects: Sequence[Suspect]
-) -> list[Candidate]:
-    """The best. Where there are contacts, regressions say less: one simulation of each of many
-    decides, and the first few are fitted from two starts."""
-    possible = [
-        Candidate(instance, moved=suspect.moved)
-        for suspect in suspects
-        if (instance := cleaned(state.bench, suspect)) is not None
-    ]
-    most = state.settings.shortlist + (_MORE if hypothesis.effects else 0)
-    if not state.bench.contacts or is_structural(hypothesis):
-        return possible[:most]
-    some = [one.instance for one in possible]
-    chosen = [*varied(possible, 2)[:_GLANCES], *map(Candidate, usual(state, some))]
-    ranked = _sorted(chosen, lambda one: state.judge.glance(hypothesis.plus(one.instance)))
-    if hypothesis.effects:  # what is there changes too: a glance without that says little
-        tried = varied(ranked, 2)[:_TRIED]
-        ranked = _sorted(tried, lambda one: state.judge.tried(hypothesis.plus(one.instance)))
-    first = varied(ranked, 1)[:most]
-    few = {_place(one) for one in first[:_FEW]}
-    again = [one for one in ranked if _place(one) in few]
-    return [*first, *(one for one in varied(again, 2) if not any(one is f for f in first))]
-
-
-def _sorted(found: Sequence[Candidate], left: Callable[[Candidate], float]) -> list[Candidate]:
-    """By what each leaves."""
-    left_by = [left(one) for one in found]
-    return [found[i] for i in np.argsort(left_by, kind="stable")]
-
-
-def usual(state: SearchState, possible: Sequence[EffectInstance]) -> list[EffectInstance]:
-    """Effects on bodies at usual sizes, whatever a regression says: payloads and forces in
-    proportion to masses."""
-    bodies = {(e.effect, e.target) for e in possible if find(e.effect).kind == "body"}
-    model = state.bench.scene.model
-    return [
-        clean(state.bench.scene, EffectInstance(name, target, dict(values)))
-        for name, target in sorted(bodies)
-        for values in find(name).trials(model, target)
-    ]
-
-
-def varied(found: Sequence[Candidate], most: int) -> list[Candidate]:
-    """The first few forms of each effect at a target."""
-    count: Counter[tuple[str, str]] = Counter()
-    kept = []
-    for one in found:
-        count[_place(one)] += 1
-        if count[_place(one)] <= most:
-            kept.append(one)
-    return kept
-
-
-def _place(one: Candidate) -> tuple[str, str]:
-    return (one.instance.effect, one.instance.target)
 
 
 def _structural(
@@ -319,9 +271,6 @@ def _ranked(fitted: Sequence[Judged]) -> list[Judged]:
 _TIE = 4.0
 _FEW = 3
 _NEARLY = 25.0
-_GLANCES = 100
-_TRIED = 30
-_MORE = 2
 _SHARE = 0.08
 _LITTLE = 0.1
 _HALF = 0.5

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import itertools
 from collections.abc import Mapping, Sequence
@@ -165,6 +166,9 @@ def _rank(
             continue
         moved = None if apart is None else apart.moved(index, coefficients)
         suspect = _suspect(candidate, values, left, normal, bench, moved)
+        if not candidate.fixed:
+            sized = functools.partial(_sized, bench.scene, candidate, coefficients)
+            suspect = dataclasses.replace(suspect, sized=sized)
         key = (candidate.effect, candidate.target, *sorted(candidate.options.values()))
         if key not in best or suspect.bic < best[key].bic:
             best[key] = suspect
@@ -282,6 +286,17 @@ def _force_columns(force: Floats, flow: IntervalMap) -> list[Column]:
 def _shares(normal: Normal, first: int, count: int) -> Floats:
     gains = np.array([max(normal.square - fit(normal, [first + j])[1], 0.0) for j in range(count)])
     return gains / gains.sum() if gains.sum() > 0 else gains
+
+
+def _sized(
+    scene: Scene, candidate: Candidate, coefficients: Floats, size: float
+) -> EffectInstance | None:
+    """A candidate's effect where its coefficients are so many times as large."""
+    values = candidate.solve(size * coefficients)
+    if values is None:
+        return None
+    made = EffectInstance(candidate.effect, candidate.target, dict(values), dict(candidate.options))
+    return bounded_instance(scene, made)
 
 
 def cleaned(bench: Bench, suspect: Suspect) -> EffectInstance | None:

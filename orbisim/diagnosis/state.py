@@ -13,7 +13,7 @@ from orbisim.diagnosis.along import along, tame
 from orbisim.diagnosis.bench import Bench, Hypothesis
 from orbisim.diagnosis.linear import linearize
 from orbisim.diagnosis.nuisance import factor_columns
-from orbisim.diagnosis.paying import unpaid
+from orbisim.diagnosis.paying import enough, unpaid
 from orbisim.diagnosis.refine import Judge, Judged, is_structural
 from orbisim.diagnosis.retune import REACH, Tunable, tunables
 from orbisim.diagnosis.screening import missing_force, screen
@@ -45,11 +45,6 @@ class Rival:
     round: int
     reason: str = ""
     pays: bool = False
-
-
-def enough(settings: Settings, judged: Judged) -> float:
-    """Residual over noise below which there is nothing to explain, given how much data there is."""
-    return settings.enough + 3.0 / np.sqrt(2.0 * max(judged.fit.count, 1))
 
 
 def quiet(settings: Settings, declared: Judged) -> bool:

@@ -25,12 +25,14 @@ class Suspect:
         linear approximation (negative is better). ratio: residual over noise with it.
       moved: what the free parameters of the effects that are there already change by then; None if
         that is not known.
+      sized: the effect so many times as large; None if that cannot be.
     """
 
     instance: EffectInstance
     bic: float
     ratio: float
     moved: Floats | None = None
+    sized: Callable[[float], EffectInstance | None] = lambda _: None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

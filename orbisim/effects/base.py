@@ -161,6 +161,18 @@ class Effect(abc.ABC):
         """Parameter values from which a search by simulation may start."""
         return [{p.name: p.scale for p in self.parameters(model, target)}]
 
+    def scaled(self, values: Values, size: float) -> Values:
+        """Values of the effect so many times as large; numbers that say where it is stay."""
+        return {name: size * value for name, value in values.items()}
+
+    def generalized(self, values: Values, special: EffectInstance) -> Values | None:
+        """Values close to which it does what a special case of it does; None if that is none.
+
+        Args:
+          values: of this effect, for what the special case does not have.
+        """
+        return None
+
     def resolution(self, model: mujoco.MjModel, name: str) -> float:
         """Step below which a parameter has no effect (delays act in timesteps); 0 for none."""
         return 0.0

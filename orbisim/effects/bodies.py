@@ -81,6 +81,10 @@ class Payload(BodyEffect):
         )
         return [{"mass": share * float(model.body_mass[body]), **place} for share in _SHARES]
 
+    def scaled(self, values: Values, size: float) -> Values:
+        """Another mass at the same place."""
+        return {**values, "mass": size * values["mass"]}
+
     def _at(self, view: View, target: str, place: np.ndarray) -> Candidate:
         """A point mass at a known place."""
         parts = dict(zip(("com_x", "com_y", "com_z"), map(float, place), strict=True))

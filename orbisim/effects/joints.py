@@ -349,6 +349,13 @@ class StribeckFriction(JointEffect):
         static = max(values["coulomb"], 0.0) + max(values["excess"], 0.0)
         return {"coulomb": values["coulomb"], "static": static, "velocity": values["velocity"]}
 
+    def generalized(self, values: Values, special: EffectInstance) -> Values | None:
+        """Coulomb friction with a little more where the joint hardly moves."""
+        if special.effect != CoulombFriction.name:
+            return None
+        level = float(special.values["torque"])
+        return {"coulomb": level, "static": _STICKS * level, "velocity": values["velocity"]}
+
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _FrictionLevel(model, instance, _stribeck)
 
@@ -361,6 +368,10 @@ class StribeckFriction(JointEffect):
             solve = _stribeck_values(float(scale))
             found.append(self.candidate(view, target, [-sign, -bump], solve, shape=1))
         return found
+
+
+_STICKS = 1.3
+"""Static over Coulomb friction where a search begins."""
 
 
 class LoadDependentFriction(JointEffect):

@@ -7,7 +7,8 @@ import pytest
 
 import orbisim
 from orbisim.diagnosis.bench import Hypothesis
-from orbisim.diagnosis.rounds import Candidate, distinct, usual, varied
+from orbisim.diagnosis.glances import Candidate, usual, varied
+from orbisim.diagnosis.rounds import distinct
 from orbisim.effects import EffectInstance
 
 SCENE = """
@@ -35,11 +36,15 @@ def payload(mass: float) -> EffectInstance:
 def test_effects_are_also_tried_at_sizes_that_fit_the_scene() -> None:
     state: Any = SimpleNamespace(bench=SimpleNamespace(scene=orbisim.load_scene(SCENE)))
     bias = EffectInstance("sensor_bias", "box", {"offset": 0.1})
-    found = usual(state, [payload(77.0), friction(50.0), payload(88.0), bias])
+    candidates = usual(state, [payload(77.0), friction(50.0), payload(88.0), bias])
+    found = [one.instance for one in candidates]
     masses = [e.values["mass"] for e in found if e.effect == "payload"]
     assert masses == pytest.approx([0.2, 0.6])
     assert all(e.values["com_z"] == 0 for e in found if e.effect == "payload")
     assert {e.effect for e in found} == {"payload"}
+    twice = candidates[0].sized(2.0)
+    assert twice is not None
+    assert (twice.values["mass"], twice.values["com_z"]) == pytest.approx((2 * masses[0], 0.0))
 
 
 def test_few_forms_of_an_effect_and_the_better_of_two_fits() -> None:

@@ -1,0 +1,154 @@
+"""Which suspects are worth a fit, where regressions say little: one simulation of each tells."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.diagnosis.bench import Hypothesis, clean
+from orbisim.diagnosis.refine import is_structural
+from orbisim.diagnosis.screening import bounded_instance, cleaned
+from orbisim.diagnosis.state import SearchState
+from orbisim.diagnosis.suspects import Suspect
+from orbisim.effects import EffectInstance, find
+from orbisim.scene import Scene
+
+
+class Candidate(NamedTuple):
+    """An effect to fit.
+
+    Attributes:
+      instance: with the values to start from.
+      slow: whether that takes long: it adds a joint, and no screening ranked it.
+      moved: by how much the parameters of the effects before may change then; None if not known.
+      sized: the effect so many times as large; None if that cannot be.
+    """
+
+    instance: EffectInstance
+    slow: bool = False
+    moved: npt.NDArray[np.float64] | None = None
+    sized: Callable[[float], EffectInstance | None] = lambda _: None
+
+
+def shortlist(
+    state: SearchState, hypothesis: Hypothesis, suspects: Sequence[Suspect]
+) -> list[Candidate]:
+    """The best to add to a hypothesis. Where there are contacts, one simulation of each of many
+    decides, and the first few are fitted from two starts."""
+    possible = [
+        Candidate(instance, moved=suspect.moved, sized=suspect.sized)
+        for suspect in suspects
+        if (instance := cleaned(state.bench, suspect)) is not None
+    ]
+    most = state.settings.shortlist + (_MORE if hypothesis.effects else 0)
+    if not state.bench.contacts or is_structural(hypothesis):
+        return possible[:most]
+    more = usual(state, [one.instance for one in possible])
+    glances = _resized(state, hypothesis, [*varied(possible, 2)[:_GLANCES], *more])
+    ranked = _tried(state, hypothesis, glances)
+    first = varied(ranked, 1)[:most]
+    if hypothesis.factors:  # each fit takes long
+        return first
+    few = {_place(one) for one in first[:_FEW]}
+    again = [one for one in ranked if _place(one) in few]
+    return [*first, *(one for one in varied(again, 2) if not any(one is f for f in first))]
+
+
+class _Glance(NamedTuple):
+    """left: what an effect would leave. size: how large it is, in units of what was suspected.
+    better: how many times that would be better. one: the effect."""
+
+    left: float
+    size: float
+    better: float
+    one: Candidate
+
+
+def _resized(
+    state: SearchState, hypothesis: Hypothesis, found: Sequence[Candidate]
+) -> list[_Glance]:
+    """Best first, and the best as large as simulation wants them: chained through impacts,
+    regressions overshoot."""
+    made = []
+    for one in found:
+        left, better = state.judge.sized_glance(hypothesis.plus(one.instance))
+        made.append(_Glance(left, 1.0, better, one))
+    for _ in range(_RESIZED):
+        made.sort(key=lambda glance: glance.left)
+        made[:_FIRST] = [_again(state, hypothesis, glance) for glance in made[:_FIRST]]
+    return sorted(made, key=lambda glance: glance.left)
+
+
+def _again(state: SearchState, hypothesis: Hypothesis, glance: _Glance) -> _Glance:
+    """The better of an effect and of the same at the size that would be better."""
+    size = glance.size * glance.better
+    other = None if 1 / _LIKE < glance.better < _LIKE else glance.one.sized(size)
+    if other is None:
+        return glance
+    left, better = state.judge.sized_glance(hypothesis.plus(other))
+    if not left < glance.left:
+        return glance._replace(better=1.0)
+    return _Glance(left, size, better, glance.one._replace(instance=other))
+
+
+def _tried(
+    state: SearchState, hypothesis: Hypothesis, glances: Sequence[_Glance]
+) -> list[Candidate]:
+    """Ranked by what the first step of a fit leaves, or the glance where that is less."""
+    left = {id(glance.one): glance.left for glance in glances}
+    most = _TRIED if hypothesis.effects else _TRIED_FIRST
+    few = varied([glance.one for glance in glances], 2)[:most]
+
+    def least(one: Candidate) -> float:
+        return min(left[id(one)], state.judge.tried(hypothesis.plus(one.instance)))
+
+    return [few[i] for i in np.argsort([least(one) for one in few], kind="stable")]
+
+
+def usual(state: SearchState, possible: Sequence[EffectInstance]) -> list[Candidate]:
+    """Effects on bodies at usual sizes, whatever a regression says: payloads and forces in
+    proportion to masses."""
+    bodies = {(e.effect, e.target) for e in possible if find(e.effect).kind == "body"}
+    scene, found = state.bench.scene, []
+    for name, target in sorted(bodies):
+        for values in find(name).trials(scene.model, target):
+            one = EffectInstance(name, target, dict(values))
+            found.append(Candidate(clean(scene, one), sized=functools.partial(_scaled, scene, one)))
+    return found
+
+
+def _scaled(scene: Scene, one: EffectInstance, size: float) -> EffectInstance | None:
+    """An effect so many times as large; None if that cannot be."""
+    values = find(one.effect).scaled(one.values, size)
+    return bounded_instance(scene, dataclasses.replace(one, values=dict(values)))
+
+
+def varied(found: Sequence[Candidate], most: int) -> list[Candidate]:
+    """The first few forms of each effect at a target."""
+    count: Counter[tuple[str, str]] = Counter()
+    kept = []
+    for one in found:
+        count[_place(one)] += 1
+        if count[_place(one)] <= most:
+            kept.append(one)
+    return kept
+
+
+def _place(one: Candidate) -> tuple[str, str]:
+    return (one.instance.effect, one.instance.target)
+
+
+_GLANCES = 100
+_FIRST = 40
+_RESIZED = 2
+_LIKE = 1.2
+_TRIED = 30
+_TRIED_FIRST = 14
+_MORE = 2
+_FEW = 3
