@@ -67,7 +67,7 @@ def conclude(state: SearchState, current: Judged, first: Screening | None) -> At
     if not current.hypothesis.effects and not current.hypothesis.factors:
         after = before
     else:
-        problem = _doubt(state, whole, before, after)
+        problem = doubt(state, whole, before, after)
         if problem is None and not state.bench.contacts:
             problem = imitated(judge, after)
         if problem is not None:
@@ -169,7 +169,7 @@ def _excess(state: SearchState, judged: Judged) -> float:
     return _amplitude(float(np.mean(judged.checked)) - 1.0, state.robust)
 
 
-def _doubt(state: SearchState, whole: Bench, before: Judged, after: Judged) -> str | None:
+def doubt(state: SearchState, whole: Bench, before: Judged, after: Judged) -> str | None:
     """Why an explanation that does not reach the noise is none; None if it is one."""
     if not after.hypothesis.effects and strained(after):
         return "a declared parameter would have to be further off than any is"

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.hidden import Layout
 from orbisim.diagnosis.shooting import Shooter, Variant
+from orbisim.errors import OrbiSimError
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -207,7 +208,7 @@ class Hints:
       rough: whether `free` holds only at first (contacts).
       quick: whether to do without starting badly fitting windows anew (contacts), and without
         information, score and covariance.
-      trim: share of the windows that unknowns need not fit.
+      trim: share of the windows that unknowns need not fit, if they cannot fit all.
     """
 
     free: Floats | None = None
@@ -234,6 +235,7 @@ class _Problem:
         self.centre = np.array([u.centre for u in unknowns])
         self.precision = np.array([u.precision for u in unknowns])
         self.hints, self.robust = hints, robust
+        self.trimmed = False
 
     def solve(
         self,
@@ -269,6 +271,9 @@ class _Problem:
                 free, at = self._updated(free, at, here)
             slopes = self.slopes(here)
             found = self._search(here, slopes, free, damping, brakes, active)
+            if found is None and self.unknowns and self.hints.trim and not self.trimmed:
+                self.trimmed = True
+                found = self._search(here, slopes, free, damping, brakes, active)
             if found is None:
                 if not hinted:
                     iteration = iterations
@@ -361,7 +366,11 @@ class _Problem:
         for _ in range(5):
             step, moves = self._step(here, slopes, free, damping, brakes)
             values = np.clip(here.values + step, self.low, self.high)
-            trial = self.trial(values, here.xi + moves, active, here)
+            try:
+                trial = self.trial(values, here.xi + moves, active, here)
+            except OrbiSimError:  # no such scene: a negative inertia, say
+                damping = max(_REFUSED * damping, _REFUSED * 1e-3)
+                continue
             worse = trial.cost > here.cost
             brakes[worse] = np.maximum(brakes[worse] * 100, 1e-3)
             brakes[~worse] = np.maximum(brakes[~worse] / 10, 1e-12)
@@ -401,9 +410,10 @@ class _Problem:
         return np.asarray(np.where(size <= k, size**2, 2 * k * size - k**2).sum(axis=1))
 
     def _trusted(self, cost: Floats) -> Bools:
-        """[W]: the windows whose costs count for the unknowns; all but the worst few, where impacts
-        make costs jump (least trimmed squares; Rousseeuw, J. Am. Stat. Assoc. 79, 1984)."""
-        out = round(self.hints.trim * len(cost)) if self.unknowns else 0
+        """[W]: the windows whose costs count for the unknowns: all, or once no step lowers that, as
+        impacts make some costs jump, all but the worst few (least trimmed squares; Rousseeuw,
+        J. Am. Stat. Assoc. 79, 1984)."""
+        out = round(self.hints.trim * len(cost)) if self.trimmed else 0
         found = np.ones(len(cost), bool)
         if out:
             found[np.argsort(-cost / np.maximum(self.shooter.data, 1), kind="stable")[:out]] = False
@@ -593,5 +603,7 @@ def _least_squares(matrix: Floats, wanted: Floats, brakes: Floats) -> Floats:
 
 
 _START_STEP = 1e-6
+_REFUSED = 100.0
+"""By how much a step is damped that leads to no possible scene."""
 _STALE = 0.1
 _BAD = 4.0

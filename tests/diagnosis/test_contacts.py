@@ -1,0 +1,173 @@
+"""Fits where bodies touch: what is chained through impacts says little, simulations say more."""
+
+from __future__ import annotations
+
+import dataclasses
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import orbisim
+from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
+from orbisim.diagnosis.conclusion import doubt
+from orbisim.diagnosis.gauss_newton import Unknown, gauss_newton
+from orbisim.diagnosis.paying import unpaid
+from orbisim.diagnosis.refine import Judge, Judged
+from orbisim.diagnosis.retune import REACH, Tunable, retuned
+from orbisim.diagnosis.samples import prepare_all
+from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.shooting import Variant
+from orbisim.effects import EffectInstance, find
+from orbisim.errors import SceneError
+from orbisim.testing import inject_effect
+
+HAMMER = """
+<mujoco model="hammer">
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 0.1"/>
+    <body name="head" pos="0 0 0.1">
+      <joint name="slide" type="slide" axis="0 0 1" damping="3"/>
+      <geom name="head" type="sphere" size="0.05" mass="0.5"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="lift" joint="slide" gear="10" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+GAIN = Tunable("gain", "lift")
+DAMPING = Tunable("damping", "slide")
+BIAS = EffectInstance("torque_bias", "lift", {"offset": 0.06})
+
+
+@pytest.fixture(scope="module")
+def hammer() -> orbisim.Scene:
+    """A mass on a rail that a motor lifts and drops on the floor."""
+    return orbisim.load_scene(HAMMER)
+
+
+def struck(
+    hammer: orbisim.Scene, true: orbisim.Scene, effects: list[EffectInstance]
+) -> tuple[Bench, Judge, Judged]:
+    """Recordings of a scene with effects, for the declared one; and what that leaves."""
+    rng = np.random.default_rng(3)
+    controls = np.repeat(rng.uniform(-0.2, 1.0, (3, 16, 1)), 25, axis=1)
+    runs = inject_effect(
+        true, effects, controls=controls, rate=100.0, episodes=3, noise=1e-4, seed=2
+    )
+    bench = make_bench(hammer, prepare_all(runs, hammer), 0.4)
+    assert bench.contacts
+    judge = Judge(bench, bench.intervals, most=24)
+    nothing = judge.judge(Hypothesis())
+    assert nothing is not None and nothing.ratio > 3
+    judge.start_from(nothing)
+    return bench, judge, nothing
+
+
+def test_declared_parameters_are_retuned_through_impacts(hammer: orbisim.Scene) -> None:
+    true = retuned(hammer, {GAIN: 1.04, DAMPING: 0.97})
+    _, judge, _ = struck(hammer, true, [])
+    tuned = judge.judge(Hypothesis().tuned([GAIN, DAMPING]))
+    assert tuned is not None and tuned.ratio < 1.3
+    factors = dict(tuned.hypothesis.factors)
+    assert factors[GAIN] == pytest.approx(1.04, abs=0.01)
+    assert factors[DAMPING] == pytest.approx(0.97, abs=0.02)
+
+
+def test_a_glance_tells_how_large_an_effect_should_be(hammer: orbisim.Scene) -> None:
+    _, judge, nothing = struck(hammer, hammer, [BIAS])
+    right = Hypothesis((BIAS,))
+    for offset in (0.03, 0.12):
+        other = Hypothesis((BIAS.replace(offset=offset),))
+        left, better = judge.sized_glance(other)
+        assert better == pytest.approx(0.06 / offset, rel=0.35)
+        assert left < nothing.ratio**2
+    assert judge.sized_glance(right)[1] == pytest.approx(1.0, abs=0.15)
+    assert judge.glance(right) < judge.glance(Hypothesis((BIAS.replace(offset=-0.06),)))
+
+
+def test_a_glance_lets_retuned_parameters_move(hammer: orbisim.Scene) -> None:
+    """Seen from parameters that made up for an effect, its true size leaves nothing."""
+    _, judge, _ = struck(hammer, retuned(hammer, {GAIN: 1.03}), [BIAS])
+    tuned = judge.judge(Hypothesis().tuned([GAIN, DAMPING]))
+    assert tuned is not None and tuned.ratio > 1.5
+    judge.start_from(tuned)
+    with_it = dataclasses.replace(tuned.hypothesis, effects=(BIAS,))
+    without = judge.glance(tuned.hypothesis)
+    assert judge.glance(with_it) < 0.3 * without
+    assert judge.tried(with_it) < 0.3 * without
+
+
+def test_without_a_start_a_glance_says_nothing(hammer: orbisim.Scene) -> None:
+    bench, _, _ = struck(hammer, hammer, [BIAS])
+    assert Judge(bench, bench.intervals).sized_glance(Hypothesis()) == (np.inf, 1.0)
+
+
+def test_a_step_to_an_impossible_scene_is_shortened(arm: orbisim.Scene) -> None:
+    """A payload's first step may ask for a negative inertia."""
+    friction = EffectInstance("coulomb_friction", "elbow", {"torque": 0.1})
+    runs = inject_effect(arm, friction, duration=3.0, episodes=2, noise=1e-4, seed=1)
+    bench = make_bench(arm, prepare_all(runs, arm), 0.5)
+    judge = Judge(bench, bench.intervals)
+    refused: list[float] = []
+
+    def build(values: np.ndarray) -> Variant:
+        torque = float(values[0])
+        if not refused and abs(torque - 0.02) > 0.01:  # the first long step
+            refused.append(torque)
+            raise SceneError("arm.xml", "MuJoCo refuses it")
+        return Hypothesis((friction.replace(torque=torque),)).variant(arm)
+
+    start = Unknown("torque", 0.02, 0.0, 1.0, 1e-4)
+    found = gauss_newton(judge.fitted, build, [start], iterations=8)
+    assert len(refused) == 1
+    assert found.values[0] == pytest.approx(0.1, rel=0.05)
+
+
+def test_stribeck_friction_can_begin_at_coulomb_friction() -> None:
+    stribeck = find("stribeck_friction")
+    values = {"coulomb": 5.0, "static": 9.0, "velocity": 0.3}
+    coulomb = EffectInstance("coulomb_friction", "slide", {"torque": 2.0})
+    found = stribeck.generalized(values, coulomb)
+    assert found is not None
+    assert found["coulomb"] == 2.0 and found["velocity"] == 0.3
+    assert 2.0 < found["static"] < 3.0
+    assert stribeck.generalized(values, BIAS) is None
+    assert find("torque_bias").generalized({"offset": 1.0}, coulomb) is None
+
+
+def judged(checked: list[float], ratio: float, pooled: float, cost: float, touching: bool) -> Any:
+    """What `unpaid` reads of a fitted hypothesis."""
+    return SimpleNamespace(
+        checked=np.array(checked), ratio=ratio, pooled=pooled, cost=cost, touching=touching,
+        hypothesis=Hypothesis((BIAS,)), fit=SimpleNamespace(count=10000),
+    )  # fmt: skip
+
+
+def test_what_explains_all_need_not_show_in_windows_that_were_not_fitted() -> None:
+    """An event in one window of seven, or in none, where bodies touch."""
+    before, after = [1.03, 0.98, 1.2, 6.3, 0.9], [1.02, 0.97, 1.2, 4.0, 0.9]
+    settings = Settings()
+
+    def problem(gain: float = 500.0, ratio: float = 1.0, touching: bool = True) -> str | None:
+        one = judged(before, 1.2, 1.5, 900.0, touching)
+        return unpaid(settings, one, judged(after, ratio, 1.16, 900.0 - gain, touching))
+
+    assert problem() is None
+    assert "standard errors" in str(problem(gain=100.0))
+    assert "standard errors" in str(problem(ratio=1.12))
+    assert "standard errors" in str(problem(touching=False))
+    worse = judged([1.0, 1.0, 1.04, 1.0], 1.0, 1.0, 400.0, True)
+    assert unpaid(settings, judged([1.0, 1.0, 1.0, 1.0], 1.6, 2.2, 900.0, True), worse) is None
+
+
+def test_declared_parameters_at_the_end_of_their_range_explain_nothing() -> None:
+    def of(factor: float) -> Any:
+        hypothesis = dataclasses.replace(Hypothesis(), factors=((GAIN, factor),))
+        return SimpleNamespace(hypothesis=hypothesis, ratio=1.05)
+
+    state: Any = SimpleNamespace(settings=Settings())
+    bench: Any = None
+    assert doubt(state, bench, of(1.0), of(1.04)) is None
+    assert "further off" in str(doubt(state, bench, of(1.0), of(1 + REACH)))
