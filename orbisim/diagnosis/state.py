@@ -208,6 +208,14 @@ class SearchState:
         """Whether windows that were not fitted get better, by enough and surely."""
         return unpaid(self.settings, before, after) is None
 
+    def _superfluous(self, fewer: Judged, current: Judged) -> bool:
+        """Whether an effect does not pay any more. Where bodies touch, a few windows with impacts
+        decide how sure a gain is: an effect that paid before must also have been replaced."""
+        if self.pays(fewer, current):
+            return False
+        gain = fewer.cost - current.cost
+        return not (self.bench.contacts and gain > _REPLACED * self.settings.margin)
+
     def prune(self, current: Judged, newest: bool = False) -> Judged:
         """Drops effects that a later one has made superfluous.
 
@@ -218,7 +226,7 @@ class SearchState:
             kept = None
             for index in range(len(current.hypothesis.effects) - (not newest)):
                 fewer = self.judge.judge(current.hypothesis.without(index))
-                if fewer is not None and not self.pays(fewer, current):
+                if fewer is not None and self._superfluous(fewer, current):
                     kept = fewer
                     break
             if kept is None:
@@ -227,5 +235,7 @@ class SearchState:
         return current
 
 
+_REPLACED = 10.0
+"""Margins of the criterion by which all must get worse without an effect that is to stay."""
 _FURTHER = 4
 """How often a fit through contacts goes on at most."""

@@ -19,6 +19,7 @@ from orbisim.diagnosis.retune import REACH, Tunable, retuned
 from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.shooting import Variant
+from orbisim.diagnosis.state import SearchState
 from orbisim.effects import EffectInstance, find
 from orbisim.errors import SceneError
 from orbisim.testing import inject_effect
@@ -171,3 +172,21 @@ def test_declared_parameters_at_the_end_of_their_range_explain_nothing() -> None
     bench: Any = None
     assert doubt(state, bench, of(1.0), of(1.04)) is None
     assert "further off" in str(doubt(state, bench, of(1.0), of(1 + REACH)))
+
+
+def test_an_effect_that_paid_stays_while_all_gets_much_worse_without_it() -> None:
+    """Where bodies touch, how sure a gain is hangs on a few windows."""
+
+    def kept(cost: float, contacts: bool) -> int:
+        fewer = judged([1.0, 60.0, 1.0, 1.0], 5.4, 8.9, cost, contacts)
+        state: Any = SearchState.__new__(SearchState)
+        state.settings, state.bench = Settings(), SimpleNamespace(contacts=contacts)
+        state.judge = SimpleNamespace(judge=lambda hypothesis: fewer)
+        both = judged([1.0, 35.0, 1.5, 1.0], 5.2, 5.8, 100.0, contacts)
+        both.hypothesis = Hypothesis((BIAS, BIAS.replace(offset=0.1)))
+        pruned: Any = state.prune(both)
+        return len(getattr(pruned.hypothesis, "effects", ())) if pruned is both else 1
+
+    assert kept(1700.0, True) == 2
+    assert kept(150.0, True) == 1
+    assert kept(1700.0, False) == 1
