@@ -19,8 +19,9 @@ def judged(
     """What `unpaid` reads of a fitted hypothesis."""
     hypothesis = Hypothesis((EffectInstance(effect, "joint", {}),))
     return SimpleNamespace(
-        checked=np.array(checked), cost=cost, touching=touching, hypothesis=hypothesis
-    )
+        checked=np.array(checked), ratio=1.5, pooled=10.0, cost=cost, touching=touching,
+        hypothesis=hypothesis, fit=SimpleNamespace(count=1000),
+    )  # fmt: skip
 
 
 def test_a_gain_everywhere_pays() -> None:
