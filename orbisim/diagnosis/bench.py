@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.gauss_newton import Unknown
+from orbisim.diagnosis.fits import Unknown
 from orbisim.diagnosis.linear import IntervalMap, Intervals, linearize
 from orbisim.diagnosis.measurement import Measurement, measurement_of
 from orbisim.diagnosis.noise import estimate_noise

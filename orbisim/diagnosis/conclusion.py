@@ -170,7 +170,8 @@ def _excess(state: SearchState, judged: Judged) -> float:
 
 
 def doubt(state: SearchState, whole: Bench, before: Judged, after: Judged) -> str | None:
-    """Why an explanation that does not reach the noise is none; None if it is one."""
+    """Why an explanation is none, as it leaves too much, differs from motion to motion, or takes
+    declared parameters too far; None if it is one."""
     if not after.hypothesis.effects and strained(after):
         return "a declared parameter would have to be further off than any is"
     if after.ratio <= NEAR:

@@ -13,7 +13,7 @@ from orbisim.diagnosis.bench import Bench, Hypothesis, Noise
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.confidence import confidence
 from orbisim.diagnosis.confounds import advice, standing
-from orbisim.diagnosis.gauss_newton import Fit
+from orbisim.diagnosis.fits import Fit
 from orbisim.diagnosis.paying import enough
 from orbisim.diagnosis.result import Alternative, Candidate, Estimate, FoundEffect, Retuned, Verdict
 from orbisim.diagnosis.scoring import Score, score

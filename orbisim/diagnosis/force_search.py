@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis
+from orbisim.diagnosis.fits import Fit
 from orbisim.diagnosis.force_data import ForceData, candidates, force_data, normals
-from orbisim.diagnosis.gauss_newton import Fit
 from orbisim.diagnosis.regress import total
 from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.screening import bounded_instance

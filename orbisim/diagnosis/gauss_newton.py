@@ -7,70 +7,18 @@ with the parameters, instead of at one noisy sample.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.diagnosis.fits import Fit, Hints, Unknown
 from orbisim.diagnosis.hidden import Layout
 from orbisim.diagnosis.shooting import Shooter, Variant
 from orbisim.errors import OrbiSimError
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Fit:
-    """A fit of parameters and starts.
-
-    Attributes:
-      values: the parameters. start: [W, 2 nv] deviations at the windows' starts.
-      square: sum of squared weighted residuals, large ones limited if the fit is robust.
-      penalty: what the priors charge on top.
-      count: data minus fitted numbers.
-      covariance: [P, P] of the parameters, by the Jacobian.
-      residual: [W, data] weighted. per_window: [W] its parts.
-      information: [W, P, P] and score [W, P]: each window's share, for the bootstrap.
-    """
-
-    values: Floats
-    start: Floats
-    square: float
-    penalty: float
-    count: int
-    covariance: Floats
-    residual: Floats
-    per_window: Floats
-    information: Floats
-    score: Floats
-
-    @property
-    def ratio(self) -> float:
-        """Residual over noise: root of the reduced sum of squares."""
-        return float(np.sqrt(self.square / max(self.count, 1)))
-
-
-@dataclasses.dataclass(frozen=True)
-class Unknown:
-    """One fitted number.
-
-    Attributes:
-      name: for messages. start: where to begin. low, high: bounds. step: for differences.
-      centre, precision: of a Gaussian prior; precision 0 for none.
-    """
-
-    name: str
-    start: float
-    low: float
-    high: float
-    step: float
-    centre: float = 0.0
-    precision: float = 0.0
-
-    def step_from(self, value: float) -> float:
-        """The difference step, backwards where forwards would leave the bounds."""
-        return -self.step if value + self.step > self.high else self.step
 
 
 def gauss_newton(
@@ -97,7 +45,7 @@ def gauss_newton(
     if hints.exact and start is None:
         values = np.array([u.start for u in unknowns])
         start = _approached(shooter, build(values), robust, None)
-    problem = _Problem(shooter, build, unknowns, hints, robust)
+    problem = Problem(shooter, build, unknowns, hints, robust)
     return problem.solve(start, iterations, tolerance)
 
 
@@ -109,7 +57,7 @@ def _approached(
     start = None
     for samples in _APPROACH:
         if samples < shooter.windows.length:
-            problem = _Problem(
+            problem = Problem(
                 shooter.first(samples), lambda _: variant, [], Hints(exact=True), robust
             )
             start = problem.solve(start, 4, 1e-2, only).start
@@ -121,105 +69,13 @@ _APPROACH = (6, 15, 30)
 
 def start_derivatives(shooter: Shooter, variant: Variant, start: Floats) -> Floats:
     """Derivatives of the weighted data by the window starts, [W, data, 2 nv]."""
-    problem = _Problem(shooter, lambda _: variant, [], Hints(), None)
+    problem = Problem(shooter, lambda _: variant, [], Hints(), None)
     return problem.start_jacobian(problem.trial(np.zeros(0), start))
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Own:
-    """What the unknowns of a fit change.
+class Problem:
+    """Parameters and window starts to fit, and the steps towards the fit."""
 
-    Attributes:
-      slopes: [W, data, P] of the weighted data, for each unit. values: [P] where.
-      simulated: [W, data] weighted, there. unknowns: with priors.
-    """
-
-    slopes: Floats
-    values: Floats
-    simulated: Floats
-    unknowns: Sequence[Unknown]
-
-
-def own_slopes(
-    shooter: Shooter,
-    build: Callable[[Floats], Variant],
-    unknowns: Sequence[Unknown],
-    start: Floats,
-) -> Own:
-    """Derivatives of the weighted data by the unknowns where they begin, by differences.
-
-    Args:
-      start: [W, 2 nv] window starts.
-    """
-    problem = _Problem(shooter, build, unknowns, Hints(), None)
-    values = np.clip(problem.begin, problem.low, problem.high)
-    here = problem.trial(values, start)
-    return Own(problem.slopes(here), values, shooter.scaled(here.simulated), unknowns)
-
-
-def glanced(
-    shooter: Shooter,
-    variant: Variant,
-    start: Floats,
-    free: Floats,
-    robust: float | None,
-    own: Own | None = None,
-    only: Bools | None = None,
-) -> tuple[Floats, float]:
-    """[W]: cost that one simulation leaves if starts are corrected linearly; and how large, in
-    units of itself, that would best be in which `variant` differs (1 if `own` is None).
-
-    Args:
-      start: [W, 2 nv] where to start. free: [W, data, 2 nv] derivatives by the starts.
-      own: what is corrected too: its unknowns, and how large that is in which `variant` differs.
-      only: [W] the windows to look at, all if None; what is returned of others is meaningless.
-    """
-    if own is None:
-        unknowns, values = [], np.zeros(0)
-    else:
-        unknowns, values = [*own.unknowns, _SIZE], np.append(own.values, 1.0)
-    problem = _Problem(shooter, lambda _: variant, unknowns, Hints(free), robust)
-    here = problem.trial(values, problem.widened(values, start), only)
-    slopes, residual = np.zeros((*here.residual.shape, 0)), here.residual
-    if own is not None:
-        change = shooter.scaled(here.simulated) - own.simulated
-        slopes = np.concatenate([own.slopes, change[..., None]], axis=2)
-    if only is not None:
-        slopes = np.where(only[:, None, None], slopes, 0.0)
-        residual = np.where(only[:, None], residual, 0.0)
-    left, step = problem.corrected(values, residual, slopes, free)
-    return left, 1.0 if own is None else 1.0 + float(step[-1])
-
-
-_SIZE = Unknown("size", 1.0, 0.2, 3.0, 1e-4, 1.0, 1.0)
-_GLANCED = 1e-4
-"""Damping of a glance's step."""
-_REWEIGHTED = 5
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Hints:
-    """Approximate derivatives of the weighted data.
-
-    Attributes:
-      free: [W, data, 2 nv] by the window starts, or None.
-      slopes: [W, data] by the unknown of that number.
-      exact: whether derivatives by the starts are taken anew in every iteration (contacts).
-      rough: whether `free` holds only at first (contacts).
-      quick: whether to do without starting badly fitting windows anew (contacts), and without
-        information, score and covariance.
-      trim: share of the windows that unknowns need not fit, if they cannot fit all.
-    """
-
-    free: Floats | None = None
-    slopes: Mapping[int, Floats] = dataclasses.field(default_factory=dict)
-    exact: bool = False
-    rough: bool = False
-    quick: bool = False
-    trim: float = 0.0
-
-
-class _Problem:
     def __init__(
         self,
         shooter: Shooter,
@@ -244,6 +100,12 @@ class _Problem:
         tolerance: float,
         only: Bools | None = None,
     ) -> Fit:
+        """Goes downhill until steps bring little.
+
+        Args:
+          start: [W, 2 nv] window starts, zero if None. tolerance: share of the cost that is little.
+          only: [W] windows whose starts may move; all if None.
+        """
         shooter = self.shooter
         values = np.clip(self.begin, self.low, self.high)
         xi = self.widened(values, start)
@@ -305,7 +167,7 @@ class _Problem:
             xi[:, :width] = start[:, :width]
         return xi
 
-    def _retried(self, here: _Trial) -> _Trial | None:
+    def _retried(self, here: Trial) -> Trial | None:
         """With the few windows that fit much worse than all others approached anew; None if in vain
         or if most fit badly."""
         means = here.cost / np.maximum(self.shooter.data, 1)
@@ -338,8 +200,8 @@ class _Problem:
         return found
 
     def trial(
-        self, values: Floats, xi: Floats, only: Bools | None = None, others: _Trial | None = None
-    ) -> _Trial:
+        self, values: Floats, xi: Floats, only: Bools | None = None, others: Trial | None = None
+    ) -> Trial:
         """Simulates parameters and starts.
 
         Args:
@@ -350,18 +212,18 @@ class _Problem:
             simulated = np.where(only[:, None, None], simulated, others.simulated)
             xi = np.where(only[:, None], xi, others.xi)
         residual = self.shooter.residual(simulated)
-        cost = self._window_costs(residual)
-        return _Trial(values, xi, simulated, residual, cost, self.penalty(values))
+        cost = self.window_costs(residual)
+        return Trial(values, xi, simulated, residual, cost, self.penalty(values))
 
     def _search(
         self,
-        here: _Trial,
+        here: Trial,
         slopes: Floats,
         free: Floats,
         damping: float,
         brakes: Floats,
         active: Bools,
-    ) -> _Trial | None:
+    ) -> Trial | None:
         """The first step, ever shorter, that lowers the cost; windows it worsens stay behind."""
         for _ in range(5):
             step, moves = self._step(here, slopes, free, damping, brakes)
@@ -383,11 +245,11 @@ class _Problem:
             damping = max(damping * 10, 1e-3)
         return None
 
-    def _better(self, one: _Trial, other: _Trial) -> _Trial:
+    def _better(self, one: Trial, other: Trial) -> Trial:
         """Window by window the better of two trials of the same parameters."""
         keep = one.cost <= other.cost
         pick = keep.reshape(-1, 1)
-        return _Trial(
+        return Trial(
             one.values,
             np.where(pick, one.xi, other.xi),
             np.where(pick[..., None], one.simulated, other.simulated),
@@ -396,13 +258,14 @@ class _Problem:
             one.penalty,
         )
 
-    def _weights(self, residual: Floats) -> Floats:
+    def weights(self, residual: Floats) -> Floats:
+        """[W, data]: by which squares count (Huber's loss)."""
         if self.robust is None:
             return np.ones_like(residual)
         size = np.abs(residual)
         return np.where(size > self.robust, self.robust / np.maximum(size, 1e-300), 1.0)
 
-    def _window_costs(self, residual: Floats) -> Floats:
+    def window_costs(self, residual: Floats) -> Floats:
         """[W]: what each window's residual costs."""
         if self.robust is None:
             return np.asarray((residual**2).sum(axis=1))
@@ -419,7 +282,7 @@ class _Problem:
             found[np.argsort(-cost / np.maximum(self.shooter.data, 1), kind="stable")[:out]] = False
         return found
 
-    def total(self, trial: _Trial) -> float:
+    def total(self, trial: Trial) -> float:
         """What a fit makes least."""
         return float(trial.cost[self._trusted(trial.cost)].sum()) + trial.penalty
 
@@ -427,7 +290,7 @@ class _Problem:
         """What the priors charge."""
         return float((self.precision * (values - self.centre) ** 2).sum())
 
-    def slopes(self, here: _Trial) -> Floats:
+    def slopes(self, here: Trial) -> Floats:
         """Derivatives of the weighted simulated data by the parameters, [W, data, P]."""
         values, xi = here.values, here.xi
         base = self.shooter.scaled(here.simulated)
@@ -443,7 +306,7 @@ class _Problem:
             slopes[..., p] = (after - base) / step
         return slopes
 
-    def _updated(self, free: Floats, at: _Trial, here: _Trial) -> tuple[Floats, _Trial]:
+    def _updated(self, free: Floats, at: Trial, here: Trial) -> tuple[Floats, Trial]:
         """Derivatives by the starts, taken anew where the motion has changed since they were."""
         change = np.linalg.norm(here.residual - at.residual, axis=1)
         size = np.linalg.norm(here.residual, axis=1)
@@ -456,7 +319,7 @@ class _Problem:
         at = dataclasses.replace(at, residual=residual)
         return np.where(pick[..., None], fresh, free), at
 
-    def start_jacobian(self, here: _Trial, only: Bools | None = None) -> Floats:
+    def start_jacobian(self, here: Trial, only: Bools | None = None) -> Floats:
         """Derivatives of the weighted simulated data by the window starts, [W, data, 2 nv]."""
         base = self.shooter.scaled(here.simulated)
         columns = here.xi.shape[1]
@@ -469,21 +332,6 @@ class _Problem:
             jacobian[..., j] = (after - base) / _START_STEP
         return np.clip(jacobian, -1e12, 1e12)
 
-    def corrected(
-        self, values: Floats, residual: Floats, slopes: Floats, free: Floats
-    ) -> tuple[Floats, Floats]:
-        """[W]: cost after a linear correction of unknowns and starts; [P]: that of the unknowns.
-        Large residuals, which say how far from linear a window is, count less and less (reweighted
-        least squares)."""
-        now, none, step = residual, np.zeros(len(residual)), np.zeros(len(values))
-        for _ in range(1 if self.robust is None else _REWEIGHTED):
-            left, weighted = self.projected(residual, slopes, free, now)
-            step = self.bounded_step(values, left, weighted, _GLANCED)
-            wanted, root = residual - slopes @ step, np.sqrt(self._weights(now))
-            moves = _least_squares(free * root[..., None], wanted * root, none)
-            now = wanted - np.einsum("wdf,wf->wd", free, moves)
-        return self._window_costs(now), step
-
     def projected(
         self, residual: Floats, slopes: Floats, free: Floats, weighed_by: Floats | None = None
     ) -> tuple[Floats, Floats]:
@@ -492,7 +340,7 @@ class _Problem:
         Args:
           weighed_by: [W, data] residuals that give the weights; `residual` if None.
         """
-        root = np.sqrt(self._weights(residual if weighed_by is None else weighed_by))[..., None]
+        root = np.sqrt(self.weights(residual if weighed_by is None else weighed_by))[..., None]
         weighted = slopes * root
         left = residual * root[..., 0]
         basis = np.linalg.qr(free * root)[0]
@@ -521,36 +369,18 @@ class _Problem:
         step[blocked] = 0.0
         return np.asarray(step)
 
-    def bounded_step(
-        self, values: Floats, left: Floats, weighted: Floats, damping: float
-    ) -> Floats:
-        """[P]: a step of which nothing leaves the bounds; if the last unknown would, it stops there
-        and the others make up for it."""
-        step = self.parameter_step(values, left, weighted, damping)
-        if not len(step):
-            return step
-        room = self.low - values, self.high - values
-        last = float(np.clip(step[-1], room[0][-1], room[1][-1]))
-        if last != step[-1]:
-            held = left - weighted[..., -1] * last
-            few = _Problem(self.shooter, self.build, self.unknowns[:-1], self.hints, self.robust)
-            step = np.append(
-                few.parameter_step(values[:-1], held, weighted[..., :-1], damping), last
-            )
-        return np.clip(step, *room)
-
     def _step(
-        self, here: _Trial, slopes: Floats, free: Floats, damping: float, brakes: Floats
+        self, here: Trial, slopes: Floats, free: Floats, damping: float, brakes: Floats
     ) -> tuple[Floats, Floats]:
         residual = here.residual
         trusted = self._trusted(here.cost)
         left, weighted = self.projected(residual[trusted], slopes[trusted], free[trusted])
         step = self.parameter_step(here.values, left, weighted, damping)
-        root = np.sqrt(self._weights(residual))
+        root = np.sqrt(self.weights(residual))
         wanted = (residual - slopes @ step) * root
-        return step, _least_squares(free * root[..., None], wanted, brakes)
+        return step, least_squares(free * root[..., None], wanted, brakes)
 
-    def _result(self, here: _Trial, free: Floats) -> Fit:
+    def _result(self, here: Trial, free: Floats) -> Fit:
         values, xi, residual = here.values, here.xi, here.residual
         unasked = np.zeros((*residual.shape, len(values)))
         slopes = unasked if self.hints.quick else self.slopes(here)
@@ -570,14 +400,14 @@ class _Problem:
             count=count,
             covariance=covariance * max(square / count, 1.0),
             residual=residual,
-            per_window=self._window_costs(residual),
+            per_window=self.window_costs(residual),
             information=information,
             score=score,
         )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Trial:
+class Trial:
     """Parameters and starts, simulated. cost: [W] of each window. penalty: of the priors."""
 
     values: Floats
@@ -593,7 +423,7 @@ class _Trial:
         return float(self.cost.sum()) + self.penalty
 
 
-def _least_squares(matrix: Floats, wanted: Floats, brakes: Floats) -> Floats:
+def least_squares(matrix: Floats, wanted: Floats, brakes: Floats) -> Floats:
     """Window by window, with columns scaled and damped; what changes nothing stays put."""
     scale = np.maximum(np.linalg.norm(matrix, axis=1), 1e-300)
     u, s, vt = np.linalg.svd(matrix / scale[:, None, :], full_matrices=False)

@@ -10,18 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
-from orbisim.diagnosis.gauss_newton import (
-    Fit,
-    Hints,
-    Own,
-    gauss_newton,
-    glanced,
-    own_slopes,
-    start_derivatives,
-)
+from orbisim.diagnosis.fits import Fit, Hints
+from orbisim.diagnosis.gauss_newton import gauss_newton, start_derivatives
 from orbisim.diagnosis.linear import Intervals, linearize
+from orbisim.diagnosis.one_run import Own, glanced, own_slopes
 from orbisim.diagnosis.retune import Tunable
-from orbisim.diagnosis.shooting import Shooter
+from orbisim.diagnosis.shooting import Shooter, Variant
 from orbisim.diagnosis.windows import Windows
 from orbisim.effects import find
 from orbisim.errors import OrbiSimError
@@ -207,13 +201,17 @@ class Judge:
         return self._own
 
     def _slopes_of(self, hypothesis: Hypothesis, start: Floats) -> Own | None:
-        declared = self.bench.scene
-        unknowns = hypothesis.unknowns(declared)
         if is_structural(hypothesis):
             return None
-        return own_slopes(
-            self.fitted, lambda v: hypothesis.at(declared, v).variant(declared), unknowns, start
-        )
+        declared = self.bench.scene
+
+        def build(values: Floats) -> Variant:
+            return hypothesis.at(declared, values).variant(declared)
+
+        try:
+            return own_slopes(self.fitted, build, hypothesis.unknowns(declared), start)
+        except OrbiSimError:  # a difference step leads to no possible scene: glances do without
+            return None
 
     def start_from(self, judged: Judged, fitted: Bools | None = None) -> None:
         """Takes a hypothesis' window starts, and what they do, as first guesses for others.

@@ -80,7 +80,7 @@ def _best_of(
             begun.append(candidate)
         else:
             state.rejected.append((instance, "the scene with it cannot be simulated"))
-    fitted += _generalized(state, fitted, plus, [one.instance for one in begun])
+    fitted += generalized(state, fitted, plus, [one.instance for one in begun])
     if not fitted:
         return None
     fitted = _ranked(_closer(state, distinct(_ranked(fitted))))
@@ -96,7 +96,7 @@ def _best_of(
     return winner
 
 
-def _generalized(
+def generalized(
     state: SearchState,
     fitted: Sequence[Judged],
     plus: Callable[[EffectInstance], Hypothesis],

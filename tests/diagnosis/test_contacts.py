@@ -12,10 +12,12 @@ import pytest
 import orbisim
 from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
 from orbisim.diagnosis.conclusion import doubt
-from orbisim.diagnosis.gauss_newton import Unknown, gauss_newton
+from orbisim.diagnosis.fits import Unknown
+from orbisim.diagnosis.gauss_newton import gauss_newton
 from orbisim.diagnosis.paying import unpaid
 from orbisim.diagnosis.refine import Judge, Judged
 from orbisim.diagnosis.retune import REACH, Tunable, retuned
+from orbisim.diagnosis.rounds import generalized
 from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.shooting import Variant
@@ -105,6 +107,20 @@ def test_without_a_start_a_glance_says_nothing(hammer: orbisim.Scene) -> None:
     assert Judge(bench, bench.intervals).sized_glance(Hypothesis()) == (np.inf, 1.0)
 
 
+def test_a_glance_does_without_derivatives_that_cannot_be_had(
+    hammer: orbisim.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, judge, nothing = struck(hammer, hammer, [BIAS])
+
+    def refuse(*_: Any) -> None:
+        raise SceneError("hammer.xml", "MuJoCo refuses it")
+
+    monkeypatch.setattr("orbisim.diagnosis.refine.own_slopes", refuse)
+    for _ in range(2):
+        left, better = judge.sized_glance(Hypothesis((BIAS,)))
+        assert left < nothing.ratio**2 and better == 1.0
+
+
 def test_a_step_to_an_impossible_scene_is_shortened(arm: orbisim.Scene) -> None:
     """A payload's first step may ask for a negative inertia."""
     friction = EffectInstance("coulomb_friction", "elbow", {"torque": 0.1})
@@ -184,9 +200,36 @@ def test_an_effect_that_paid_stays_while_all_gets_much_worse_without_it() -> Non
         state.judge = SimpleNamespace(judge=lambda hypothesis: fewer)
         both = judged([1.0, 35.0, 1.5, 1.0], 5.2, 5.8, 100.0, contacts)
         both.hypothesis = Hypothesis((BIAS, BIAS.replace(offset=0.1)))
-        pruned: Any = state.prune(both)
-        return len(getattr(pruned.hypothesis, "effects", ())) if pruned is both else 1
+        return len(state.prune(both).hypothesis.effects)
 
     assert kept(1700.0, True) == 2
     assert kept(150.0, True) == 1
     assert kept(1700.0, False) == 1
+
+
+def test_a_general_effect_that_did_worse_is_fitted_again_from_its_special_case() -> None:
+    slide = "slide"
+    coulomb = EffectInstance("coulomb_friction", slide, {"torque": 2.0})
+    other = EffectInstance("coulomb_friction", "elsewhere", {"torque": 2.0})
+    poor = EffectInstance(
+        "stribeck_friction", slide, {"coulomb": 9.0, "static": 9.0, "velocity": 0.3}
+    )
+    begun: list[EffectInstance] = []
+
+    def judge(hypothesis: Hypothesis, iterations: int) -> Any:
+        begun.append(hypothesis.effects[-1])
+        return SimpleNamespace(hypothesis=hypothesis, cost=1.0)
+
+    state: Any = SimpleNamespace(iterations=4, judge=SimpleNamespace(judge=judge))
+
+    def fitted(one: EffectInstance, cost: float) -> Any:
+        return SimpleNamespace(hypothesis=Hypothesis((one,)), cost=cost)
+
+    def again(special: EffectInstance, cost: float) -> int:
+        both = [fitted(poor, 100.0), fitted(special, cost)]
+        return len(generalized(state, both, Hypothesis().plus, [poor, special]))
+
+    assert again(coulomb, 20.0) == 1
+    assert begun[0].effect == "stribeck_friction" and begun[0].values["coulomb"] == 2.0
+    assert again(coulomb, 120.0) == 0
+    assert again(other, 20.0) == 0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from orbisim.diagnosis.bench import Hypothesis
-from orbisim.diagnosis.gauss_newton import Fit
+from orbisim.diagnosis.fits import Fit
 from orbisim.diagnosis.paying import unpaid
 from orbisim.diagnosis.refine import Judged
 from orbisim.diagnosis.settings import Settings

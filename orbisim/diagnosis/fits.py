@@ -1,0 +1,86 @@
+"""What a fit is told and what it finds."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Fit:
+    """A fit of parameters and starts.
+
+    Attributes:
+      values: the parameters. start: [W, 2 nv] deviations at the windows' starts.
+      square: sum of squared weighted residuals, large ones limited if the fit is robust.
+      penalty: what the priors charge on top.
+      count: data minus fitted numbers.
+      covariance: [P, P] of the parameters, by the Jacobian.
+      residual: [W, data] weighted. per_window: [W] its parts.
+      information: [W, P, P] and score [W, P]: each window's share, for the bootstrap.
+    """
+
+    values: Floats
+    start: Floats
+    square: float
+    penalty: float
+    count: int
+    covariance: Floats
+    residual: Floats
+    per_window: Floats
+    information: Floats
+    score: Floats
+
+    @property
+    def ratio(self) -> float:
+        """Residual over noise: root of the reduced sum of squares."""
+        return float(np.sqrt(self.square / max(self.count, 1)))
+
+
+@dataclasses.dataclass(frozen=True)
+class Unknown:
+    """One fitted number.
+
+    Attributes:
+      name: for messages. start: where to begin. low, high: bounds. step: for differences.
+      centre, precision: of a Gaussian prior; precision 0 for none.
+    """
+
+    name: str
+    start: float
+    low: float
+    high: float
+    step: float
+    centre: float = 0.0
+    precision: float = 0.0
+
+    def step_from(self, value: float) -> float:
+        """The difference step, backwards where forwards would leave the bounds."""
+        return -self.step if value + self.step > self.high else self.step
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Hints:
+    """Approximate derivatives of the weighted data.
+
+    Attributes:
+      free: [W, data, 2 nv] by the window starts, or None.
+      slopes: [W, data] by the unknown of that number.
+      exact: whether derivatives by the starts are taken anew in every iteration (contacts).
+      rough: whether `free` holds only at first (contacts).
+      quick: whether to do without starting badly fitting windows anew (contacts), and without
+        information, score and covariance.
+      trim: share of the windows that unknowns need not fit, if they cannot fit all.
+    """
+
+    free: Floats | None = None
+    slopes: Mapping[int, Floats] = dataclasses.field(default_factory=dict)
+    exact: bool = False
+    rough: bool = False
+    quick: bool = False
+    trim: float = 0.0

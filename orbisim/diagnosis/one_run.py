@@ -1,0 +1,126 @@
+"""What one simulation says of an effect: the rest is corrected linearly.
+
+A fit takes dozens of simulations. Where there are many suspects, one each ranks them: window
+starts, the numbers that are fitted already, and the size of the effect are moved by derivatives.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.diagnosis.fits import Hints, Unknown
+from orbisim.diagnosis.gauss_newton import Problem, least_squares
+from orbisim.diagnosis.shooting import Shooter, Variant
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Own:
+    """What the unknowns of a fit change.
+
+    Attributes:
+      slopes: [W, data, P] of the weighted data, for each unit. values: [P] where.
+      simulated: [W, data] weighted, there. unknowns: with priors.
+    """
+
+    slopes: Floats
+    values: Floats
+    simulated: Floats
+    unknowns: Sequence[Unknown]
+
+
+def own_slopes(
+    shooter: Shooter,
+    build: Callable[[Floats], Variant],
+    unknowns: Sequence[Unknown],
+    start: Floats,
+) -> Own:
+    """Derivatives of the weighted data by the unknowns where they begin, by differences.
+
+    Args:
+      start: [W, 2 nv] window starts.
+    """
+    problem = Problem(shooter, build, unknowns, Hints(), None)
+    values = np.clip(problem.begin, problem.low, problem.high)
+    here = problem.trial(values, start)
+    return Own(problem.slopes(here), values, shooter.scaled(here.simulated), unknowns)
+
+
+def glanced(
+    shooter: Shooter,
+    variant: Variant,
+    start: Floats,
+    free: Floats,
+    robust: float | None,
+    own: Own | None = None,
+    only: Bools | None = None,
+) -> tuple[Floats, float]:
+    """[W]: cost that one simulation leaves if starts are corrected linearly; and how large, in
+    units of itself, that would best be in which `variant` differs (1 if `own` is None).
+
+    Args:
+      start: [W, 2 nv] where to start. free: [W, data, 2 nv] derivatives by the starts.
+      own: what is corrected too: its unknowns, and how large that is in which `variant` differs.
+      only: [W] the windows to look at, all if None; what is returned of others is meaningless.
+    """
+    if own is None:
+        unknowns, values = [], np.zeros(0)
+    else:
+        unknowns, values = [*own.unknowns, _SIZE], np.append(own.values, 1.0)
+    problem = Problem(shooter, lambda _: variant, unknowns, Hints(free), robust)
+    here = problem.trial(values, problem.widened(values, start), only)
+    slopes, residual = np.zeros((*here.residual.shape, 0)), here.residual
+    if own is not None:
+        change = shooter.scaled(here.simulated) - own.simulated
+        slopes = np.concatenate([own.slopes, change[..., None]], axis=2)
+    if only is not None:
+        slopes = np.where(only[:, None, None], slopes, 0.0)
+        residual = np.where(only[:, None], residual, 0.0)
+    left, step = _corrected(problem, values, residual, slopes, free)
+    return left, 1.0 if own is None else 1.0 + float(step[-1])
+
+
+def _corrected(
+    problem: Problem, values: Floats, residual: Floats, slopes: Floats, free: Floats
+) -> tuple[Floats, Floats]:
+    """[W]: cost after a linear correction of unknowns and starts; [P]: that of the unknowns.
+    Large residuals, which say how far from linear a window is, count less and less (reweighted
+    least squares)."""
+    now, none, step = residual, np.zeros(len(residual)), np.zeros(len(values))
+    for _ in range(1 if problem.robust is None else _REWEIGHTED):
+        left, weighted = problem.projected(residual, slopes, free, now)
+        step = _bounded_step(problem, values, left, weighted)
+        wanted, root = residual - slopes @ step, np.sqrt(problem.weights(now))
+        moves = least_squares(free * root[..., None], wanted * root, none)
+        now = wanted - np.einsum("wdf,wf->wd", free, moves)
+    return problem.window_costs(now), step
+
+
+def _bounded_step(problem: Problem, values: Floats, left: Floats, weighted: Floats) -> Floats:
+    """[P]: a step of which nothing leaves the bounds; if the last unknown would, it stops there
+    and the others make up for it."""
+    step = problem.parameter_step(values, left, weighted, _DAMPING)
+    if not len(step):
+        return step
+    room = problem.low - values, problem.high - values
+    last = float(np.clip(step[-1], room[0][-1], room[1][-1]))
+    if last != step[-1]:
+        held = left - weighted[..., -1] * last
+        few = Problem(
+            problem.shooter, problem.build, problem.unknowns[:-1], problem.hints, problem.robust
+        )
+        step = np.append(few.parameter_step(values[:-1], held, weighted[..., :-1], _DAMPING), last)
+    return np.clip(step, *room)
+
+
+_SIZE = Unknown("size", 1.0, 0.2, 3.0, 1e-4, 1.0, 1.0)
+"""Of the difference that an effect makes; a wide prior keeps it where nothing says otherwise."""
+_DAMPING = 1e-4
+_REWEIGHTED = 5
+"""Rounds of reweighted least squares."""
