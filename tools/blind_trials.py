@@ -29,6 +29,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "backends"))
 import from_source
 from blind.running import TOOLS, run_all, run_one
 
+KINDS = ("single", "pair", "none", "outside")
+
 
 def generate(args: argparse.Namespace) -> int:
     from_source.register("mujoco")
@@ -48,6 +50,10 @@ def generate(args: argparse.Namespace) -> int:
             print(f"no scene {unknown[0]!r}; there are {', '.join(RIGS)}", file=sys.stderr)
             return 2
         jobs = [(wish, name) for wish, name in jobs if wish.scene in args.scenes]
+    if args.kinds:
+        jobs = [(wish, name) for wish, name in jobs if wish.kind in args.kinds]
+    if args.only:
+        jobs = [(wish, name) for wish, name in jobs if name in args.only]
     if args.limit:
         jobs = jobs[: args.limit]
     entries: list[dict[str, Any]] = []
@@ -104,6 +110,8 @@ def main(argv: list[str] | None = None) -> int:
     making.add_argument("--workers", type=int, default=1)
     making.add_argument("--limit", type=int, default=0)
     making.add_argument("--scenes", nargs="*", default=[], help="only trials of these")
+    making.add_argument("--kinds", nargs="*", default=[], choices=KINDS, help="only trials of these")
+    making.add_argument("--only", nargs="*", default=[], help="names of trials")
     making.add_argument("--sample", action="store_true", help="only the fixed few")
     making.set_defaults(work=generate)
     running = commands.add_parser("run", help="diagnose trials, and let the peer fit them")

@@ -10,12 +10,13 @@ import numpy as np
 from orbisim.diagnosis.bench import SAME, Bench, Hypothesis
 from orbisim.diagnosis.conclusion import Attribution, conclude
 from orbisim.diagnosis.joint import propose
-from orbisim.diagnosis.paying import unpaid
+from orbisim.diagnosis.paying import strain, unpaid
 from orbisim.diagnosis.refine import Judge, Judged
+from orbisim.diagnosis.relieving import relieved
 from orbisim.diagnosis.rounds import best_addition, best_with_retuning, simpler, tied
 from orbisim.diagnosis.screening import cleaned
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.state import NEAR, Progress, SearchState, quiet, strained
+from orbisim.diagnosis.state import NEAR, Progress, SearchState, quiet
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.swapping import swapped
 from orbisim.effects import EffectInstance, find
@@ -139,7 +140,7 @@ def _excess(judged: Judged) -> float:
 
 def _explained(state: SearchState, judged: Judged) -> bool:
     """Whether nothing is left, and no declared parameter would have to be far off."""
-    return state.done(judged) and not strained(judged)
+    return state.done(judged) and not strain(judged.hypothesis)
 
 
 def _paired(
@@ -228,6 +229,10 @@ def _add_all(state: SearchState, current: Judged) -> Judged:
     while len(current.hypothesis.effects) < state.settings.most_effects and not state.late:
         if _explained(state, current):
             return current
+        other = relieved(state, current) if state.done(current) else None
+        if other is not None:
+            current = state.renewed(state.prune(other))
+            continue
         state.say(f"screening what is left ({current.ratio:.3g} times the noise)")
         found = state.screen(current)
         suspects = found.tuned if current.hypothesis.factors else found.suspects

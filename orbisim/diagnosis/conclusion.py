@@ -9,9 +9,10 @@ import numpy as np
 from orbisim.diagnosis.bench import Bench, Hypothesis
 from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.laws import imitated
+from orbisim.diagnosis.paying import strain
 from orbisim.diagnosis.refine import Judge, Judged
 from orbisim.diagnosis.samples import Samples
-from orbisim.diagnosis.state import NEAR, Rival, SearchState, strained
+from orbisim.diagnosis.state import NEAR, Rival, SearchState
 from orbisim.diagnosis.suspects import Screening
 from orbisim.effects import EffectInstance
 
@@ -172,7 +173,7 @@ def _excess(state: SearchState, judged: Judged) -> float:
 def doubt(state: SearchState, whole: Bench, before: Judged, after: Judged) -> str | None:
     """Why an explanation is none, as it leaves too much, differs from motion to motion, or takes
     declared parameters too far; None if it is one."""
-    if not after.hypothesis.effects and strained(after):
+    if not after.hypothesis.effects and strain(after.hypothesis):
         return "a declared parameter would have to be further off than any is"
     if after.ratio <= NEAR:
         return None

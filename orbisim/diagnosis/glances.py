@@ -16,7 +16,7 @@ from orbisim.diagnosis.refine import is_structural
 from orbisim.diagnosis.screening import bounded_instance, cleaned
 from orbisim.diagnosis.state import SearchState
 from orbisim.diagnosis.suspects import Suspect
-from orbisim.effects import EffectInstance, find
+from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.scene import Scene
 
 
@@ -113,14 +113,28 @@ def _tried(
 
 def usual(state: SearchState, possible: Sequence[EffectInstance]) -> list[Candidate]:
     """Effects on bodies at usual sizes, whatever a regression says: payloads and forces in
-    proportion to masses."""
+    proportion to masses; and what does the same as a suspect, and more."""
     bodies = {(e.effect, e.target) for e in possible if find(e.effect).kind == "body"}
-    scene, found = state.bench.scene, []
+    scene, made = state.bench.scene, []
     for name, target in sorted(bodies):
-        for values in find(name).trials(scene.model, target):
-            one = EffectInstance(name, target, dict(values))
-            found.append(Candidate(clean(scene, one), sized=functools.partial(_scaled, scene, one)))
-    return found
+        every = find(name).trials(scene.model, target)
+        made += [EffectInstance(name, target, dict(values)) for values in every]
+    first = {(e.effect, e.target): e for e in reversed(possible)}
+    made += [more for one in first.values() for more in generalizations(state, one)]
+    return [
+        Candidate(clean(scene, one), sized=functools.partial(_scaled, scene, one)) for one in made
+    ]
+
+
+def generalizations(state: SearchState, special: EffectInstance) -> list[EffectInstance]:
+    """What does the same as an effect for now, and more with other numbers."""
+    model, only = state.bench.scene.model, state.settings.effects
+    return [
+        EffectInstance(name, special.target, dict(values))
+        for name in (effect_names() if only is None else only)
+        for values in find(name).generalized(model, special)
+        if special.target in find(name).targets(model)
+    ]
 
 
 def _scaled(scene: Scene, one: EffectInstance, size: float) -> EffectInstance | None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.refine import Judged, is_structural
+from orbisim.diagnosis.retune import REACH, Tunable
 from orbisim.diagnosis.settings import Settings
 
 Floats = npt.NDArray[np.float64]
@@ -14,6 +16,11 @@ Floats = npt.NDArray[np.float64]
 def enough(settings: Settings, judged: Judged) -> float:
     """Residual over noise below which there is nothing to explain, given how much data there is."""
     return settings.enough + 3.0 / np.sqrt(2.0 * max(judged.fit.count, 1))
+
+
+def strain(hypothesis: Hypothesis) -> list[Tunable]:
+    """Declared parameters that are as far off as they may be: those are effects, then."""
+    return [one for one, factor in hypothesis.factors if abs(factor - 1) > 0.9 * REACH]
 
 
 def unpaid(settings: Settings, before: Judged, after: Judged) -> str | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import mujoco
@@ -11,7 +12,7 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis, clean
 from orbisim.diagnosis.consistency import inconsistency
-from orbisim.diagnosis.glances import Candidate, shortlist
+from orbisim.diagnosis.glances import Candidate, generalizations, shortlist
 from orbisim.diagnosis.paying import unpaid
 from orbisim.diagnosis.refine import Judged, is_structural
 from orbisim.diagnosis.screening import cleaned
@@ -102,19 +103,27 @@ def generalized(
     plus: Callable[[EffectInstance], Hypothesis],
     begun: Sequence[EffectInstance],
 ) -> list[Judged]:
-    """Effects that do worse than a special case of them, fitted again from there."""
-    found: list[Judged] = []
+    """Effects that do worse than a special case of them, or were not tried although one does best,
+    fitted again from there."""
+    model, found = state.bench.scene.model, []
     for general, own in zip(fitted, begun, strict=True):
         for special in fitted:
             other = special.hypothesis.effects[-1]
             if special.cost >= general.cost or other.target != own.target:
                 continue
-            values = find(own.effect).generalized(own.values, other)
-            if values is not None:
+            for values in find(own.effect).generalized(model, other, own.values)[:1]:
                 start = plus(dataclasses.replace(own, values=dict(values)))
-                judged = state.judge.judge(start, state.iterations)
-                found += [judged] if judged is not None else []
-    return found
+                found.append(state.judge.judge(start, state.iterations))
+    best = min(fitted, key=lambda judged: judged.cost, default=None)
+    if best is None or state.done(best):
+        return [judged for judged in found if judged is not None]
+    tried = {(one.effect, one.target) for one in begun}
+    every = generalizations(state, best.hypothesis.effects[-1])
+    more = [one for one in every if (one.effect, one.target) not in tried]
+    for _, same in itertools.groupby(more, key=lambda one: one.effect):
+        start = min(map(plus, same), key=state.judge.glance)
+        found.append(state.judge.judge(start, state.iterations))
+    return [judged for judged in found if judged is not None]
 
 
 def begin(

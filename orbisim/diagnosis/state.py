@@ -13,9 +13,9 @@ from orbisim.diagnosis.along import along, tame
 from orbisim.diagnosis.bench import Bench, Hypothesis
 from orbisim.diagnosis.linear import linearize
 from orbisim.diagnosis.nuisance import factor_columns
-from orbisim.diagnosis.paying import enough, unpaid
+from orbisim.diagnosis.paying import enough, strain, unpaid
 from orbisim.diagnosis.refine import Judge, Judged, is_structural
-from orbisim.diagnosis.retune import REACH, Tunable, tunables
+from orbisim.diagnosis.retune import Tunable, tunables
 from orbisim.diagnosis.screening import missing_force, screen
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.suspects import Screening, merged
@@ -53,11 +53,6 @@ def quiet(settings: Settings, declared: Judged) -> bool:
     Where bodies touch, an effect may show in a few windows only, which `Judged.ratio` leaves out.
     """
     return max(declared.ratio, declared.pooled) <= enough(settings, declared)
-
-
-def strained(judged: Judged) -> bool:
-    """Whether a declared parameter is as far off as it may be: that is an effect, then."""
-    return any(abs(factor - 1) > 0.9 * REACH for _, factor in judged.hypothesis.factors)
 
 
 class SearchState:
@@ -209,9 +204,12 @@ class SearchState:
         return unpaid(self.settings, before, after) is None
 
     def _superfluous(self, fewer: Judged, current: Judged) -> bool:
-        """Whether an effect does not pay any more. Where bodies touch, a few windows with impacts
-        decide how sure a gain is: an effect that paid before must also have been replaced."""
+        """Whether an effect does not pay any more. It stays if only a declared parameter as far off
+        as any may be could stand in for it. Where bodies touch, a few windows with impacts decide
+        how sure a gain is: an effect that paid before must also have been replaced."""
         if self.pays(fewer, current):
+            return False
+        if strain(fewer.hypothesis) and not strain(current.hypothesis):
             return False
         gain = fewer.cost - current.cost
         return not (self.bench.contacts and gain > _REPLACED * self.settings.margin)

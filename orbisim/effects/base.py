@@ -165,13 +165,15 @@ class Effect(abc.ABC):
         """Values of the effect so many times as large; numbers that say where it is stay."""
         return {name: size * value for name, value in values.items()}
 
-    def generalized(self, values: Values, special: EffectInstance) -> Values | None:
-        """Values close to which it does what a special case of it does; None if that is none.
+    def generalized(
+        self, model: mujoco.MjModel, special: EffectInstance, values: Values | None = None
+    ) -> list[Values]:
+        """Values close to which it does what a special case of it does; none if that is none.
 
         Args:
           values: of this effect, for what the special case does not have.
         """
-        return None
+        return []
 
     def resolution(self, model: mujoco.MjModel, name: str) -> float:
         """Step below which a parameter has no effect (delays act in timesteps); 0 for none."""

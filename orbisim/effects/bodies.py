@@ -85,6 +85,22 @@ class Payload(BodyEffect):
         """Another mass at the same place."""
         return {**values, "mass": size * values["mass"]}
 
+    def generalized(
+        self, model: mujoco.MjModel, special: EffectInstance, values: Values | None = None
+    ) -> list[Values]:
+        """Masses of a tenth of the body's to all of it, each where it moves the centre of mass as
+        the offset does."""
+        if special.effect != ComOffset.name:
+            return []
+        body = index_of(model, "body", special.target)
+        offset = np.array([special.values[axis] for axis in _AXES])
+        found: list[Values] = []
+        for share in (*_SHARES, 1.0):
+            place = model.body_ipos[body] + offset * (1 + 1 / share)
+            parts = dict(zip(("com_x", "com_y", "com_z"), map(float, place), strict=True))
+            found.append({"mass": share * float(model.body_mass[body]), **parts})
+        return found
+
     def _at(self, view: View, target: str, place: np.ndarray) -> Candidate:
         """A point mass at a known place."""
         parts = dict(zip(("com_x", "com_y", "com_z"), map(float, place), strict=True))

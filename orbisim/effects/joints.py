@@ -349,12 +349,14 @@ class StribeckFriction(JointEffect):
         static = max(values["coulomb"], 0.0) + max(values["excess"], 0.0)
         return {"coulomb": values["coulomb"], "static": static, "velocity": values["velocity"]}
 
-    def generalized(self, values: Values, special: EffectInstance) -> Values | None:
+    def generalized(
+        self, model: mujoco.MjModel, special: EffectInstance, values: Values | None = None
+    ) -> list[Values]:
         """Coulomb friction with a little more where the joint hardly moves."""
-        if special.effect != CoulombFriction.name:
-            return None
+        if special.effect != CoulombFriction.name or values is None:
+            return []
         level = float(special.values["torque"])
-        return {"coulomb": level, "static": _STICKS * level, "velocity": values["velocity"]}
+        return [{"coulomb": level, "static": _STICKS * level, "velocity": values["velocity"]}]
 
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _FrictionLevel(model, instance, _stribeck)

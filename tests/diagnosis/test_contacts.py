@@ -6,6 +6,7 @@ import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -22,7 +23,7 @@ from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.shooting import Variant
 from orbisim.diagnosis.state import SearchState
-from orbisim.effects import EffectInstance, find
+from orbisim.effects import EffectInstance, add_effects, find
 from orbisim.errors import SceneError
 from orbisim.testing import inject_effect
 
@@ -142,16 +143,33 @@ def test_a_step_to_an_impossible_scene_is_shortened(arm: orbisim.Scene) -> None:
     assert found.values[0] == pytest.approx(0.1, rel=0.05)
 
 
-def test_stribeck_friction_can_begin_at_coulomb_friction() -> None:
-    stribeck = find("stribeck_friction")
+def test_stribeck_friction_can_begin_at_coulomb_friction(hammer: orbisim.Scene) -> None:
+    stribeck, model = find("stribeck_friction"), hammer.model
     values = {"coulomb": 5.0, "static": 9.0, "velocity": 0.3}
     coulomb = EffectInstance("coulomb_friction", "slide", {"torque": 2.0})
-    found = stribeck.generalized(values, coulomb)
-    assert found is not None
+    (found,) = stribeck.generalized(model, coulomb, values)
     assert found["coulomb"] == 2.0 and found["velocity"] == 0.3
     assert 2.0 < found["static"] < 3.0
-    assert stribeck.generalized(values, BIAS) is None
-    assert find("torque_bias").generalized({"offset": 1.0}, coulomb) is None
+    assert stribeck.generalized(model, BIAS, values) == []
+    assert stribeck.generalized(model, coulomb) == []  # its velocity is not known
+    assert find("torque_bias").generalized(model, coulomb, {"offset": 1.0}) == []
+
+
+def test_a_payload_can_begin_at_an_offset_of_the_centre_of_mass(hammer: orbisim.Scene) -> None:
+    """Each has the same centre of mass as the body with the offset."""
+    parts = {"x": 0.01, "y": -0.02, "z": 0.005}
+    offset = EffectInstance("com_offset", "head", {"offset": 0.0229, **parts})
+    moved = add_effects(hammer, [offset]).model
+    found = find("payload").generalized(hammer.model, offset)
+    assert len(found) == 3
+    for values in found:
+        model = add_effects(hammer, [EffectInstance("payload", "head", values)]).model
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        head = model.body("head").id
+        place = data.subtree_com[head] - data.xpos[head]
+        np.testing.assert_allclose(place, moved.body("head").ipos, atol=1e-9)
+    assert find("payload").generalized(hammer.model, BIAS) == []
 
 
 def judged(checked: list[float], ratio: float, pooled: float, cost: float, touching: bool) -> Any:
@@ -207,23 +225,16 @@ def test_an_effect_that_paid_stays_while_all_gets_much_worse_without_it() -> Non
     assert kept(1700.0, False) == 1
 
 
-def test_a_general_effect_that_did_worse_is_fitted_again_from_its_special_case() -> None:
+def test_a_general_effect_that_did_worse_is_fitted_again_from_its_special_case(
+    hammer: orbisim.Scene,
+) -> None:
     slide = "slide"
     coulomb = EffectInstance("coulomb_friction", slide, {"torque": 2.0})
     other = EffectInstance("coulomb_friction", "elsewhere", {"torque": 2.0})
     poor = EffectInstance(
         "stribeck_friction", slide, {"coulomb": 9.0, "static": 9.0, "velocity": 0.3}
     )
-    begun: list[EffectInstance] = []
-
-    def judge(hypothesis: Hypothesis, iterations: int) -> Any:
-        begun.append(hypothesis.effects[-1])
-        return SimpleNamespace(hypothesis=hypothesis, cost=1.0)
-
-    state: Any = SimpleNamespace(iterations=4, judge=SimpleNamespace(judge=judge))
-
-    def fitted(one: EffectInstance, cost: float) -> Any:
-        return SimpleNamespace(hypothesis=Hypothesis((one,)), cost=cost)
+    state, begun = searching(hammer)
 
     def again(special: EffectInstance, cost: float) -> int:
         both = [fitted(poor, 100.0), fitted(special, cost)]
@@ -233,3 +244,46 @@ def test_a_general_effect_that_did_worse_is_fitted_again_from_its_special_case()
     assert begun[0].effect == "stribeck_friction" and begun[0].values["coulomb"] == 2.0
     assert again(coulomb, 120.0) == 0
     assert again(other, 20.0) == 0
+
+
+def test_the_best_effect_that_leaves_much_is_generalized(hammer: orbisim.Scene) -> None:
+    """A payload was not among the suspects, but an offset of the centre of mass did best."""
+    parts = {"x": 0.01, "y": -0.02, "z": 0.005}
+    offset = EffectInstance("com_offset", "head", {"offset": 0.0229, **parts})
+    state, begun = searching(hammer)
+    plus = Hypothesis().plus
+
+    def count(ratio: float, only: tuple[str, ...] | None = None) -> int:
+        begun.clear()
+        state.settings = Settings(effects=only)
+        both = [fitted(offset, 20.0, ratio), fitted(BIAS, 30.0, ratio)]
+        return len(generalized(state, both, plus, [offset, BIAS]))
+
+    assert count(9.0) == 1
+    masses = [e.values["mass"] for e in begun]
+    assert begun[0].effect == "payload" and masses == [pytest.approx(0.15)]  # what `glance` liked
+    assert count(1.0) == 0
+    assert count(9.0, ("com_offset", "torque_bias")) == 0
+
+
+def searching(scene: orbisim.Scene) -> tuple[Any, list[EffectInstance]]:
+    """What `generalized` reads of a search, and the effects that were fitted."""
+    begun: list[EffectInstance] = []
+
+    def judge(hypothesis: Hypothesis, iterations: int) -> Any:
+        begun.append(hypothesis.effects[-1])
+        return SimpleNamespace(hypothesis=hypothesis, cost=1.0)
+
+    def glance(hypothesis: Hypothesis) -> float:
+        return abs(hypothesis.effects[-1].values["mass"] - 0.2)
+
+    state = SimpleNamespace(
+        iterations=4, judge=SimpleNamespace(judge=judge, glance=glance), settings=Settings(),
+        bench=SimpleNamespace(scene=scene), done=lambda judged: judged.ratio <= 1.06,
+    )  # fmt: skip
+    return state, begun
+
+
+def fitted(one: EffectInstance, cost: float, ratio: float = 9.0) -> Any:
+    """An effect, fitted."""
+    return SimpleNamespace(hypothesis=Hypothesis((one,)), cost=cost, ratio=ratio)

@@ -9,6 +9,7 @@ import orbisim
 from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.glances import Candidate, usual, varied
 from orbisim.diagnosis.rounds import distinct
+from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
 
 SCENE = """
@@ -34,7 +35,8 @@ def payload(mass: float) -> EffectInstance:
 
 
 def test_effects_are_also_tried_at_sizes_that_fit_the_scene() -> None:
-    state: Any = SimpleNamespace(bench=SimpleNamespace(scene=orbisim.load_scene(SCENE)))
+    bench = SimpleNamespace(scene=orbisim.load_scene(SCENE))
+    state: Any = SimpleNamespace(bench=bench, settings=Settings())
     bias = EffectInstance("sensor_bias", "box", {"offset": 0.1})
     candidates = usual(state, [payload(77.0), friction(50.0), payload(88.0), bias])
     found = [one.instance for one in candidates]
@@ -45,6 +47,9 @@ def test_effects_are_also_tried_at_sizes_that_fit_the_scene() -> None:
     twice = candidates[0].sized(2.0)
     assert twice is not None
     assert (twice.values["mass"], twice.values["com_z"]) == pytest.approx((2 * masses[0], 0.0))
+    offset = EffectInstance("com_offset", "box", {"offset": 0.1, "x": 0.0, "y": 0.0, "z": 0.1})
+    more = [one.instance for one in usual(state, [offset])]
+    assert [e.values["com_z"] > 0.1 for e in more if e.effect == "payload"] == [True] * 3
 
 
 def test_few_forms_of_an_effect_and_the_better_of_two_fits() -> None:
