@@ -42,7 +42,7 @@ def attribute(bench: Bench, settings: Settings, say: Progress = lambda _: None) 
 def _explain(state: SearchState, nothing: Judged, first: Screening) -> Judged:
     """One effect if it is all; else declared parameters; else effects and parameters."""
     single = best_addition(state, nothing, first.suspects, first)
-    single = None if single is None else state.renewed(single)
+    single = None if single is None else swapped(state, state.renewed(single))
     alone = single if single is not None and state.done(single) else None
     if alone is not None:
         rivals = _rivals(state, alone)

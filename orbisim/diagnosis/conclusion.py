@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
-from orbisim.diagnosis.consistency import inconsistency
+from orbisim.diagnosis.consistency import doubtful
 from orbisim.diagnosis.laws import imitated
 from orbisim.diagnosis.paying import strain
 from orbisim.diagnosis.refine import Judge, Judged
@@ -173,7 +173,8 @@ def _excess(state: SearchState, judged: Judged) -> float:
 def doubt(state: SearchState, whole: Bench, before: Judged, after: Judged) -> str | None:
     """Why an explanation is none, as it leaves too much, differs from motion to motion, or takes
     declared parameters too far; None if it is one."""
-    if not after.hypothesis.effects and strain(after.hypothesis):
+    strained = bool(strain(after.hypothesis))
+    if strained and (after.ratio > NEAR or not after.hypothesis.effects):
         return "a declared parameter would have to be further off than any is"
     if after.ratio <= NEAR:
         return None
@@ -183,7 +184,7 @@ def doubt(state: SearchState, whole: Bench, before: Judged, after: Judged) -> st
     if left > state.settings.most_left:
         return f"{100 * left:.0f} % of the residual's amplitude remains"
     for index in range(len(after.hypothesis.effects)):
-        problem = inconsistency(whole, after, index, state.settings.tolerance)
+        problem = doubtful(whole, after, index, state.settings.tolerance)
         if problem is not None:
             return problem
     return None

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench
 from orbisim.diagnosis.refine import Judged, thinned
+from orbisim.diagnosis.sensible import absurd
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import find
 
@@ -35,7 +36,8 @@ def inconsistency(
     """
     fit = judged.fit
     windows = len(fit.per_window)
-    index = [k for k, (i, _) in enumerate(judged.hypothesis.free(bench.scene)) if i == number]
+    free = judged.hypothesis.free(bench.scene)
+    own, index = len(free), [k for k, (i, _) in enumerate(free) if i == number]
     if not index or windows < 2 * _FEWEST:
         return None
     chosen = np.flatnonzero(thinned(bench.fit, windows))
@@ -48,7 +50,7 @@ def inconsistency(
         halves = [measure <= np.median(measure), measure > np.median(measure)]
         if min(h.sum() for h in halves) < _FEWEST or np.ptp(measure) <= 0:
             continue
-        (low, low_var), (high, high_var) = (_prefers(judged, index, h) for h in halves)
+        (low, low_var), (high, high_var) = (_prefers(judged, own, index, h) for h in halves)
         gap = high - low
         change = float(np.sqrt(max(gap @ weight @ gap, 0.0)))
         chance = float(np.sqrt(max(np.trace(weight @ (low_var + high_var)), 0.0)))
@@ -58,6 +60,16 @@ def inconsistency(
                 f"{name}: something else is at work"
             )
     return None
+
+
+def doubtful(
+    bench: Bench, judged: Judged, number: int, tolerance: float = Settings().tolerance
+) -> str | None:
+    """Why an effect is not believed where more than noise is left: its numbers are absurd, or they
+    are not the same everywhere (`inconsistency`); None if it is believed."""
+    instance = judged.hypothesis.effects[number]
+    problem = absurd(bench.scene.model, instance, bench.samples)
+    return problem or inconsistency(bench, judged, number, tolerance)
 
 
 def _neutral(bench: Bench, judged: Judged, number: int) -> Floats:
@@ -70,11 +82,16 @@ def _neutral(bench: Bench, judged: Judged, number: int) -> Floats:
 
 
 def _prefers(
-    judged: Judged, index: list[int], half: npt.NDArray[np.bool_]
+    judged: Judged, own: int, index: list[int], half: npt.NDArray[np.bool_]
 ) -> tuple[Floats, Floats]:
-    """Shift of the parameters that some windows prefer, and its covariance over windows."""
-    information = judged.fit.information[half]
-    score = judged.fit.score[half]
+    """Shift of the parameters that some windows prefer, and its covariance over windows.
+
+    Args:
+      own: how many parameters the effects have. Retuned declared parameters come after them and
+        stay: a mass that is another one early and late would make up for anything.
+    """
+    information = judged.fit.information[half][:, :own, :own]
+    score = judged.fit.score[half][:, :own]
     gram = information.sum(axis=0)
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-8) / np.outer(scale, scale)

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.samples import Samples
+from orbisim.diagnosis.samples import Samples, substeps
 from orbisim.recording.held import Held
 from orbisim.recording.joints import joints
 
@@ -78,7 +78,7 @@ def _buffers(one: Samples, variant: mujoco.MjModel) -> Floats:
         return found
     held, data = Held(one.time, one.ctrl), mujoco.MjData(variant)
     typical = float(np.median(np.diff(one.time)))
-    step = typical / max(1, int(np.ceil(typical / variant.opt.timestep - 1e-6)))
+    step = typical / int(substeps(np.array(typical), variant.opt.timestep))
     delayed = np.flatnonzero(variant.actuator_historyadr >= 0)
     for row in range(len(one)):
         for a in delayed:

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from orbisim.cpus import usable_cpus
 from orbisim.diagnosis.hidden import Layout, carried_along
-from orbisim.diagnosis.samples import Samples
+from orbisim.diagnosis.samples import Samples, substeps
 from orbisim.effects.carry import hooks_of
 from orbisim.effects.stepping import step_batch
 from orbisim.scene import Scene
@@ -89,7 +89,7 @@ class IntervalMap:
         self.act = np.concatenate([hidden[i][0][r] for i, r in enumerate(rows)])
         self.history = np.concatenate([hidden[i][1][r] for i, r in enumerate(rows)])
         step = float(self.model.opt.timestep)
-        self.substeps = np.maximum(1, np.ceil(self.duration / step - 1e-6)).astype(int)
+        self.substeps = substeps(self.duration, step)
 
     def __len__(self) -> int:
         return len(self.row)

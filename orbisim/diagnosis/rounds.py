@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis, clean
-from orbisim.diagnosis.consistency import inconsistency
+from orbisim.diagnosis.consistency import doubtful
 from orbisim.diagnosis.glances import Candidate, generalizations, shortlist
 from orbisim.diagnosis.paying import unpaid
 from orbisim.diagnosis.refine import Judged, is_structural
@@ -184,7 +184,7 @@ def _winner(
         elif reason is None and place >= 3:
             reason = "it explains less than three others, none of which was believed"
         elif reason is None and judged.ratio > NEAR:
-            reason = inconsistency(state.bench, judged, last, state.settings.tolerance)
+            reason = doubtful(state.bench, judged, last, state.settings.tolerance)
             if reason is not None:
                 state.rejected.append((judged.hypothesis.effects[-1], reason))
         if reason is None:

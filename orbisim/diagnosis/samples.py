@@ -210,3 +210,15 @@ def _velocity_noise(bound: Bound) -> Floats:
         if not np.ptp(known):  # one estimate for all samples
             found[column] = max(found[column], _CONSTANT * abs(known[0]))
     return found
+
+
+def substeps(duration: npt.ArrayLike, timestep: float) -> Ints:
+    """Timesteps within durations [...], s: none is longer than declared by more than 5 %, so that a
+    clock which is a little fast, or jitters, does not cost another one (where bodies touch, what a
+    step does depends on its length)."""
+    return np.asarray(
+        np.maximum(1, np.ceil(np.asarray(duration) / (_LONGER * timestep) - 1e-6)), np.int64
+    )
+
+
+_LONGER = 1.05

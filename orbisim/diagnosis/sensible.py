@@ -29,7 +29,8 @@ def sensible(
     A centre of mass lies within the reach of its body, and so, nearly, does what is fixed to it; a
     machine carries at most twice its own mass, and a body displaces at most twice its own;
     friction takes less than half of the load that a transmission carries; a gain is not off by
-    more than a factor of two; what is periodic has come round twice.
+    more than a factor of two, and a clock by no more than a quarter; what is periodic has come
+    round twice.
 
     Args:
       duration: of the longest recording, s. travel: [nv] of each degree of freedom.
@@ -50,12 +51,23 @@ def sensible(
         return values["coefficient"] <= _MOST_LOAD_FRICTION
     if instance.effect == "torque_gain":
         return 0.5 <= values["gain"] <= 2.0
+    if instance.effect == "clock_skew":
+        return 0.8 <= values["factor"] <= 1.25
     if instance.effect == "periodic_disturbance":
         return values["frequency"] * duration >= 2
     if instance.effect == "cogging" and travel is not None:
         dof = int(model.jnt_dofadr[index_of(model, "joint", instance.target)])
         return bool(values["periods"] * travel[dof] >= 4 * np.pi)
     return True
+
+
+def absurd(
+    model: mujoco.MjModel, instance: EffectInstance, samples: Sequence[Samples]
+) -> str | None:
+    """Why an effect with these numbers cannot be believed to act on a machine; None if it can."""
+    if sensible(model, instance, *extent(samples)):
+        return None
+    return f"{instance} is nothing that this machine can have"
 
 
 def reach(model: mujoco.MjModel, name: str) -> float:

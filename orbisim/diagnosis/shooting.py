@@ -15,7 +15,7 @@ from orbisim.cpus import usable_cpus
 from orbisim.diagnosis.hidden import Layout, carried_along
 from orbisim.diagnosis.linear import Intervals
 from orbisim.diagnosis.measurement import TRUE, Measurement
-from orbisim.diagnosis.samples import Samples
+from orbisim.diagnosis.samples import Samples, substeps
 from orbisim.diagnosis.windows import Windows, chosen
 from orbisim.effects.carry import hooks_of
 from orbisim.effects.stepping import step_batch
@@ -78,7 +78,7 @@ class Shooter:
         self.absolute = np.array([s.absolute[r : r + k + 1] for s, r in rows])
         step = float(declared.model.opt.timestep)
         lengths = np.diff(self.time, axis=1)
-        self.substeps = np.maximum(1, np.ceil(np.median(lengths) / step - 1e-6)).astype(int)
+        self.substeps = int(substeps(np.median(lengths), step))
 
     def __len__(self) -> int:
         return len(self.windows)
@@ -161,13 +161,13 @@ class Shooter:
             timestep[:] = (length / self.substeps).reshape(timestep.shape)
             applied[:, place.v] = self.force[:, k]
             ids = np.flatnonzero(last > k)
-            step_batch(model, batch, hooks, self.ctrl[:, k], int(self.substeps), ids)
+            step_batch(model, batch, hooks, self.ctrl[:, k], self.substeps, ids)
             yield k + 1, qpos[:, place.q], qvel[:, place.v]
 
     def _threads(self, nv: int) -> int:
         """Few worlds of few joints are stepped sooner by one thread than by several that wait for
         each other."""
-        work = len(self) * nv * int(self.substeps)
+        work = len(self) * nv * self.substeps
         return int(np.clip(work // _WORTH_A_THREAD, 1, min(len(self), usable_cpus())))
 
     def _last(self, only: Bools | None) -> Ints:

@@ -160,9 +160,9 @@ class SearchState:
             self.judge.start_from(judged)
         again = self.need(judged.hypothesis)
         self.judge.start_from(again)
-        return self._settled(again) if self.bench.contacts else again
+        return self.settled(again) if self.bench.contacts else again
 
-    def _settled(self, judged: Judged) -> Judged:
+    def settled(self, judged: Judged) -> Judged:
         """Fitted on, as long as that still brings much: what is left would be explained by the
         next effect, and steps through impacts are short."""
         for _ in range(_FURTHER):

@@ -5,29 +5,75 @@ from __future__ import annotations
 import dataclasses
 
 from orbisim.diagnosis.bench import Hypothesis
-from orbisim.diagnosis.consistency import inconsistency
+from orbisim.diagnosis.consistency import doubtful
 from orbisim.diagnosis.linear import linearize
 from orbisim.diagnosis.refine import Judged, is_structural
 from orbisim.diagnosis.rounds import begin, simpler, tied
 from orbisim.diagnosis.screening import cleaned, screen
 from orbisim.diagnosis.state import NEAR, Rival, SearchState
 from orbisim.diagnosis.suspects import Suspect
+from orbisim.effects import find
 
 
 def swapped(state: SearchState, current: Judged) -> Judged:
     """The same explanation, with other effects where these do better given all others.
 
     Effects are found one after the other, and the first was chosen while the others were missing.
-    Not where bodies touch, or joints were added: that would take too long.
+    Not where joints were added: that would take too long. Where bodies touch, only the last is
+    looked at again.
     """
-    if state.bench.contacts or is_structural(current.hypothesis):
+    if is_structural(current.hypothesis):
         return current
+    if state.bench.contacts:
+        return _kindred(state, current)
     places = [(e.effect, e.target) for e in current.hypothesis.effects]
     for place in places if len(places) > 1 else ():
         left = [(e.effect, e.target) for e in current.hypothesis.effects]
         if place in left and len(left) > 1 and not state.late:
             current = _improved(state, current, left.index(place))
     return current
+
+
+def _kindred(state: SearchState, current: Judged) -> Judged:
+    """With another effect of the family of the last one, if that does better once it is fitted to
+    the end: through contacts a round stops long before, and two kinds of drag look alike until
+    then."""
+    effects = current.hypothesis.effects
+    if not effects or state.done(current):
+        return current
+    own, best = effects[-1], current
+    family = find(own.effect).family
+    near = [
+        rival.instance
+        for rival in state.rivals
+        if rival.round == state.round and rival.instance.target == own.target
+        if family and find(rival.instance.effect).family == family
+        if rival.instance.effect != own.effect
+    ]
+    fewer = current.hypothesis.without(len(effects) - 1)
+    for instance in near:
+        if state.late:
+            break
+        state.say(f"fitting {instance.effect} instead of {own.effect} at {own.target}")
+        state.judge.start_from(current)
+        judged = state.judge.judge(fewer.plus(instance), state.iterations)
+        judged = None if judged is None else state.settled(judged)
+        if judged is not None and judged.cost < best.cost - state.settings.margin:
+            best = judged
+    state.judge.start_from(best)
+    if best is current:
+        return current
+    found = best.hypothesis.effects[-1]
+    lost = f"it explains less than {found.effect} at {found.target} once both are fitted"
+    names = {own.effect: lost, found.effect: ""}
+    state.rivals = [
+        dataclasses.replace(rival, reason=names[rival.instance.effect])
+        if (rival.round, rival.instance.target) == (state.round, own.target)
+        and rival.instance.effect in names
+        else rival
+        for rival in state.rivals
+    ]
+    return state.renewed(state.prune(best))
 
 
 def _improved(state: SearchState, current: Judged, index: int) -> Judged:
@@ -65,7 +111,7 @@ def _improved(state: SearchState, current: Judged, index: int) -> Judged:
 def _doubtful(state: SearchState, judged: Judged) -> bool:
     """Whether the last effect would have to be another one in other motion."""
     last = len(judged.hypothesis.effects) - 1
-    return inconsistency(state.bench, judged, last, state.settings.tolerance) is not None
+    return doubtful(state.bench, judged, last, state.settings.tolerance) is not None
 
 
 def _fitted(state: SearchState, start: Hypothesis, best: Judged) -> Judged | None:

@@ -43,6 +43,7 @@ class TorqueGain(ActuatorEffect):
 
     name = "torque_gain"
     phrase = "another gain"
+    family = "drive"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("gain", "1", -10.0, 100.0, 1.0, neutral=1.0),)
@@ -84,6 +85,7 @@ class TorqueSaturation(ActuatorEffect):
 
     name = "torque_saturation"
     phrase = "a limit of the output"
+    family = "drive"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("limit", actuator_unit(model, target), 1e-9, _LARGE, 1.0),)
@@ -117,6 +119,7 @@ class ActuatorLag(ActuatorEffect):
 
     name = "actuator_lag"
     phrase = "a first-order lag"
+    family = "late"
     structural = True
 
     def possible(self, model: mujoco.MjModel, target: str) -> bool:
@@ -152,6 +155,7 @@ class ActuatorDelay(ActuatorEffect):
 
     name = "actuator_delay"
     phrase = "a delay"
+    family = "late"
     structural = True
 
     def possible(self, model: mujoco.MjModel, target: str) -> bool:
@@ -195,6 +199,7 @@ class Deadband(ActuatorEffect):
 
     name = "deadband"
     phrase = "a dead band"
+    family = "drive"
     native = False
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:

@@ -120,6 +120,8 @@ class Effect(abc.ABC):
       native: whether MuJoCo expresses it; then `edit` writes it, otherwise `hook` applies it.
       measurement: whether it acts on recordings instead of the simulation.
       structural: whether `edit` changes the model's sizes (adds joints or actuator states).
+      family: what effects share that look alike as long as they are not fitted to the end, at the
+        same target; empty for none.
     """
 
     name: ClassVar[str]
@@ -128,6 +130,7 @@ class Effect(abc.ABC):
     native: ClassVar[bool] = True
     measurement: ClassVar[bool] = False
     structural: ClassVar[bool] = False
+    family: ClassVar[str] = ""
 
     @abc.abstractmethod
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:

@@ -43,6 +43,7 @@ class Payload(BodyEffect):
 
     name = "payload"
     phrase = "a payload"
+    family = "mass"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         reach = [Parameter(f"com_{axis}", "m", -10.0, 10.0, 0.1) for axis in _AXES]
@@ -133,6 +134,7 @@ class ComOffset(BodyEffect):
 
     name = "com_offset"
     phrase = "an offset of the centre of mass"
+    family = "mass"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         parts = [Parameter(axis, "m", -10.0, 10.0, 0.02) for axis in _AXES]
@@ -163,6 +165,7 @@ class Buoyancy(BodyEffect):
 
     name = "buoyancy"
     phrase = "buoyancy"
+    family = "force"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("displaced_mass", "kg", 0.0, _LARGE, 0.1),)
@@ -188,6 +191,7 @@ class ConstantForce(BodyEffect):
 
     name = "constant_force"
     phrase = "a constant force"
+    family = "force"
     native = False
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
@@ -292,6 +296,7 @@ class LinearDrag(BodyEffect):
 
     name = "linear_drag"
     phrase = "linear drag"
+    family = "drag"
     native = False
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
@@ -311,6 +316,7 @@ class QuadraticDrag(BodyEffect):
 
     name = "quadratic_drag"
     phrase = "quadratic drag"
+    family = "drag"
     native = False
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:

@@ -53,6 +53,7 @@ class SlidingFriction(_Coefficient):
 
     name = "sliding_friction"
     phrase = "another sliding friction"
+    family = "slip"
     index, condim, unit, scale = 0, 3, "1", 0.3
 
 
@@ -81,6 +82,7 @@ class AnisotropicFriction(ContactEffect):
 
     name = "anisotropic_friction"
     phrase = "anisotropic friction"
+    family = "slip"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (
@@ -111,6 +113,7 @@ class Restitution(ContactEffect):
 
     name = "restitution"
     phrase = "restitution"
+    family = "contact"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         stiffness, ratio = _declared_spring(model, target)
@@ -169,6 +172,7 @@ class ContactCompliance(ContactEffect):
 
     name = "contact_compliance"
     phrase = "a compliant contact"
+    family = "contact"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         stiffness, ratio = _declared_spring(model, target)

@@ -58,6 +58,7 @@ class CoulombFriction(JointEffect):
 
     name = "coulomb_friction"
     phrase = "Coulomb friction"
+    family = "friction"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         unit = joint_unit(model, target, "N*m", "N")
@@ -75,6 +76,7 @@ class ViscousDamping(JointEffect):
 
     name = "viscous_damping"
     phrase = "viscous damping"
+    family = "friction"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         unit = joint_unit(model, target, "N*m*s/rad", "N*s/m")
@@ -97,6 +99,7 @@ class QuadraticDamping(JointEffect):
 
     name = "quadratic_damping"
     phrase = "quadratic damping"
+    family = "friction"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         unit = joint_unit(model, target, "N*m*s^2/rad^2", "N*s^2/m^2")
@@ -324,6 +327,7 @@ class StribeckFriction(JointEffect):
 
     name = "stribeck_friction"
     phrase = "Stribeck friction"
+    family = "friction"
     native = False
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
@@ -385,6 +389,7 @@ class LoadDependentFriction(JointEffect):
 
     name = "load_dependent_friction"
     phrase = "load-dependent friction"
+    family = "friction"
     native = False
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:

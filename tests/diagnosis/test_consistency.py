@@ -6,8 +6,9 @@ import dataclasses
 
 import orbisim
 from orbisim.diagnosis.bench import Hypothesis, make_bench
-from orbisim.diagnosis.consistency import inconsistency
+from orbisim.diagnosis.consistency import doubtful, inconsistency
 from orbisim.diagnosis.refine import Judge
+from orbisim.diagnosis.retune import Tunable
 from orbisim.diagnosis.samples import prepare_all
 from orbisim.effects import EffectInstance
 from orbisim.testing import inject_effect
@@ -30,3 +31,34 @@ def test_how_much_it_may_differ_is_a_setting(arm: orbisim.Scene) -> None:
     told = inconsistency(bench, judged, 0, tolerance=0.2)
     assert told is not None and "time" in told
     assert inconsistency(bench, judged, 0, tolerance=0.8) is None
+
+
+def test_a_retuned_parameter_does_not_make_up_for_the_difference(arm: orbisim.Scene) -> None:
+    """The declared gain, free in each half, would make up for the drift of the effect's."""
+    runs = []
+    for seed, gain in ((1, 0.8), (2, 0.9)):
+        truth = EffectInstance("torque_gain", "elbow", {"gain": gain})
+        runs += inject_effect(arm, truth, duration=8.0, episodes=2, noise=1e-4, seed=seed)
+    late = [
+        run if i < 2 else dataclasses.replace(run, time=run.time + 100.0)
+        for i, run in enumerate(runs)
+    ]
+    bench = make_bench(arm, prepare_all(late, arm), 0.5)
+    guess = EffectInstance("torque_gain", "elbow", {"gain": 0.85})
+    both = dataclasses.replace(Hypothesis((guess,)), factors=((Tunable("gain", "elbow"), 1.0),))
+    judged = Judge(bench, bench.intervals).judge(both)
+    assert judged is not None
+    told = inconsistency(bench, judged, 0)
+    assert told is not None and "time" in told
+
+
+def test_absurd_numbers_are_doubtful(arm: orbisim.Scene) -> None:
+    """Half a gram, five metres away."""
+    place = {"com_x": 5.0, "com_y": 0.0, "com_z": 0.0}
+    load = EffectInstance("payload", "forearm", {"mass": 5e-4, **place})
+    runs = inject_effect(arm, load, duration=4.0, episodes=2, noise=1e-4, seed=1)
+    bench = make_bench(arm, prepare_all(runs, arm), 0.5)
+    judged = Judge(bench, bench.intervals).judge(Hypothesis((load,)))
+    assert judged is not None
+    told = doubtful(bench, judged, 0)
+    assert told is not None and "nothing that this machine can have" in told

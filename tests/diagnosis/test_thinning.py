@@ -2,7 +2,10 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from orbisim.diagnosis.samples import substeps
 from orbisim.diagnosis.split import bounded
 from orbisim.diagnosis.thinning import MOST_SAMPLES, thinned
 from orbisim.recording import Recording
@@ -52,3 +55,18 @@ def test_of_ten_million_rows_a_search_sees_stretches_from_beginning_to_end() -> 
     assert pieces[-1].time[-1] == pytest.approx(time[-1])
     assert max(np.diff([one.time[0] for one in pieces])) < 2 * time[-1] / len(pieces)
     assert "of 10000000 rows" in notes[0]
+
+
+@given(st.floats(1e-4, 0.1), st.floats(1e-4, 0.02))
+def test_no_timestep_is_longer_than_declared_by_more_than_a_little(
+    duration: float, timestep: float
+) -> None:
+    count = int(substeps(duration, timestep))
+    assert duration / count <= 1.0501 * timestep
+    assert count == 1 or duration / (count - 1) > 1.0499 * timestep
+
+
+@pytest.mark.parametrize("clock", [0.97, 1.0, 1.0 + 1e-9, 1.014, 1.04])
+def test_a_clock_that_is_a_little_off_costs_no_timestep(clock: float) -> None:
+    """Five timesteps of 2 ms between samples."""
+    np.testing.assert_array_equal(substeps(np.full(3, 0.01 * clock), 0.002), 5)
