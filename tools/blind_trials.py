@@ -110,7 +110,7 @@ def main(argv: list[str] | None = None) -> int:
     making.add_argument("--workers", type=int, default=1)
     making.add_argument("--limit", type=int, default=0)
     making.add_argument("--scenes", nargs="*", default=[], help="only trials of these")
-    making.add_argument("--kinds", nargs="*", default=[], choices=KINDS, help="only trials of these")
+    making.add_argument("--kinds", nargs="*", default=[], choices=KINDS, help="only these")
     making.add_argument("--only", nargs="*", default=[], help="names of trials")
     making.add_argument("--sample", action="store_true", help="only the fixed few")
     making.set_defaults(work=generate)
