@@ -14,7 +14,7 @@ from orbisim.diagnosis.refine import Judge, Judged
 from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.state import NEAR, Rival, SearchState
 from orbisim.diagnosis.suspects import Screening
-from orbisim.effects import EffectInstance
+from orbisim.effects import EffectInstance, find
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ def conclude(state: SearchState, current: Judged, first: Screening | None) -> At
     before = _finally(state, judge, state.declared or current, Hypothesis())
     assert before is not None
     after = _finally(state, judge, current, current.hypothesis) or current
-    after = duel(state, judge, after)
+    after = scanned(state, judge, duel(state, judge, after))
     if not current.hypothesis.effects and not current.hypothesis.factors:
         after = before
     else:
@@ -155,6 +155,54 @@ def duel(state: SearchState, judge: Judge, after: Judged) -> Judged:
             for r in state.rivals
         ]
     return best
+
+
+def scanned(state: SearchState, judge: Judge, after: Judged) -> Judged:
+    """The same effects with other numbers of contacts, where bodies touch and more than noise is
+    left: through impacts the cost is rugged, and a fit stays where it began. The first parameter of
+    each such effect is tried at other sizes, the rest fitted."""
+    if not state.bench.contacts or after.ratio <= NEAR:
+        return after
+    model, best = state.bench.scene.model, after
+    for number, effect in enumerate(after.hypothesis.effects):
+        kind = find(effect.effect)
+        if kind.kind != "geom" or kind.measurement:
+            continue
+        name = kind.free_parameters(model, effect.target)[0]
+        state.say(f"trying other sizes of {effect.effect} at {effect.target}")
+        for sizes in (_COARSE, _FINE):
+            best = _resized(judge, best, (number, name), sizes)
+    judge.start_from(best)
+    return best
+
+
+def _resized(
+    judge: Judge, judged: Judged, which: tuple[int, str], sizes: tuple[float, ...]
+) -> Judged:
+    """The best with one number so many times as large, then fitted."""
+    number, name = which
+    own, tried = judged.hypothesis.effects[number], []
+    for size in sizes:
+        other = own.replace(**{name: size * own.values[name]})
+        effects = list(judged.hypothesis.effects)
+        effects[number] = other
+        held = dataclasses.replace(
+            judged.hypothesis, effects=tuple(effects), frozen=judged.hypothesis.frozen | {which}
+        )
+        judge.start_from(judged)
+        one = judge.judge(held, 5, polish=False)
+        tried += [one] if one is not None else []
+    if not tried:
+        return judged
+    first = min(tried, key=lambda one: one.cost)
+    judge.start_from(first)
+    free = dataclasses.replace(first.hypothesis, frozen=first.hypothesis.frozen - {which})
+    found = judge.judge(free, 5, polish=False)
+    return found if found is not None and found.cost < judged.cost else judged
+
+
+_COARSE = (0.6, 0.7, 0.8, 0.9, 1.1, 1.2, 1.35, 1.5)
+_FINE = (0.94, 0.97, 1.03, 1.06)
 
 
 def _same(one: EffectInstance, other: EffectInstance) -> bool:

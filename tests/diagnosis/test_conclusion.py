@@ -4,9 +4,12 @@ import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+import pytest
+
 import orbisim
 from orbisim.diagnosis.bench import Hypothesis, make_bench
-from orbisim.diagnosis.conclusion import duel, rescaled
+from orbisim.diagnosis.conclusion import duel, rescaled, scanned
 from orbisim.diagnosis.refine import Judge
 from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.settings import Settings
@@ -74,3 +77,43 @@ def test_final_values_of_a_robust_fit_follow_the_scale_of_what_is_left(arm: orbi
     assert left[1] < left[0] and (after.ratio, after.cost) == (before.ratio, before.cost)
     state.robust = None
     assert rescaled(state, judge, before) is before
+
+
+class Rugged:
+    """A judge whose fits stay where they begin; the best friction is 0.2."""
+
+    def __init__(self) -> None:
+        self.tried: list[float] = []
+        self.held: list[bool] = []
+
+    def start_from(self, judged: Any) -> None:
+        """Nothing."""
+
+    def judge(self, hypothesis: Hypothesis, iterations: int, polish: bool) -> Any:
+        size = hypothesis.effects[0].values["coefficient"]
+        self.tried.append(size)
+        self.held.append(bool(hypothesis.frozen))
+        cost = 5000.0 + 1000.0 * np.log(size / 0.2) ** 2
+        return SimpleNamespace(hypothesis=hypothesis, cost=cost, ratio=6.0)
+
+
+@pytest.mark.parametrize("begin", [0.13, 0.3])
+def test_through_impacts_other_sizes_of_a_contact_effect_are_tried(begin: float) -> None:
+    scene = orbisim.load_scene(
+        '<mujoco><worldbody><geom type="plane" size="1 1 .1"/><body pos="0 0 1"><freejoint/>'
+        '<geom name="box" type="box" size=".1 .1 .1"/></body></worldbody></mujoco>'
+    )
+    slip = EffectInstance("sliding_friction", "box", {"coefficient": begin})
+    bench = SimpleNamespace(contacts=True, scene=scene)
+    state: Any = SimpleNamespace(bench=bench, say=lambda words: None)
+    judge: Any = Rugged()
+    after = judge.judge(Hypothesis((slip,)), 5, False)
+    found = scanned(state, judge, after)
+    (effect,) = found.hypothesis.effects
+    assert effect.values["coefficient"] == pytest.approx(0.2, rel=0.04)
+    assert not found.hypothesis.frozen  # its interval is that of a free number
+    assert sum(judge.held) == len(judge.held) - 3  # one free fit after each of two rows
+    bench.contacts = False
+    assert scanned(state, judge, after) is after
+    bench.contacts, after.ratio = True, 1.2
+    assert scanned(state, judge, after) is after
