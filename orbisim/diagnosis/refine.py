@@ -24,6 +24,7 @@ Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
 _WEAK = 1e-7
+_FAR = 1e5
 _PER_WINDOW = 6
 
 
@@ -293,14 +294,17 @@ class Judge:
         )
 
     def _undetermined(self, fitted: Hypothesis, fit: Fit) -> list[tuple[int, str]]:
-        """Parameters of effects that hardly change the data, compared with the others."""
+        """Parameters of effects that hardly change the data, compared with the others, or have run
+        off to a bound that only says how far numbers go."""
         free = fitted.free(self.bench.scene)
         information = np.diag(fit.information.sum(axis=0))[: len(free)]
         values, unknowns = fit.values[: len(free)], fitted.unknowns(self.bench.scene)
-        at_end = np.array([not u.low < v < u.high for u, v in zip(unknowns, values, strict=False)])
+        inside = [u.low < v < u.high for u, v in zip(unknowns, values, strict=False)]
+        at_end = ~np.array(inside, bool)
         size = np.maximum(np.where(at_end, 0.0, np.abs(values)), 1e-3)
         change = np.sqrt(np.maximum(information, 0.0)) * size
         weak = change < max(_WEAK * change.max(initial=0.0), 1e-3)
+        weak |= at_end & (np.abs(values) >= _FAR)
         weak &= np.array([not self._stepwise(fitted, i, name) for i, name in free], bool)
         if weak.all():
             return []

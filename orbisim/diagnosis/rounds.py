@@ -103,8 +103,8 @@ def generalized(
     plus: Callable[[EffectInstance], Hypothesis],
     begun: Sequence[EffectInstance],
 ) -> list[Judged]:
-    """Effects that do worse than a special case of them, or were not tried although one does best,
-    fitted again from there."""
+    """Effects that do worse than a special case of them, or were not tried although one is among
+    the best, fitted again from there."""
     model, found = state.bench.scene.model, []
     for general, own in zip(fitted, begun, strict=True):
         for special in fitted:
@@ -114,15 +114,16 @@ def generalized(
             for values in find(own.effect).generalized(model, other, own.values)[:1]:
                 start = plus(dataclasses.replace(own, values=dict(values)))
                 found.append(state.judge.judge(start, state.iterations))
-    best = min(fitted, key=lambda judged: judged.cost, default=None)
-    if best is None or state.done(best):
+    ranked = sorted(fitted, key=lambda judged: judged.cost)[:_FEW]
+    if not ranked or state.done(ranked[0]):
         return [judged for judged in found if judged is not None]
     tried = {(one.effect, one.target) for one in begun}
-    every = generalizations(state, best.hypothesis.effects[-1])
-    more = [one for one in every if (one.effect, one.target) not in tried]
-    for _, same in itertools.groupby(more, key=lambda one: one.effect):
-        start = min(map(plus, same), key=state.judge.glance)
-        found.append(state.judge.judge(start, state.iterations))
+    for special in ranked:
+        every = generalizations(state, special.hypothesis.effects[-1])
+        more = [one for one in every if (one.effect, one.target) not in tried]
+        for _, same in itertools.groupby(more, key=lambda one: one.effect):
+            start = min(map(plus, same), key=state.judge.glance)
+            found.append(state.judge.judge(start, state.iterations))
     return [judged for judged in found if judged is not None]
 
 
