@@ -29,6 +29,8 @@ class Attribution:
       evidence: for each effect the drop in information criterion that it brings.
       rejected: effects that lowered the residual but were not believed, with the reason.
       cut_short: whether the search ended because its time was up.
+      rugged: whether effects on contacts leave more than noise where bodies touch: their intervals
+        then say less than they seem to.
     """
 
     bench: Bench
@@ -39,6 +41,7 @@ class Attribution:
     evidence: tuple[float, ...]
     rejected: tuple[tuple[EffectInstance, str], ...]
     cut_short: bool
+    rugged: bool = False
 
     @property
     def samples(self) -> tuple[Samples, ...]:
@@ -84,6 +87,7 @@ def conclude(state: SearchState, current: Judged, first: Screening | None) -> At
     return Attribution(
         state.bench, before, after, first, tuple(state.rivals), evidence,
         tuple(state.rejected), state.late and not state.done(after),
+        bool(_on_contacts(state, after)),
     )  # fmt: skip
 
 
@@ -161,19 +165,24 @@ def scanned(state: SearchState, judge: Judge, after: Judged) -> Judged:
     """The same effects with other numbers of contacts, where bodies touch and more than noise is
     left: through impacts the cost is rugged, and a fit stays where it began. The first parameter of
     each such effect is tried at other sizes, the rest fitted."""
-    if not state.bench.contacts or after.ratio <= NEAR:
-        return after
     model, best = state.bench.scene.model, after
-    for number, effect in enumerate(after.hypothesis.effects):
-        kind = find(effect.effect)
-        if kind.kind != "geom" or kind.measurement:
-            continue
-        name = kind.free_parameters(model, effect.target)[0]
+    for number in _on_contacts(state, after):
+        effect = after.hypothesis.effects[number]
+        name = find(effect.effect).free_parameters(model, effect.target)[0]
         state.say(f"trying other sizes of {effect.effect} at {effect.target}")
         for sizes in (_COARSE, _FINE):
             best = _resized(judge, best, (number, name), sizes)
-    judge.start_from(best)
+    if best is not after:
+        judge.start_from(best)
     return best
+
+
+def _on_contacts(state: SearchState, after: Judged) -> list[int]:
+    """Numbers of the effects on contacts, if bodies touch and more than noise is left."""
+    if not state.bench.contacts or after.ratio <= NEAR:
+        return []
+    effects = after.hypothesis.effects
+    return [i for i, e in enumerate(effects) if find(e.effect).kind == "geom"]
 
 
 def _resized(

@@ -210,8 +210,9 @@ def _settled(current: Judged, fitted: Sequence[Judged], slow: bool) -> bool:
 def _suspects(
     state: SearchState, hypothesis: Hypothesis, suspects: Sequence[Suspect], screening: Screening
 ) -> Iterator[Candidate]:
-    """Best first; then play and elasticity, which no regression sees."""
+    """Best first; then stops, play and elasticity, which no regression sees."""
     yield from shortlist(state, hypothesis, suspects)
+    yield from (Candidate(one) for one in stops(state, hypothesis, screening.shares))
     yield from (Candidate(one, slow=True) for one in _structural(state, hypothesis, screening))
 
 
@@ -232,6 +233,27 @@ def _structural(
             best = _best_trial(state, hypothesis, name, target)
             if best is not None:
                 yield best
+
+
+def stops(
+    state: SearchState, hypothesis: Hypothesis, shares: npt.NDArray[np.float64]
+) -> Iterator[EffectInstance]:
+    """Stops near both ends of the travel of joints at which something is left: an impact is over
+    within a sample or two, and smoothing hides it from a regression."""
+    only, model = state.settings.effects, state.bench.scene.model
+    if state.bench.contacts or (only is not None and _STOP not in only):
+        return
+    taken = {(e.effect, e.target) for e in hypothesis.effects}
+    for target in find(_STOP).targets(model):
+        dof = int(model.jnt_dofadr[model.joint(target).id])
+        if shares[dof] < _SHARE or (_STOP, target) in taken:
+            continue
+        q = np.concatenate([one.absolute[one.usable, dof] for one in state.bench.samples])
+        for side in (1.0, -1.0):
+            end, travel = float((side * q).max()), float(np.ptp(q))
+            places = [side * (end - depth * travel) for depth in _DEPTHS]
+            ends = [EffectInstance(_STOP, target, {"position": p, "side": side}) for p in places]
+            yield min(ends, key=lambda one: state.judge.glance(hypothesis.plus(one)))
 
 
 def _best_trial(
@@ -282,5 +304,8 @@ _TIE = 4.0
 _FEW = 3
 _NEARLY = 25.0
 _SHARE = 0.08
+_STOP = "hard_stop"
+_DEPTHS = (0.0, 0.003, 0.01, 0.03, 0.08)
+"""How far motion may press into a stop, in units of the travel."""
 _LITTLE = 0.1
 _HALF = 0.5

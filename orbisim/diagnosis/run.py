@@ -144,6 +144,11 @@ def _by_motion(
     say("checking on held-out data")
     unseen = unseen.whole(found.bench.noise)
     found = _confirmed(found, unseen, held, window)
+    if found.rugged and found.after is not found.before:
+        notes.append(
+            "impacts make the cost rugged: intervals of effects on contacts do not contain that; "
+            "other recordings of the same thing may give numbers further apart"
+        )
     sensed = sense(found, unseen, settings, notes, say)
     result = _result(scene, named, found, settings, fit, held, window, backend, notes, sensed)
     if rest:

@@ -3,12 +3,13 @@
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 import orbisim
 from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.glances import Candidate, usual, varied
-from orbisim.diagnosis.rounds import distinct
+from orbisim.diagnosis.rounds import distinct, stops
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
 
@@ -61,3 +62,39 @@ def test_few_forms_of_an_effect_and_the_better_of_two_fits() -> None:
     assert distinct(fits) == fits[:2]
     other = EffectInstance("sliding_friction", "shell", {"coefficient": 1.0}, {"side": "left"})
     assert len(distinct([*fits, SimpleNamespace(hypothesis=Hypothesis((other,)))])) == 3
+
+
+HINGED = """
+<mujoco>
+  <worldbody>
+    <body><joint name="first" axis="0 1 0"/><geom size=".1"/>
+      <body pos="1 0 0"><joint name="second" axis="0 1 0"/><geom size=".1"/></body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_stops_are_tried_near_both_ends_of_the_travel() -> None:
+    """At joints at which something is left, where simulation likes them best."""
+    travel = np.linspace(-0.5, 1.5, 201)
+    absolute = np.stack([travel, 0 * travel, 0 * travel, 0 * travel], axis=1)
+    samples = SimpleNamespace(absolute=absolute, usable=np.ones(201, bool))
+    bench = SimpleNamespace(scene=orbisim.load_scene(HINGED), contacts=False, samples=[samples])
+
+    def glance(hypothesis: Hypothesis) -> float:
+        return abs(hypothesis.effects[-1].values["position"] - 1.44)
+
+    state: Any = SimpleNamespace(
+        bench=bench, settings=Settings(), judge=SimpleNamespace(glance=glance)
+    )
+    shares = np.array([0.9, 0.01])
+    upper, lower = stops(state, Hypothesis(), shares)
+    assert upper.target == lower.target == "first"
+    assert upper.values == pytest.approx({"position": 1.44, "side": 1.0})  # 3 % of the travel
+    assert lower.values == pytest.approx({"position": -0.34, "side": -1.0})
+    assert list(stops(state, Hypothesis((upper,)), shares)) == []
+    state.settings = Settings(effects=("torque_bias",))
+    assert list(stops(state, Hypothesis(), shares)) == []
+    state.settings, bench.contacts = Settings(), True
+    assert list(stops(state, Hypothesis(), shares)) == []
