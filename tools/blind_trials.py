@@ -53,6 +53,10 @@ def generate(args: argparse.Namespace) -> int:
     if args.kinds:
         jobs = [(wish, name) for wish, name in jobs if wish.kind in args.kinds]
     if args.only:
+        unknown = sorted(set(args.only) - {name for _, name in jobs})
+        if unknown:
+            print(f"no trial {unknown[0]!r} among the {len(jobs)} chosen", file=sys.stderr)
+            return 2
         jobs = [(wish, name) for wish, name in jobs if name in args.only]
     if args.limit:
         jobs = jobs[: args.limit]

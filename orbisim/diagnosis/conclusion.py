@@ -87,7 +87,7 @@ def conclude(state: SearchState, current: Judged, first: Screening | None) -> At
     return Attribution(
         state.bench, before, after, first, tuple(state.rivals), evidence,
         tuple(state.rejected), state.late and not state.done(after),
-        bool(_on_contacts(state, after)),
+        bool(on_contacts(state, after)),
     )  # fmt: skip
 
 
@@ -166,7 +166,7 @@ def scanned(state: SearchState, judge: Judge, after: Judged) -> Judged:
     left: through impacts the cost is rugged, and a fit stays where it began. The first parameter of
     each such effect is tried at other sizes, the rest fitted."""
     model, best = state.bench.scene.model, after
-    for number in _on_contacts(state, after):
+    for number in on_contacts(state, after):
         effect = after.hypothesis.effects[number]
         name = find(effect.effect).free_parameters(model, effect.target)[0]
         state.say(f"trying other sizes of {effect.effect} at {effect.target}")
@@ -177,7 +177,7 @@ def scanned(state: SearchState, judge: Judge, after: Judged) -> Judged:
     return best
 
 
-def _on_contacts(state: SearchState, after: Judged) -> list[int]:
+def on_contacts(state: SearchState, after: Judged) -> list[int]:
     """Numbers of the effects on contacts, if bodies touch and more than noise is left."""
     if not state.bench.contacts or after.ratio <= NEAR:
         return []

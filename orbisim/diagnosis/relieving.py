@@ -48,7 +48,7 @@ def relieved(state: SearchState, current: Judged) -> Judged | None:
 
 def meant(state: SearchState, one: Tunable, factor: float) -> EffectInstance | None:
     """The effect that does the same as a declared parameter times a factor; None if there is none
-    (less friction than declared, say)."""
+    (less friction than declared, say). Of a mass, it is a point at its centre."""
     names = [name for name, kind in SAME.items() if kind == one.kind]
     if not names or one.kind == "stiffness":  # a joint has one spring
         return None

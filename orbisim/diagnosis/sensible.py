@@ -29,8 +29,7 @@ def sensible(
     A centre of mass lies within the reach of its body, and so, nearly, does what is fixed to it; a
     machine carries at most twice its own mass, and a body displaces at most twice its own;
     friction takes less than half of the load that a transmission carries; a gain is not off by
-    more than a factor of two, and a clock by no more than a quarter; what is periodic has come
-    round twice.
+    more than a factor of two, nor a clock; what is periodic has come round twice.
 
     Args:
       duration: of the longest recording, s. travel: [nv] of each degree of freedom.
@@ -52,7 +51,7 @@ def sensible(
     if instance.effect == "torque_gain":
         return 0.5 <= values["gain"] <= 2.0
     if instance.effect == "clock_skew":
-        return 0.8 <= values["factor"] <= 1.25
+        return 0.5 <= values["factor"] <= 2.0
     if instance.effect == "periodic_disturbance":
         return values["frequency"] * duration >= 2
     if instance.effect == "cogging" and travel is not None:

@@ -9,7 +9,7 @@ import pytest
 
 import orbisim
 from orbisim.diagnosis.bench import Hypothesis, make_bench
-from orbisim.diagnosis.conclusion import _on_contacts, duel, rescaled, scanned
+from orbisim.diagnosis.conclusion import duel, on_contacts, rescaled, scanned
 from orbisim.diagnosis.refine import Judge
 from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.settings import Settings
@@ -113,8 +113,8 @@ def test_through_impacts_other_sizes_of_a_contact_effect_are_tried(begin: float)
     assert effect.values["coefficient"] == pytest.approx(0.2, rel=0.04)
     assert not found.hypothesis.frozen  # its interval is that of a free number
     assert sum(judge.held) == len(judge.held) - 3  # one free fit after each of two rows
-    assert _on_contacts(state, after) == [0]
+    assert on_contacts(state, after) == [0]
     bench.contacts = False
-    assert scanned(state, judge, after) is after and not _on_contacts(state, after)
+    assert scanned(state, judge, after) is after and not on_contacts(state, after)
     bench.contacts, after.ratio = True, 1.2
     assert scanned(state, judge, after) is after

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import orbisim
-from orbisim.diagnosis.bench import Hypothesis, make_bench
+from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
 from orbisim.diagnosis.consistency import doubtful, inconsistency
 from orbisim.diagnosis.refine import Judge
 from orbisim.diagnosis.retune import Tunable
@@ -14,18 +14,19 @@ from orbisim.effects import EffectInstance
 from orbisim.testing import inject_effect
 
 
+def two_machines(arm: orbisim.Scene, first: EffectInstance, second: EffectInstance) -> Bench:
+    """Recordings of an arm with one effect, and, later, with another."""
+    runs = []
+    for seed, (truth, since) in enumerate([(first, 0.0), (second, 100.0)], start=1):
+        made = inject_effect(arm, truth, duration=8.0, episodes=2, noise=1e-4, seed=seed)
+        runs += [dataclasses.replace(run, time=run.time + since) for run in made]
+    return make_bench(arm, prepare_all(runs, arm), 0.5)
+
+
 def test_how_much_it_may_differ_is_a_setting(arm: orbisim.Scene) -> None:
     """Recordings of two machines, one after the other, of which the second has more friction."""
-    runs = []
-    for seed, torque in ((1, 0.08), (2, 0.12)):
-        truth = EffectInstance("coulomb_friction", "elbow", {"torque": torque})
-        runs += inject_effect(arm, truth, duration=8.0, episodes=2, noise=1e-4, seed=seed)
-    late = [
-        run if i < 2 else dataclasses.replace(run, time=run.time + 100.0)
-        for i, run in enumerate(runs)
-    ]
-    bench = make_bench(arm, prepare_all(late, arm), 0.5)
     guess = EffectInstance("coulomb_friction", "elbow", {"torque": 0.1})
+    bench = two_machines(arm, guess.replace(torque=0.08), guess.replace(torque=0.12))
     judged = Judge(bench, bench.intervals).judge(Hypothesis((guess,)))
     assert judged is not None
     told = inconsistency(bench, judged, 0, tolerance=0.2)
@@ -35,16 +36,8 @@ def test_how_much_it_may_differ_is_a_setting(arm: orbisim.Scene) -> None:
 
 def test_a_retuned_parameter_does_not_make_up_for_the_difference(arm: orbisim.Scene) -> None:
     """The declared gain, free in each half, would make up for the drift of the effect's."""
-    runs = []
-    for seed, gain in ((1, 0.8), (2, 0.9)):
-        truth = EffectInstance("torque_gain", "elbow", {"gain": gain})
-        runs += inject_effect(arm, truth, duration=8.0, episodes=2, noise=1e-4, seed=seed)
-    late = [
-        run if i < 2 else dataclasses.replace(run, time=run.time + 100.0)
-        for i, run in enumerate(runs)
-    ]
-    bench = make_bench(arm, prepare_all(late, arm), 0.5)
     guess = EffectInstance("torque_gain", "elbow", {"gain": 0.85})
+    bench = two_machines(arm, guess.replace(gain=0.8), guess.replace(gain=0.9))
     both = dataclasses.replace(Hypothesis((guess,)), factors=((Tunable("gain", "elbow"), 1.0),))
     judged = Judge(bench, bench.intervals).judge(both)
     assert judged is not None
