@@ -121,6 +121,7 @@ def generalized(
     for special in ranked:
         every = generalizations(state, special.hypothesis.effects[-1])
         more = [one for one in every if (one.effect, one.target) not in tried]
+        tried.update((one.effect, one.target) for one in more)
         for _, same in itertools.groupby(more, key=lambda one: one.effect):
             start = min(map(plus, same), key=state.judge.glance)
             found.append(state.judge.judge(start, state.iterations))

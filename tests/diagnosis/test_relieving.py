@@ -12,12 +12,13 @@ import pytest
 import orbisim
 from orbisim.diagnosis.bench import Hypothesis, make_bench
 from orbisim.diagnosis.paying import strain
+from orbisim.diagnosis.refine import Judge
 from orbisim.diagnosis.relieving import meant, relieved
 from orbisim.diagnosis.retune import REACH, Tunable, retuned, tunables
 from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.state import SearchState
-from orbisim.effects import add_effects
+from orbisim.effects import EffectInstance, add_effects
 from orbisim.testing import inject_effect
 
 SPRUNG = """
@@ -103,3 +104,20 @@ def test_nothing_is_relieved_without_strain(arm: orbisim.Scene) -> None:
     assert relieved(state, nothing) is None
     far = dataclasses.replace(Hypothesis(), factors=((Tunable("gain", "elbow"), 1 - REACH),))
     assert strain(far) == [Tunable("gain", "elbow")]
+
+
+def test_numbers_that_have_run_off_to_a_far_bound_are_undetermined(arm: orbisim.Scene) -> None:
+    """A force across the plane in which the arm moves, however much rounding makes of it."""
+    runs = inject_effect(arm, [], duration=2.0, episodes=2, noise=2e-4, seed=4)
+    bench = make_bench(arm, prepare_all(runs, arm), 0.5)
+    judge = Judge(bench, bench.intervals)
+
+    def undetermined(y: float) -> list[tuple[int, str]]:
+        parts = {"x": 1.7, "y": y, "z": -1.6}
+        force = EffectInstance("constant_force", "upper_arm", {"magnitude": 1e6, **parts})
+        values = np.array([1.7, y, -1.6])
+        fit: Any = SimpleNamespace(values=values, information=1e9 * np.eye(3)[None])
+        return judge._undetermined(Hypothesis((force,)), fit)
+
+    assert undetermined(1e6) == undetermined(-1e6) == [(0, "y")]
+    assert undetermined(2.0) == []
