@@ -321,15 +321,13 @@ class Problem:
 
     def start_jacobian(self, here: Trial, only: Bools | None = None) -> Floats:
         """Derivatives of the weighted simulated data by the window starts, [W, data, 2 nv]."""
-        base = self.shooter.scaled(here.simulated)
-        columns = here.xi.shape[1]
-        jacobian = np.zeros((*base.shape, columns))
-        variant = self.build(here.values)
-        for j in range(columns):
-            moved = here.xi.copy()
-            moved[:, j] += _START_STEP
-            after = self.shooter.scaled(self.shooter.simulate(variant, moved, only))
-            jacobian[..., j] = (after - base) / _START_STEP
+        shooter, count = self.shooter, len(self.shooter)
+        which = np.arange(count) if only is None else np.flatnonzero(only)
+        runs = shooter.moved(self.build(here.values), here.xi, _START_STEP, which)
+        part, base = shooter.some(which), shooter.scaled(here.simulated)
+        jacobian = np.zeros((*base.shape, len(runs)))
+        for j, after in enumerate(runs):
+            jacobian[which, :, j] = (part.scaled(after) - base[which]) / _START_STEP
         return np.clip(jacobian, -1e12, 1e12)
 
     def projected(

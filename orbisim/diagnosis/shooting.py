@@ -91,6 +91,14 @@ class Shooter:
         part.target = np.where(part.seen, self.target, 0.0)
         return part
 
+    def some(self, which: Ints) -> Shooter:
+        """Only the windows of these numbers, in this order; one may come several times."""
+        part = copy.copy(self)
+        for name in _OF_WINDOWS:
+            setattr(part, name, getattr(self, name)[which])
+        part.windows = self.windows.some(which)
+        return part
+
     @property
     def count(self) -> int:
         """Number of data."""
@@ -111,18 +119,36 @@ class Shooter:
           only: [W] the windows to simulate, all if None; what is returned of others is meaningless,
             as is what lies beyond a window's horizon.
         """
+        if only is not None and not only.all():
+            out, which = np.zeros(self.shape), np.flatnonzero(only)
+            if len(which):
+                out[which] = self.some(which).simulate(variant, start[which])
+            return out
         measurement, out = variant.measurement, np.zeros(self.shape)
         out[:, 0] = start[:, : 2 * self.nv]
-        for k, qpos, qvel in self._run(variant, start, only):
+        for k, qpos, qvel in self._run(variant, start):
             out[:, k] = self._deviation(k, qpos, qvel)
         return measurement.of(self.absolute, out, self.time) if measurement else out
+
+    def moved(self, variant: Variant, start: Floats, step: float, which: Ints) -> Floats:
+        """As `simulate` of some windows, with each number of their starts moved by a step in turn:
+        [2 nv + 2 h, windows, K + 1, 2 nv]."""
+        columns, out = start.shape[1], np.zeros((start.shape[1], len(which), *self.shape[1:]))
+        size = max(1, _AT_ONCE // max(len(which), 1))
+        for begin in range(0, columns if len(which) else 0, size):
+            some = range(begin, min(begin + size, columns))
+            part = self.some(np.tile(which, len(some)))
+            moves = step * np.repeat(np.eye(columns)[some], len(which), axis=0)
+            runs = part.simulate(variant, np.tile(start[which], (len(some), 1)) + moves)
+            out[begin : some.stop] = runs.reshape(len(some), len(which), *self.shape[1:])
+        return out
 
     def states(self, variant: Variant, start: Floats) -> tuple[Floats, Floats]:
         """True states of free runs: qpos [W, K + 1, nq] and qvel [W, K + 1, nv]."""
         first = self._moved(start)
         qpos, qvel = self.qpos.copy(), self.qvel.copy()
         qpos[:, 0], qvel[:, 0] = first
-        for k, here_q, here_v in self._run(variant, start, None):
+        for k, here_q, here_v in self._run(variant, start):
             qpos[:, k], qvel[:, k] = here_q, here_v
         return qpos, qvel
 
@@ -131,9 +157,7 @@ class Shooter:
         """Of the simulated data: windows, samples, positions and velocities."""
         return len(self), self.windows.length + 1, 2 * self.nv
 
-    def _run(
-        self, variant: Variant, start: Floats, only: Bools | None
-    ) -> Iterator[tuple[int, Floats, Floats]]:
+    def _run(self, variant: Variant, start: Floats) -> Iterator[tuple[int, Floats, Floats]]:
         """Number of the sample, and positions and velocities there, one sample after the other."""
         model, clock = variant.scene.model, variant.measurement.clock
         place = Layout(self.declared.model, model)
@@ -155,7 +179,7 @@ class Shooter:
         timestep = batch.expand("opt.timestep")
         hooks = hooks_of(model)
         applied, qpos, qvel = (batch.bind(n) for n in ("qfrc_applied", "qpos", "qvel"))
-        last = self._last(only)
+        last = np.minimum(self.windows.reach(), self.horizon)
         for k in range(int(last.max(initial=0))):
             length = (self.time[:, k + 1] - self.time[:, k]) / clock
             timestep[:] = (length / self.substeps).reshape(timestep.shape)
@@ -169,11 +193,6 @@ class Shooter:
         each other."""
         work = len(self) * nv * self.substeps
         return int(np.clip(work // _WORTH_A_THREAD, 1, min(len(self), usable_cpus())))
-
-    def _last(self, only: Bools | None) -> Ints:
-        """[W]: number of samples to simulate of each window."""
-        last = np.minimum(self.windows.reach(), self.horizon)
-        return np.asarray(last if only is None else np.where(only, last, 0))
 
     def chained(self, intervals: Intervals) -> Floats:
         """Derivatives of the weighted data by the window starts in linear approximation,
@@ -247,6 +266,12 @@ class Shooter:
         )
 
 
+_OF_WINDOWS = (
+    "row", "time", "qpos", "qvel", "ctrl", "force", "first_seen", "seen", "target", "absolute",
+)  # fmt: skip
+"""What a shooter knows of each window."""
+_AT_ONCE = 512
+"""Windows that are simulated at once at most where starts are moved."""
 _LOST = 1e6
 _WORTH_A_THREAD = 200
 """Worlds times degrees of freedom times timesteps that keep a thread busy."""

@@ -29,8 +29,8 @@ class Windows:
     def __len__(self) -> int:
         return len(self.first)
 
-    def some(self, keep: npt.NDArray[np.bool_]) -> Windows:
-        """The chosen windows."""
+    def some(self, keep: npt.NDArray[np.bool_] | Ints) -> Windows:
+        """The chosen windows, marked or by their numbers."""
         horizon = None if self.horizon is None else self.horizon[keep]
         return Windows(self.first[keep], self.length, self.recording[keep], horizon)
 

@@ -171,10 +171,11 @@ class Effect(abc.ABC):
     def generalized(
         self, model: mujoco.MjModel, special: EffectInstance, values: Values | None = None
     ) -> list[Values]:
-        """Values close to which it does what a special case of it does; none if that is none.
+        """Values with which it does about what another effect does, of which it is a more general
+        form or a part; none if it is neither.
 
         Args:
-          values: of this effect, for what the special case does not have.
+          special: the other. values: of this effect, for what the other does not have.
         """
         return []
 

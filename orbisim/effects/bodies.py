@@ -152,6 +152,17 @@ class ComOffset(BodyEffect):
     def complete(self, model: mujoco.MjModel, target: str, values: Values) -> Values:
         return {"offset": _norm(values), **{axis: values[axis] for axis in _AXES}}
 
+    def generalized(
+        self, model: mujoco.MjModel, special: EffectInstance, values: Values | None = None
+    ) -> list[Values]:
+        """The offset at which the centre of mass is with a payload."""
+        if special.effect != Payload.name:
+            return []
+        body, mass = index_of(model, "body", special.target), special.values["mass"]
+        place = np.array([special.values[name] for name in ("com_x", "com_y", "com_z")])
+        offset = (place - model.body_ipos[body]) * mass / (mass + float(model.body_mass[body]))
+        return [self.complete(model, special.target, dict(zip(_AXES, offset.tolist(), strict=True)))]
+
     def screen(self, view: View, target: str) -> list[Candidate]:
         mass = float(view.model.body_mass[index_of(view.model, "body", target)])
         columns = tuple(
