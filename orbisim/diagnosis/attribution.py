@@ -43,7 +43,7 @@ def _explain(state: SearchState, nothing: Judged, first: Screening) -> Judged:
     """One effect if it is all; else declared parameters; else effects and parameters."""
     single = best_addition(state, nothing, first.suspects, first)
     single = None if single is None else swapped(state, state.renewed(single))
-    alone = single if single is not None and state.done(single) else None
+    alone = single if single is not None and _sufficient(state, single) else None
     if alone is not None:
         rivals = _rivals(state, alone)
         if not rivals and alone.hypothesis.effects[0].effect not in SAME:
@@ -139,8 +139,19 @@ def _excess(judged: Judged) -> float:
 
 
 def _explained(state: SearchState, judged: Judged) -> bool:
-    """Whether nothing is left, and no declared parameter would have to be far off."""
-    return state.done(judged) and not strain(judged.hypothesis)
+    """Whether nothing more is left to explain, and no declared parameter would have to be far off."""
+    return _sufficient(state, judged) and not strain(judged.hypothesis)
+
+
+def _sufficient(state: SearchState, judged: Judged) -> bool:
+    """Whether what is left is not worth another effect: nothing, or where bodies touch, as no start
+    brings some impacts about, a trace of what the declared scene leaves."""
+    if state.done(judged):
+        return True
+    declared = state.declared
+    if declared is None or not state.bench.contacts or judged.ratio > _CLOSE:
+        return False
+    return _excess(judged) < _TRACE * _excess(declared)
 
 
 def _paired(
@@ -213,7 +224,7 @@ def _steadier(settings: Settings, before: Judged, after: Judged) -> bool:
 def _forward(state: SearchState, start: Judged, base: Judged, first: Screening) -> Judged:
     """Adds effects while they pay, from one start or, if that ends worse, from the other."""
     current = _add_all(state, start)
-    again = base is not start and not state.done(current) and not state.late
+    again = base is not start and not _sufficient(state, current) and not state.late
     if again and state.tunables:
         state.say("looking again with declared parameters retuned")
         state.renew(base.hypothesis)
@@ -249,5 +260,9 @@ _TOGETHER = 6
 _HUBER = 4.0
 _HALF = 0.5
 _MOST = 0.2
+_CLOSE = 1.3
+"""Residual over noise, and ..."""
+_TRACE = 0.1
+"""... share of the declared scene's mean square beyond the noise that are left by impacts."""
 _NEARLY = 130.0
 _FEW = 2

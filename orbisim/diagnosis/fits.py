@@ -75,7 +75,8 @@ class Hints:
       rough: whether `free` holds only at first (contacts).
       quick: whether to do without starting badly fitting windows anew (contacts), and without
         information, score and covariance.
-      trim: share of the windows that unknowns need not fit, if they cannot fit all.
+      lenient: mean square of a window beyond which it counts less and less for the unknowns
+        (contacts); 0 if all windows count alike.
     """
 
     free: Floats | None = None
@@ -83,4 +84,4 @@ class Hints:
     exact: bool = False
     rough: bool = False
     quick: bool = False
-    trim: float = 0.0
+    lenient: float = 0.0

@@ -91,7 +91,7 @@ class Problem:
         self.centre = np.array([u.centre for u in unknowns])
         self.precision = np.array([u.precision for u in unknowns])
         self.hints, self.robust = hints, robust
-        self.trimmed = False
+        self.led = False
 
     def solve(
         self,
@@ -117,7 +117,8 @@ class Problem:
             here = self._better(here, self.trial(values, other))
         damping, brakes = 1e-4, np.full(len(shooter), 1e-9)
         free, at = self.hints.free, here
-        hinted = free is not None and free.shape[2] == xi.shape[1]
+        self.led = shooter.leads(self.build(values))
+        hinted = free is not None and free.shape[2] == xi.shape[1] and not self.led
         if free is None or not hinted:
             free = self.start_jacobian(here)
         active = np.ones(len(shooter), bool) if only is None else only.copy()
@@ -133,9 +134,6 @@ class Problem:
                 free, at = self._updated(free, at, here)
             slopes = self.slopes(here)
             found = self._search(here, slopes, free, damping, brakes, active)
-            if found is None and self.unknowns and self.hints.trim and not self.trimmed:
-                self.trimmed = True
-                found = self._search(here, slopes, free, damping, brakes, active)
             if found is None:
                 if not hinted:
                     iteration = iterations
@@ -170,14 +168,14 @@ class Problem:
     def _retried(self, here: Trial) -> Trial | None:
         """With the few windows that fit much worse than all others approached anew; None if in vain
         or if most fit badly."""
-        means = here.cost / np.maximum(self.shooter.data, 1)
+        means = self._mean(here.cost)
         bad = means > _BAD
         hidden = here.xi.shape[1] != 2 * self.shooter.nv
         if hidden or not bad.any() or float(np.median(means)) > _BAD:
             return None
         xi = _approached(self.shooter, self.build(here.values), self.robust, bad)
         found = self._better(self.trial(here.values, xi, bad, here), here)
-        return found if found.total < 0.99 * here.total else None
+        return found if self.total(found) < 0.99 * self.total(here) else None
 
     def _measured(self, xi: Floats) -> Floats:
         """Starts at the first sample as it was measured: smoothing blurs impacts."""
@@ -272,19 +270,26 @@ class Problem:
         size, k = np.abs(residual), self.robust
         return np.asarray(np.where(size <= k, size**2, 2 * k * size - k**2).sum(axis=1))
 
-    def _trusted(self, cost: Floats) -> Bools:
-        """[W]: the windows whose costs count for the unknowns: all, or once no step lowers that, as
-        impacts make some costs jump, all but the worst few (least trimmed squares; Rousseeuw,
-        J. Am. Stat. Assoc. 79, 1984)."""
-        out = round(self.hints.trim * len(cost)) if self.trimmed else 0
-        found = np.ones(len(cost), bool)
-        if out:
-            found[np.argsort(-cost / np.maximum(self.shooter.data, 1), kind="stable")[:out]] = False
-        return found
+    def trust(self, cost: Floats) -> Floats:
+        """[W]: by which windows count for the unknowns; 1 where they fit. As with residuals of
+        which each window has its own scale (log-likelihood of a Student's t; Lange, Little and
+        Taylor, J. Am. Stat. Assoc. 84, 1989): no start brings some impacts about, and one such
+        window must not outweigh all others."""
+        if not self.hints.lenient:
+            return np.ones(len(cost))
+        return np.asarray(1.0 / (1.0 + self._mean(cost) / self.hints.lenient))
+
+    def _mean(self, cost: Floats) -> Floats:
+        """[W]: cost of each datum."""
+        return np.asarray(cost / np.maximum(self.shooter.data, 1))
 
     def total(self, trial: Trial) -> float:
         """What a fit makes least."""
-        return float(trial.cost[self._trusted(trial.cost)].sum()) + trial.penalty
+        scale = self.hints.lenient
+        if not scale:
+            return trial.total
+        grown = scale * np.log1p(self._mean(trial.cost) / scale)
+        return float((self.shooter.data * grown).sum()) + trial.penalty
 
     def penalty(self, values: Floats) -> float:
         """What the priors charge."""
@@ -296,7 +301,7 @@ class Problem:
         base = self.shooter.scaled(here.simulated)
         slopes = np.zeros((*base.shape, len(values)))
         for p, unknown in enumerate(self.unknowns):
-            if p in self.hints.slopes:
+            if p in self.hints.slopes and not self.led:
                 slopes[..., p] = self.hints.slopes[p]
                 continue
             step = unknown.step_from(float(values[p]))
@@ -346,6 +351,12 @@ class Problem:
         inner = np.einsum("wdf,wdp->wfp", basis, weighted)
         return left, weighted - np.einsum("wdf,wfp->wdp", basis, inner)
 
+    def _shares(self, here: Trial, slopes: Floats, free: Floats) -> tuple[Floats, Floats]:
+        """As `projected`, windows weighed by how far they are trusted."""
+        root = np.sqrt(self.trust(here.cost))[:, None]
+        left, weighted = self.projected(here.residual, slopes, free)
+        return left * root, weighted * root[..., None]
+
     def parameter_step(
         self, values: Floats, left: Floats, weighted: Floats, damping: float
     ) -> Floats:
@@ -371,8 +382,7 @@ class Problem:
         self, here: Trial, slopes: Floats, free: Floats, damping: float, brakes: Floats
     ) -> tuple[Floats, Floats]:
         residual = here.residual
-        trusted = self._trusted(here.cost)
-        left, weighted = self.projected(residual[trusted], slopes[trusted], free[trusted])
+        left, weighted = self._shares(here, slopes, free)
         step = self.parameter_step(here.values, left, weighted, damping)
         root = np.sqrt(self.weights(residual))
         wanted = (residual - slopes @ step) * root
@@ -382,7 +392,7 @@ class Problem:
         values, xi, residual = here.values, here.xi, here.residual
         unasked = np.zeros((*residual.shape, len(values)))
         slopes = unasked if self.hints.quick else self.slopes(here)
-        left, weighted = self.projected(residual, slopes, free)
+        left, weighted = self._shares(here, slopes, free)
         information = np.einsum("wdp,wdq->wpq", weighted, weighted)
         score = np.einsum("wdp,wd->wp", weighted, left)
         gram = information.sum(axis=0) + np.diag(self.precision)

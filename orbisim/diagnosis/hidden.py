@@ -15,6 +15,7 @@ from orbisim.recording.held import Held
 from orbisim.recording.joints import joints
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
 
 
 class Layout:
@@ -39,15 +40,19 @@ class Layout:
 
 
 def carried_along(
-    one: Samples, declared: mujoco.MjModel, variant: mujoco.MjModel
+    one: Samples, declared: mujoco.MjModel, variant: mujoco.MjModel, rows: Ints | None = None
 ) -> tuple[Floats, Floats]:
-    """Activations [T, na] and delay buffers [T, nhistory] of a variant at every sample.
+    """Activations [R, na] and delay buffers [R, nhistory] of a variant at some samples.
+
+    Args:
+      rows: [R] numbers of the samples; all if None.
 
     Activations that the declared scene has are the recording's own; those of an added lag follow
     from the controls.
     """
+    rows = np.arange(len(one)) if rows is None else rows
     if declared.na == variant.na and declared.nhistory == variant.nhistory:
-        return one.act, one.history
+        return one.act[rows], one.history[rows]
     act = np.zeros((len(one), variant.na))
     for a in range(variant.nactuator):
         adr = int(variant.actuator_actadr[a])
@@ -59,7 +64,7 @@ def carried_along(
         elif variant.actuator_ctrlnum[a]:
             control = one.ctrl[:, int(variant.actuator_ctrladr[a])]
             act[:, adr] = first_order(one.time, control, float(variant.actuator_dynprm[a, 0]))
-    return act, _buffers(one, variant)
+    return act[rows], _buffers(one, variant, rows)
 
 
 def first_order(time: Floats, held: Floats, time_constant: float) -> Floats:
@@ -72,20 +77,20 @@ def first_order(time: Floats, held: Floats, time_constant: float) -> Floats:
     return out
 
 
-def _buffers(one: Samples, variant: mujoco.MjModel) -> Floats:
-    found = np.zeros((len(one), variant.nhistory))
+def _buffers(one: Samples, variant: mujoco.MjModel, rows: Ints) -> Floats:
+    found = np.zeros((len(rows), variant.nhistory))
     if not variant.nhistory:
         return found
     held, data = Held(one.time, one.ctrl), mujoco.MjData(variant)
     typical = float(np.median(np.diff(one.time)))
     step = typical / int(substeps(np.array(typical), variant.opt.timestep))
     delayed = np.flatnonzero(variant.actuator_historyadr >= 0)
-    for row in range(len(one)):
+    for place, row in enumerate(rows):
         for a in delayed:
             n = int(variant.actuator_history[a, 0])
             times = one.time[row] - step * np.arange(n, 0, -1)
             column = int(variant.actuator_ctrladr[a])
             values = held.at(times + 1e-6 * step)[:, column]
             mujoco.mj_initCtrlHistory(variant, data, int(a), times, values)
-        found[row] = data.history
+        found[place] = data.history
     return found

@@ -50,29 +50,46 @@ class Measurement:
         truth = reference + deviation
         late = np.flatnonzero(self.delay)
         if late.size:
-            truth = self._delayed(truth, late, time)
+            truth = self._delayed(truth, reference, late, time)
         return np.asarray(self.scale * truth + self.bias - reference)
 
-    def _delayed(self, truth: Floats, late: npt.NDArray[np.int64], time: Floats) -> Floats:
-        """Cubic in positions, linear in velocities; extrapolated at a window's ends."""
+    def _delayed(
+        self, truth: Floats, reference: Floats, late: npt.NDArray[np.int64], time: Floats
+    ) -> Floats:
+        """Cubic in positions, linear in velocities; extrapolated at a window's ends: before it, with
+        the shape of what was measured, as that is the same motion late."""
         assert self.delay is not None
         out, nv = truth.copy(), truth.shape[2] // 2
         for w in range(len(truth)):
             t = time[w]
             for c in late:
-                at = t - self.delay[c]
-                k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
-                h, u = t[k + 1] - t[k], (at - t[k]) / (t[k + 1] - t[k])
-                y = truth[w, :, c]
-                if c >= nv:
-                    out[w, :, c] = y[k] + u * (y[k + 1] - y[k])
-                    continue
-                v = truth[w, :, nv + c]
-                inside = np.clip(u, 0.0, 1.0)
-                cubic = _hermite(inside, y[k], y[k + 1], h * v[k], h * v[k + 1])
-                edge = np.where(u < 0, v[k], v[k + 1])
-                out[w, :, c] = cubic + (u - inside) * h * edge
+                delay = float(self.delay[c])
+                value = self._at(truth[w], t, t - delay, c)
+                early = t < t[0] + delay
+                if t[0] + delay < t[-1]:
+                    shape = reference[w, early, c] - self._at(reference[w], t, t[:1] + delay, c)
+                    value[early] = truth[w, 0, c] + shape / self._scale(c)
+                out[w, :, c] = value
         return out
+
+    def _scale(self, c: int) -> float:
+        """Of one coordinate."""
+        assert self.scale is not None
+        return float(self.scale[c])
+
+    @staticmethod
+    def _at(values: Floats, t: Floats, at: Floats, c: int) -> Floats:
+        """One column of [K, 2 nv] at other times; linear beyond the ends."""
+        nv = values.shape[1] // 2
+        k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
+        h, u = t[k + 1] - t[k], (at - t[k]) / (t[k + 1] - t[k])
+        y = values[:, c]
+        if c >= nv:
+            return np.asarray(y[k] + u * (y[k + 1] - y[k]))
+        v = values[:, nv + c]
+        inside = np.clip(u, 0.0, 1.0)
+        cubic = _hermite(inside, y[k], y[k + 1], h * v[k], h * v[k + 1])
+        return np.asarray(cubic + (u - inside) * h * np.where(u < 0, v[k], v[k + 1]))
 
 
 def _hermite(u: Floats, y0: Floats, y1: Floats, d0: Floats, d1: Floats) -> Floats:

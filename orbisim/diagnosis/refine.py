@@ -255,9 +255,9 @@ class Judge:
         self, shooter: Shooter, slopes: Mapping[int, Floats] | None = None, quick: bool = False
     ) -> Hints:
         free = self._free.get(id(shooter))
-        trim = _TRIMMED if self.bench.contacts else 0.0
+        lenient = _LENIENT if self.bench.contacts else 0.0
         exact, rough = free is None, self.bench.contacts
-        return Hints(free, slopes or {}, exact=exact, rough=rough, quick=quick, trim=trim)
+        return Hints(free, slopes or {}, exact=exact, rough=rough, quick=quick, lenient=lenient)
 
     def _fitted(self, hypothesis: Hypothesis, iterations: int) -> tuple[Hypothesis, Fit]:
         declared = self.bench.scene
@@ -418,6 +418,7 @@ _GRID_STEPS = 12
 _FINER = (0.12, 0.03, 0.008)
 """Grids for what acts in steps, of its value."""
 _GRID_STEPS_IN_CONTACT = 2
+_LENIENT = 4.0
 _TRIMMED = 0.15
 _MANY = 24
 """Windows of which every other one does for a glance."""

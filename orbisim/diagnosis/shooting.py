@@ -124,11 +124,69 @@ class Shooter:
             if len(which):
                 out[which] = self.some(which).simulate(variant, start[which])
             return out
+        if not self.leads(variant):
+            return self._simulated(variant, start)
+        out, room = np.zeros(self.shape), self._room()
+        for led in (True, False):
+            which = np.flatnonzero(room == led)
+            if len(which):
+                part = self._earlier(which) if led else self.some(which)
+                runs = part._simulated(variant, start[which])
+                out[which] = runs[:, -self.shape[1] :] if led else part._unknown(variant, runs)
+        return out
+
+    def _unknown(self, variant: Variant, runs: Floats) -> Floats:
+        """With what late sensors measured at the windows' beginnings in the place of what they read
+        there in simulation: that was before anything that is known."""
+        delay = variant.measurement.delay
+        assert delay is not None
+        for k, column in enumerate(self.measured):
+            early = self.seen[..., k] & (self.time < self.time[:, :1] + delay[column])
+            runs[..., column] = np.where(
+                early, self.target[..., k] / self.weight[k], runs[..., column]
+            )
+        return runs
+
+    def _simulated(self, variant: Variant, start: Floats) -> Floats:
         measurement, out = variant.measurement, np.zeros(self.shape)
         out[:, 0] = start[:, : 2 * self.nv]
         for k, qpos, qvel in self._run(variant, start):
             out[:, k] = self._deviation(k, qpos, qvel)
         return measurement.of(self.absolute, out, self.time) if measurement else out
+
+    def leads(self, variant: Variant) -> bool:
+        """Whether simulation begins before the windows, where recordings do: a late sensor shows at
+        their beginning what was before. Starts are then those of the simulation."""
+        delay = variant.measurement.delay
+        return delay is not None and bool((delay > 0).any())
+
+    @property
+    def lead(self) -> int:
+        """By how many samples it does."""
+        step = float(np.median(np.diff(self.time, axis=1)))
+        return max(1, min(round(_LEAD / step), self.windows.length))
+
+    def _room(self) -> Bools:
+        """[W]: whether the recording goes back so far from the window's beginning."""
+        lead = self.lead
+        at = zip(self.windows.recording, self.row, strict=True)
+        return np.array([r >= lead and self.samples[i].usable[r - lead : r].all() for i, r in at])
+
+    def _earlier(self, which: Ints) -> Shooter:
+        """Some of the windows, begun earlier; what they measure before is not looked at."""
+        part, lead = self.some(which), self.lead
+        chosen = [(self.samples[i], r) for i, r in zip(part.windows.recording, part.row, strict=True)]
+        part.row = part.row - lead
+        for name in ("time", "qpos", "qvel", "ctrl", "force", "absolute"):
+            before = np.array([getattr(s, name)[r - lead : r] for s, r in chosen])
+            setattr(part, name, np.concatenate([before, getattr(part, name)], axis=1))
+        whole, horizon = part.windows, part.windows.horizon
+        part.windows = Windows(
+            whole.first, whole.length + lead, whole.recording,
+            None if horizon is None else horizon + lead,
+        )  # fmt: skip
+        part.horizon = self.horizon + lead
+        return part
 
     def moved(self, variant: Variant, start: Floats, step: float, which: Ints) -> Floats:
         """As `simulate` of some windows, with each number of their starts moved by a step in turn:
@@ -145,6 +203,18 @@ class Shooter:
 
     def states(self, variant: Variant, start: Floats) -> tuple[Floats, Floats]:
         """True states of free runs: qpos [W, K + 1, nq] and qvel [W, K + 1, nv]."""
+        if self.leads(variant) and (room := self._room()).any():
+            qpos, qvel = self.qpos.copy(), self.qvel.copy()
+            for led in (True, False):
+                which = np.flatnonzero(room == led)
+                if len(which):
+                    part = self._earlier(which) if led else self.some(which)
+                    found = part._states(variant, start[which])
+                    qpos[which], qvel[which] = (x[:, -self.shape[1] :] for x in found)
+            return qpos, qvel
+        return self._states(variant, start)
+
+    def _states(self, variant: Variant, start: Floats) -> tuple[Floats, Floats]:
         first = self._moved(start)
         qpos, qvel = self.qpos.copy(), self.qvel.copy()
         qpos[:, 0], qvel[:, 0] = first
@@ -258,12 +328,14 @@ class Shooter:
 
     def _hidden(self, model: mujoco.MjModel) -> tuple[Floats, Floats]:
         """Activations and delay buffers at the windows' starts."""
-        every = [carried_along(s, self.declared.model, model) for s in self.samples]
-        at = list(zip(self.windows.recording, self.row, strict=True))
-        return (
-            np.array([every[i][0][r] for i, r in at]),
-            np.array([every[i][1][r] for i, r in at]),
-        )
+        act = np.zeros((len(self), model.na))
+        history = np.zeros((len(self), model.nhistory))
+        for number in np.unique(self.windows.recording):
+            here = np.flatnonzero(self.windows.recording == number)
+            rows, again = np.unique(self.row[here], return_inverse=True)
+            found = carried_along(self.samples[number], self.declared.model, model, rows)
+            act[here], history[here] = (values[again] for values in found)
+        return act, history
 
 
 _OF_WINDOWS = (
@@ -272,6 +344,8 @@ _OF_WINDOWS = (
 """What a shooter knows of each window."""
 _AT_ONCE = 512
 """Windows that are simulated at once at most where starts are moved."""
+_LEAD = 0.25
+"""How much earlier, s, a simulation begins where sensors are late."""
 _LOST = 1e6
 _WORTH_A_THREAD = 200
 """Worlds times degrees of freedom times timesteps that keep a thread busy."""
