@@ -139,7 +139,7 @@ def _excess(judged: Judged) -> float:
 
 
 def _explained(state: SearchState, judged: Judged) -> bool:
-    """Whether nothing more is left to explain, and no declared parameter would have to be far off."""
+    """Whether no more is left to explain, and no declared parameter would have to be far off."""
     return _sufficient(state, judged) and not strain(judged.hypothesis)
 
 

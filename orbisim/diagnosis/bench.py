@@ -223,6 +223,7 @@ def _predictable(
     every = Windows(np.array(first), length, intervals.recording[first])
     shooter = Shooter(scene, samples, intervals, every, noise)
     every = dataclasses.replace(every, horizon=_horizons(shooter, noise))
+    every = _wrongly_lost(shooter, every, noise)
     worth = _worth(shooter, every, noise)
     telling = every.reach() >= max(4, length // 3)
     if telling.sum() >= _FEW:
@@ -286,6 +287,27 @@ def _horizons(shooter: Shooter, noise: Noise) -> Ints:
     lost = (growth > _GROWTH**2) | (bend > _BEND**2)
     horizon = np.where(lost.any(axis=1), lost.argmax(axis=1) - 1, shooter.windows.length)
     return np.where(measured, np.maximum(horizon, _SURE), 0)
+
+
+def _wrongly_lost(shooter: Shooter, windows: Windows, noise: Noise) -> Windows:
+    """With whole windows where most would end early, and data are far from all that the scene says:
+    the impacts that make it unpredictable may never have happened."""
+    short = windows.fragile()
+    if short.mean() <= _MOST_SHORT or windows.horizon is None:
+        return windows
+    still = np.zeros((len(shooter), 2 * shooter.nv))
+    apart = np.abs(shooter.residual(shooter.simulate(Variant(shooter.declared), still)))
+    far = short & (apart.max(axis=1) > _APART)
+    if not far[short].mean() > _MOST_SHORT:
+        return windows
+    measured = np.isfinite(np.concatenate(noise))
+    whole = np.where(measured, windows.length, 0)
+    return dataclasses.replace(windows, horizon=np.where(far[:, None], whole, windows.horizon))
+
+
+_MOST_SHORT = 0.5
+_APART = 100.0
+"""In units of the noise."""
 
 
 def start_size(noise: Noise, step: float) -> Floats:

@@ -56,10 +56,10 @@ class Measurement:
     def _delayed(
         self, truth: Floats, reference: Floats, late: npt.NDArray[np.int64], time: Floats
     ) -> Floats:
-        """Cubic in positions, linear in velocities; extrapolated at a window's ends: before it, with
+        """Cubic in positions, linear in velocities; extrapolated at a window's ends: before it with
         the shape of what was measured, as that is the same motion late."""
         assert self.delay is not None
-        out, nv = truth.copy(), truth.shape[2] // 2
+        out = truth.copy()
         for w in range(len(truth)):
             t = time[w]
             for c in late:

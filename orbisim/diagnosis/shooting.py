@@ -175,7 +175,8 @@ class Shooter:
     def _earlier(self, which: Ints) -> Shooter:
         """Some of the windows, begun earlier; what they measure before is not looked at."""
         part, lead = self.some(which), self.lead
-        chosen = [(self.samples[i], r) for i, r in zip(part.windows.recording, part.row, strict=True)]
+        places = zip(part.windows.recording, part.row, strict=True)
+        chosen = [(self.samples[i], r) for i, r in places]
         part.row = part.row - lead
         for name in ("time", "qpos", "qvel", "ctrl", "force", "absolute"):
             before = np.array([getattr(s, name)[r - lead : r] for s, r in chosen])

@@ -151,7 +151,11 @@ class ActuatorLag(ActuatorEffect):
 
 
 class ActuatorDelay(ActuatorEffect):
-    """A pure delay of the control: MJCF `delay`, with the control held between samples."""
+    """A pure delay of the control: MJCF `delay`, with the control held between samples.
+
+    The model's delay is a thousandth of a timestep less: at a whole number of timesteps, rounding
+    of the time would decide now for one step and now for another.
+    """
 
     name = "actuator_delay"
     phrase = "a delay"
@@ -172,7 +176,7 @@ class ActuatorDelay(ActuatorEffect):
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         actuator = spec_element(spec, "actuator", instance.target)
         delay = instance.values["delay"]
-        actuator.delay = delay
+        actuator.delay = max(0.0, delay - _BEFORE * spec.option.timestep)
         actuator.nsample = max(2, int(np.ceil(delay / spec.option.timestep)) + 2)
         actuator.interp = 0
 
@@ -229,6 +233,8 @@ class Deadband(ActuatorEffect):
 
 _TIMES = np.geomspace(0.002, 0.4, 16)
 """Time constants and delays that are tried, s."""
+_BEFORE = 1e-3
+"""Timesteps by which a control is read early."""
 
 
 def _force(view: View, actuator: int, force: Floats) -> Column:

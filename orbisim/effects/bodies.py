@@ -161,7 +161,8 @@ class ComOffset(BodyEffect):
         body, mass = index_of(model, "body", special.target), special.values["mass"]
         place = np.array([special.values[name] for name in ("com_x", "com_y", "com_z")])
         offset = (place - model.body_ipos[body]) * mass / (mass + float(model.body_mass[body]))
-        return [self.complete(model, special.target, dict(zip(_AXES, offset.tolist(), strict=True)))]
+        parts = dict(zip(_AXES, offset.tolist(), strict=True))
+        return [self.complete(model, special.target, parts)]
 
     def screen(self, view: View, target: str) -> list[Candidate]:
         mass = float(view.model.body_mass[index_of(view.model, "body", target)])

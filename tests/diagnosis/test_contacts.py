@@ -191,8 +191,10 @@ def test_what_explains_all_need_not_show_in_windows_that_were_not_fitted() -> No
 
     assert problem() is None
     assert "standard errors" in str(problem(gain=100.0))
-    assert "standard errors" in str(problem(ratio=1.12))
+    assert problem(ratio=1.12) is None  # no window is worse
     assert "standard errors" in str(problem(touching=False))
+    after[4] = 1.2
+    assert problem(ratio=1.12) is not None
     worse = judged([1.0, 1.0, 1.04, 1.0], 1.0, 1.0, 400.0, True)
     assert unpaid(settings, judged([1.0, 1.0, 1.0, 1.0], 1.6, 2.2, 900.0, True), worse) is None
 
