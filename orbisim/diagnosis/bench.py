@@ -292,7 +292,7 @@ def _horizons(shooter: Shooter, noise: Noise) -> Ints:
 def _wrongly_lost(shooter: Shooter, windows: Windows, noise: Noise) -> Windows:
     """With whole windows where most would end early, and data are far from all that the scene says:
     the impacts that make it unpredictable may never have happened."""
-    short = windows.fragile()
+    short = windows.reach() < windows.length
     if short.mean() <= _MOST_SHORT or windows.horizon is None:
         return windows
     still = np.zeros((len(shooter), 2 * shooter.nv))

@@ -11,6 +11,7 @@ from orbisim.diagnosis.consistency import doubtful
 from orbisim.diagnosis.laws import imitated
 from orbisim.diagnosis.paying import strain
 from orbisim.diagnosis.refine import Judge, Judged
+from orbisim.diagnosis.rounds import simpler
 from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.state import NEAR, Rival, SearchState
 from orbisim.diagnosis.suspects import Screening
@@ -149,7 +150,7 @@ def duel(state: SearchState, judge: Judge, after: Judged) -> Judged:
             factors=after.hypothesis.factors,
         )
         judged = judge.judge(other, 8)
-        if judged is not None and judged.cost < best.cost - _TIE:
+        if judged is not None and judged.cost < best.cost - _needed(state, other, best):
             best = judged
     if best is not after:
         found = best.hypothesis.effects[-1]
@@ -216,6 +217,13 @@ _FINE = (0.94, 0.97, 1.03, 1.06)
 
 def _same(one: EffectInstance, other: EffectInstance) -> bool:
     return (one.effect, one.target) == (other.effect, other.target)
+
+
+def _needed(state: SearchState, other: Hypothesis, best: Judged) -> float:
+    """By how much another explanation must be better: more than chance with more numbers."""
+    model = state.bench.scene.model
+    more = simpler(model, other)[0] > simpler(model, best.hypothesis)[0]
+    return state.settings.margin if more else _TIE
 
 
 _DUELS = 2

@@ -41,5 +41,5 @@ class Settings:
     tolerance: float = 0.35
     retune: bool = True
     robust: float | None = None
-    patience: float = 300.0
+    patience: float = 600.0
     seed: int = 0

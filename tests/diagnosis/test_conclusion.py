@@ -4,6 +4,7 @@ import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -21,6 +22,11 @@ DELAY = EffectInstance("actuator_delay", "motor", {"delay": 0.02})
 LAG = EffectInstance("actuator_lag", "motor", {"time_constant": 0.02})
 
 
+MOTOR = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0"/>
+<geom name="ball" size=".1"/></body></worldbody>
+<actuator><motor name="motor" joint="hinge"/></actuator></mujoco>"""
+
+
 def won_by(costs: dict[str, float], rival: Rival) -> str:
     """The effect that is left of a delay and a rival; the other is told why.
 
@@ -31,7 +37,9 @@ def won_by(costs: dict[str, float], rival: Rival) -> str:
     def judge(hypothesis: Hypothesis, iterations: int) -> Any:
         return SimpleNamespace(hypothesis=hypothesis, cost=costs[hypothesis.effects[-1].effect])
 
+    scene = SimpleNamespace(model=mujoco.MjModel.from_xml_string(MOTOR))
     state: Any = SimpleNamespace(
+        bench=SimpleNamespace(scene=scene),
         rivals=[Rival(DELAY, 0.0, 1.0, 1, pays=True), rival],
         settings=Settings(),
         say=lambda text: None,
@@ -52,6 +60,13 @@ def test_a_near_rival_that_is_better_on_all_windows_wins() -> None:
 
 def test_it_must_be_better_by_more_than_chance() -> None:
     assert won_by({"actuator_delay": 100.0, "actuator_lag": 98.0}, NEAR) == "actuator_delay"
+
+
+def test_with_more_numbers_it_must_be_better_by_a_margin() -> None:
+    force = EffectInstance("stribeck_friction", "hinge", {"coulomb": 1.0})
+    rival = dataclasses.replace(NEAR, instance=force)
+    assert won_by({"actuator_delay": 100.0, "stribeck_friction": 92.0}, rival) == "actuator_delay"
+    assert won_by({"actuator_delay": 100.0, "stribeck_friction": 80.0}, rival) != "actuator_delay"
 
 
 def test_those_that_do_not_pay_or_are_far_off_or_of_another_round_are_not_tried() -> None:

@@ -170,6 +170,10 @@ def test_a_payload_can_begin_at_an_offset_of_the_centre_of_mass(hammer: orbisim.
         place = data.subtree_com[head] - data.xpos[head]
         np.testing.assert_allclose(place, moved.body("head").ipos, atol=1e-9)
     assert find("payload").generalized(hammer.model, BIAS) == []
+    heavy = EffectInstance("payload", offset.target, dict(found[0]))
+    (back,) = find("com_offset").generalized(hammer.model, heavy)
+    assert back == pytest.approx(offset.values, rel=1e-3)
+    assert find("com_offset").generalized(hammer.model, BIAS) == []
 
 
 def judged(checked: list[float], ratio: float, pooled: float, cost: float, touching: bool) -> Any:

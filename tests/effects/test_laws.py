@@ -231,6 +231,21 @@ def test_delay(scene: Scene) -> None:
     assert np.flatnonzero(forces)[0] == 40
 
 
+def test_a_delay_of_whole_timesteps_is_the_same_at_all_times(scene: Scene) -> None:
+    """Rounding of the time must not decide which of two controls is in force."""
+    changed = add_effects(scene, [EffectInstance("actuator_delay", "m1", {"delay": 0.012})])
+    steps = round(0.012 / changed.model.opt.timestep)
+    data = mujoco.MjData(changed.model)
+    controls = np.random.default_rng(1).uniform(-1, 1, 4000)
+    forces = []
+    for control in controls:
+        data.ctrl[0] = control
+        mujoco.mj_step(changed.model, data)
+        forces.append(data.actuator_force[0])
+    gain = changed.model.actuator_gainprm[0, 0]
+    np.testing.assert_allclose(forces[steps:], gain * controls[:-steps], rtol=1e-9)
+
+
 def test_hard_stop(scene: Scene) -> None:
     values = {"position": 0.6, "side": 1.0}
     changed = add_effects(scene, [EffectInstance("hard_stop", "shoulder", values)])
