@@ -73,7 +73,7 @@ from orbisim.cli.common import (
 )
 @click.option(
     "--patience",
-    default=300.0,
+    default=600.0,
     show_default=True,
     help="Seconds after which no further effect is looked for.",
 )
