@@ -223,7 +223,7 @@ def _predictable(
     every = Windows(np.array(first), length, intervals.recording[first])
     shooter = Shooter(scene, samples, intervals, every, noise)
     every = dataclasses.replace(every, horizon=_horizons(shooter, noise))
-    every = _wrongly_lost(shooter, every, noise)
+    every = wrongly_lost(shooter, every, noise)
     worth = _worth(shooter, every, noise)
     telling = every.reach() >= max(4, length // 3)
     if telling.sum() >= _FEW:
@@ -289,7 +289,7 @@ def _horizons(shooter: Shooter, noise: Noise) -> Ints:
     return np.where(measured, np.maximum(horizon, _SURE), 0)
 
 
-def _wrongly_lost(shooter: Shooter, windows: Windows, noise: Noise) -> Windows:
+def wrongly_lost(shooter: Shooter, windows: Windows, noise: Noise) -> Windows:
     """With whole windows where most would end early, and data are far from all that the scene says:
     the impacts that make it unpredictable may never have happened."""
     short = windows.reach() < windows.length

@@ -126,7 +126,7 @@ class Shooter:
             return out
         if not self.leads(variant):
             return self._simulated(variant, start)
-        out, room = np.zeros(self.shape), self._room()
+        out, room = np.zeros(self.shape), self.room()
         for led in (True, False):
             which = np.flatnonzero(room == led)
             if len(which):
@@ -166,11 +166,15 @@ class Shooter:
         step = float(np.median(np.diff(self.time, axis=1)))
         return max(1, min(round(_LEAD / step), self.windows.length))
 
-    def _room(self) -> Bools:
-        """[W]: whether the recording goes back so far from the window's beginning."""
-        lead = self.lead
-        at = zip(self.windows.recording, self.row, strict=True)
-        return np.array([r >= lead and self.samples[i].usable[r - lead : r].all() for i, r in at])
+    def room(self) -> Bools:
+        """[W]: whether the recording goes back so far from the window's beginning, without gaps."""
+        lead, longest = self.lead, _GAP * float(np.median(np.diff(self.time, axis=1)))
+        found = np.zeros(len(self), bool)
+        for w, (i, r) in enumerate(zip(self.windows.recording, self.row, strict=True)):
+            one, before = self.samples[i], slice(r - lead, r + 1)
+            if r >= lead and one.usable[before].all():
+                found[w] = np.diff(one.time[before]).max() < longest
+        return found
 
     def _earlier(self, which: Ints) -> Shooter:
         """Some of the windows, begun earlier; what they measure before is not looked at."""
@@ -204,7 +208,7 @@ class Shooter:
 
     def states(self, variant: Variant, start: Floats) -> tuple[Floats, Floats]:
         """True states of free runs: qpos [W, K + 1, nq] and qvel [W, K + 1, nv]."""
-        if self.leads(variant) and (room := self._room()).any():
+        if self.leads(variant) and (room := self.room()).any():
             qpos, qvel = self.qpos.copy(), self.qvel.copy()
             for led in (True, False):
                 which = np.flatnonzero(room == led)
@@ -347,6 +351,8 @@ _AT_ONCE = 512
 """Windows that are simulated at once at most where starts are moved."""
 _LEAD = 0.25
 """How much earlier, s, a simulation begins where sensors are late."""
+_GAP = 1.5
+"""Typical sampling intervals that are a gap."""
 _LOST = 1e6
 _WORTH_A_THREAD = 200
 """Worlds times degrees of freedom times timesteps that keep a thread busy."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.bench import Bench, Hypothesis, _wrongly_lost, make_bench
+from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench, wrongly_lost
 from orbisim.diagnosis.fits import Hints
 from orbisim.diagnosis.gauss_newton import Problem
 from orbisim.diagnosis.refine import Judge
@@ -44,8 +44,8 @@ def test_a_late_sensor_is_predicted_to_within_the_noise(bench: Bench) -> None:
 def test_states_of_late_sensors_are_those_that_were_simulated(bench: Bench) -> None:
     """Within the windows, whatever was simulated before; here the sensor is hardly late."""
     shooter = bench.shooter(bench.fit)
-    assert shooter._room().any()
-    assert not shooter._room().all()  # recordings do not go back for ever
+    assert shooter.room().any()
+    assert not shooter.room().all()  # recordings do not go back for ever
     late = Hypothesis((LATE.replace(delay=1e-9),)).variant(bench.scene)
     start = np.zeros((len(shooter), 2 * shooter.nv))
     qpos, qvel = shooter.states(late, start)
@@ -55,6 +55,16 @@ def test_states_of_late_sensors_are_those_that_were_simulated(bench: Bench) -> N
     read = seen[:, 1:, : shooter.nv]  # what was before a recording is not known
     np.testing.assert_allclose(read, at_once[:, 1:], atol=1e-6)
     assert np.isfinite(qvel).all()
+
+
+def test_simulation_does_not_begin_before_a_gap(bench: Bench) -> None:
+    shooter = bench.shooter(bench.fit)
+    gap = int(shooter.row[1]) - 3
+    late = [dataclasses.replace(s, time=s.time + (np.arange(len(s)) >= gap)) for s in bench.samples]
+    gapped = Shooter(bench.scene, late, bench.intervals, shooter.windows, bench.noise)
+    after = (shooter.row >= gap) & (shooter.row < gap + shooter.lead)
+    assert (after & shooter.room()).any()
+    np.testing.assert_array_equal(gapped.room(), shooter.room() & ~after)
 
 
 def test_starts_that_are_moved_together_are_moved_one_by_one(bench: Bench) -> None:
@@ -112,14 +122,14 @@ def test_impacts_that_never_happened_cut_no_window_short() -> None:
     noise = (np.array([1e-3]), np.array([np.nan]))
     left = np.array([[1.0], [500.0], [300.0], [2.0]])
     shooter: Any = _Far(nv=1, declared=None, left=left)
-    found = _wrongly_lost(shooter, windows, noise)
+    found = wrongly_lost(shooter, windows, noise)
     assert found.horizon is not None
     np.testing.assert_array_equal(found.horizon[:, 0], [10, 10, 10, 4])
     np.testing.assert_array_equal(found.horizon[:, 1], 0)  # no velocity is measured
     near: Any = _Far(nv=1, declared=None, left=left / 100)
-    assert _wrongly_lost(near, windows, noise) is windows
+    assert wrongly_lost(near, windows, noise) is windows
     few = dataclasses.replace(windows, horizon=np.array([[10, 0], [10, 0], [2, 0], [10, 0]]))
-    assert _wrongly_lost(shooter, few, noise) is few
+    assert wrongly_lost(shooter, few, noise) is few
 
 
 def test_some_windows_are_simulated_as_all_are(bench: Bench) -> None:
