@@ -75,8 +75,8 @@ class Hints:
       rough: whether `free` holds only at first (contacts).
       quick: whether to do without starting badly fitting windows anew (contacts), and without
         information, score and covariance.
-      lenient: mean square of a window beyond which it counts less and less for the unknowns
-        (contacts); 0 if all windows count alike.
+      lenient: mean square of a window beyond which it counts less and less for the unknowns, in
+        units of what is typical of windows, at least the noise (contacts); 0 if all count alike.
     """
 
     free: Floats | None = None

@@ -92,6 +92,7 @@ class Problem:
         self.precision = np.array([u.precision for u in unknowns])
         self.hints, self.robust = hints, robust
         self.led = False
+        self.scale = hints.lenient
 
     def solve(
         self,
@@ -115,6 +116,7 @@ class Problem:
                 here = self._better(here, self.trial(values, other))
         for other in self._ends(values, xi):
             here = self._better(here, self.trial(values, other))
+        self.scale = self.hints.lenient * max(1.0, float(np.median(self._mean(here.cost))))
         damping, brakes = 1e-4, np.full(len(shooter), 1e-9)
         free, at = self.hints.free, here
         self.led = shooter.leads(self.build(values))
@@ -275,9 +277,9 @@ class Problem:
         which each window has its own scale (log-likelihood of a Student's t; Lange, Little and
         Taylor, J. Am. Stat. Assoc. 84, 1989): no start brings some impacts about, and one such
         window must not outweigh all others."""
-        if not self.hints.lenient:
+        if not self.scale:
             return np.ones(len(cost))
-        return np.asarray(1.0 / (1.0 + self._mean(cost) / self.hints.lenient))
+        return np.asarray(1.0 / (1.0 + self._mean(cost) / self.scale))
 
     def _mean(self, cost: Floats) -> Floats:
         """[W]: cost of each datum."""
@@ -285,7 +287,7 @@ class Problem:
 
     def total(self, trial: Trial) -> float:
         """What a fit makes least."""
-        scale = self.hints.lenient
+        scale = self.scale
         if not scale:
             return trial.total
         grown = scale * np.log1p(self._mean(trial.cost) / scale)
