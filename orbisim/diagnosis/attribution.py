@@ -261,8 +261,8 @@ _HUBER = 4.0
 _HALF = 0.5
 _MOST = 0.2
 _CLOSE = 1.3
-"""Residual over noise, and ..."""
+"""Residual over noise that impacts may leave."""
 _TRACE = 0.1
-"""... share of the declared scene's mean square beyond the noise that are left by impacts."""
+"""Share of the declared scene's mean square beyond the noise that they may leave besides."""
 _NEARLY = 130.0
 _FEW = 2

@@ -126,14 +126,20 @@ class Shooter:
             return out
         if not self.leads(variant):
             return self._simulated(variant, start)
-        out, room = np.zeros(self.shape), self.room()
-        for led in (True, False):
-            which = np.flatnonzero(room == led)
-            if len(which):
-                part = self._earlier(which) if led else self.some(which)
-                runs = part._simulated(variant, start[which])
-                out[which] = runs[:, -self.shape[1] :] if led else part._unknown(variant, runs)
+        out = np.zeros(self.shape)
+        for which, part in self._begun():
+            runs = part._simulated(variant, start[which])
+            led = runs.shape[1] > self.shape[1]
+            out[which] = runs[:, -self.shape[1] :] if led else part._unknown(variant, runs)
         return out
+
+    def _begun(self) -> Iterator[tuple[Ints, Shooter]]:
+        """Windows before which the recordings go back, begun earlier; and the others."""
+        room = self.room()
+        if room.any():
+            yield (which := np.flatnonzero(room)), self._earlier(which)
+        if not room.all():
+            yield (which := np.flatnonzero(~room)), self.some(which)
 
     def _unknown(self, variant: Variant, runs: Floats) -> Floats:
         """With what late sensors measured at the windows' beginnings in the place of what they read
@@ -208,16 +214,13 @@ class Shooter:
 
     def states(self, variant: Variant, start: Floats) -> tuple[Floats, Floats]:
         """True states of free runs: qpos [W, K + 1, nq] and qvel [W, K + 1, nv]."""
-        if self.leads(variant) and (room := self.room()).any():
-            qpos, qvel = self.qpos.copy(), self.qvel.copy()
-            for led in (True, False):
-                which = np.flatnonzero(room == led)
-                if len(which):
-                    part = self._earlier(which) if led else self.some(which)
-                    found = part._states(variant, start[which])
-                    qpos[which], qvel[which] = (x[:, -self.shape[1] :] for x in found)
-            return qpos, qvel
-        return self._states(variant, start)
+        if not self.leads(variant):
+            return self._states(variant, start)
+        qpos, qvel = self.qpos.copy(), self.qvel.copy()
+        for which, part in self._begun():
+            found = part._states(variant, start[which])
+            qpos[which], qvel[which] = (x[:, -self.shape[1] :] for x in found)
+        return qpos, qvel
 
     def _states(self, variant: Variant, start: Floats) -> tuple[Floats, Floats]:
         first = self._moved(start)

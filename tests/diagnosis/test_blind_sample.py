@@ -170,6 +170,20 @@ def test_what_crashes_or_takes_too_long_is_recorded(trials: Path, tmp_path: Path
     assert [job.trial for job in running.jobs_of(asked)] == ["s00"]
 
 
+def test_trials_and_scenes_that_are_not_there_are_errors(tmp_path: Path) -> None:
+    one = tmp_path / "trials" / "t0"
+    one.mkdir(parents=True)
+    (one / "scene.xml").write_text('<mujoco model="puck"/>')
+    jobs_of = tool("blind.running").jobs_of
+    for name in ("t0", "puck"):
+        asked = settings(tmp_path, tmp_path / "out.jsonl", only=[name], tools=["diagnose"])
+        assert [job.trial for job in jobs_of(asked)] == ["t0"]
+    with pytest.raises(SystemExit, match="no trial or scene 't1' among the 1"):
+        jobs_of(settings(tmp_path, tmp_path / "out.jsonl", only=["puck", "t1"]))
+    with pytest.raises(SystemExit):  # nothing after --only is not everything
+        tool("blind_trials").main(["run", "--trials", "x", "--out", "y", "--only"])
+
+
 # -- the sample ------------------------------------------------------------------------------------
 
 

@@ -39,13 +39,21 @@ class Job:
 
 
 def jobs_of(args: argparse.Namespace) -> list[Job]:
-    """What is asked for and not yet done: all tools on a trial before the next trial."""
+    """What is asked for and not yet done: all tools on a trial before the next trial.
+
+    Raises:
+      SystemExit: a trial or scene that is asked for is not there.
+    """
     folder = Path(args.trials) / "trials"
     names = sorted(path.name for path in folder.iterdir() if (path / "scene.xml").exists())
     if args.sample:
         names = [name for name in names if name.startswith("s")]
     if args.only:
-        names = [n for n in names if n in args.only or _scene_of(folder / n) in args.only]
+        scenes = {name: _scene_of(folder / name) for name in names}
+        unknown = sorted(set(args.only) - {*scenes, *scenes.values()})
+        if unknown:
+            raise SystemExit(f"no trial or scene {unknown[0]!r} among the {len(names)} of {folder}")
+        names = [n for n in names if n in args.only or scenes[n] in args.only]
     names = names[: args.limit] if args.limit else names
     done = {
         (entry["trial"], entry["tool"])
