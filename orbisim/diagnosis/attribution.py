@@ -10,16 +10,16 @@ import numpy as np
 from orbisim.diagnosis.bench import SAME, Bench, Hypothesis
 from orbisim.diagnosis.conclusion import Attribution, conclude
 from orbisim.diagnosis.joint import propose
-from orbisim.diagnosis.paying import strain, unpaid
+from orbisim.diagnosis.paying import settles, strain, unpaid
 from orbisim.diagnosis.refine import Judge, Judged
 from orbisim.diagnosis.relieving import relieved
-from orbisim.diagnosis.rounds import best_addition, best_with_retuning, simpler, tied
+from orbisim.diagnosis.rounds import best_addition, best_with_retuning, numbers, tied
 from orbisim.diagnosis.screening import cleaned
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.state import NEAR, Progress, SearchState, quiet
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.swapping import swapped
-from orbisim.effects import EffectInstance, find
+from orbisim.effects import EffectInstance
 
 
 def attribute(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> Attribution:
@@ -49,13 +49,20 @@ def _explain(state: SearchState, nothing: Judged, first: Screening) -> Judged:
         if not rivals and alone.hypothesis.effects[0].effect not in SAME:
             return alone
     tuned = state.tuned(Hypothesis())
-    better = tuned is not None and (alone is None or tuned.cost < alone.cost)
-    if tuned is not None and better and _explained(state, tuned):
+    if tuned is not None and _explained(state, tuned) and _outdoes(tuned, alone):
         return tuned
     if alone is not None:
         other = _retuned(state, tuned, first, rivals) if rivals else None
-        return other if other is not None and _preferable(state, other, alone) else alone
+        if other is None or settles(other, alone) or not _preferable(state, other, alone):
+            return alone
+        return other
     return _several(state, nothing, single, tuned, first)
+
+
+def _outdoes(tuned: Judged, alone: Judged | None) -> bool:
+    """Whether retuned parameters are better than a single effect; not if that is a stop, and makes
+    the few windows good that they leave bad."""
+    return alone is None or (tuned.cost < alone.cost and not settles(tuned, alone))
 
 
 def _several(
@@ -116,7 +123,7 @@ def _preferable(state: SearchState, one: Judged, other: Judged) -> bool:
     of fewer numbers: of what declared parameters that are a little off do, an effect with many can
     do some by chance."""
     model = state.bench.scene.model
-    if simpler(model, one.hypothesis)[0] < simpler(model, other.hypothesis)[0]:
+    if numbers(model, one.hypothesis.effects) < numbers(model, other.hypothesis.effects):
         return one.cost < other.cost or tied(one, other)
     return one.cost < other.cost - state.settings.margin
 
@@ -126,11 +133,8 @@ def _rivals(state: SearchState, single: Judged) -> list[EffectInstance]:
     are as declared, which one is better may be a matter of those."""
     model, best = state.bench.scene.model, single.hypothesis.effects[0]
 
-    def numbers(one: EffectInstance) -> int:
-        return len(find(one.effect).free_parameters(model, one.target))
-
     near = (r.instance for r in state.rivals if r.round == 1 and 0 < r.delta_bic < _NEARLY)
-    return [one for one in near if numbers(one) <= numbers(best)][:_FEW]
+    return [one for one in near if numbers(model, [one]) <= numbers(model, [best])][:_FEW]
 
 
 def _excess(judged: Judged) -> float:
@@ -176,7 +180,8 @@ def _paired(
     few = sorted(fitted, key=lambda judged: judged.cost)[:_FEW]
     few = sorted((state.judge.closer(one) for one in few), key=lambda judged: judged.cost)
     level = [judged for judged in few if tied(judged, few[0])]
-    best = min(level, key=lambda judged: simpler(state.bench.scene.model, judged.hypothesis))
+    model = state.bench.scene.model
+    best = min(level, key=lambda one: (numbers(model, one.hypothesis.effects), one.cost))
     rival = nothing if single is None else single
     problem = unpaid(state.settings, rival, best)
     if not state.done(best) and best.ratio > _HALF * rival.ratio:

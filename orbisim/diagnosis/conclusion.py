@@ -11,7 +11,7 @@ from orbisim.diagnosis.consistency import doubtful
 from orbisim.diagnosis.laws import imitated
 from orbisim.diagnosis.paying import strain
 from orbisim.diagnosis.refine import Judge, Judged
-from orbisim.diagnosis.rounds import simpler
+from orbisim.diagnosis.rounds import ROUNDED, TIE, hollowed, numbers
 from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.state import NEAR, Rival, SearchState
 from orbisim.diagnosis.suspects import Screening
@@ -150,7 +150,9 @@ def duel(state: SearchState, judge: Judge, after: Judged) -> Judged:
             factors=after.hypothesis.factors,
         )
         judged = judge.judge(other, 8)
-        if judged is not None and judged.cost < best.cost - _needed(state, other, best):
+        if judged is None or hollowed(state, judged):
+            continue
+        if judged.cost < best.cost - _needed(state, other, best):
             best = judged
     if best is not after:
         found = best.hypothesis.effects[-1]
@@ -220,14 +222,16 @@ def _same(one: EffectInstance, other: EffectInstance) -> bool:
 
 
 def _needed(state: SearchState, other: Hypothesis, best: Judged) -> float:
-    """By how much another explanation must be better: more than chance with more numbers."""
+    """By how much another explanation must be better: more than chance with more numbers, and with
+    fewer it may be as good."""
     model = state.bench.scene.model
-    more = simpler(model, other)[0] > simpler(model, best.hypothesis)[0]
-    return state.settings.margin if more else _TIE
+    own, others = (numbers(model, one.effects) for one in (best.hypothesis, other))
+    if others == own:
+        return ROUNDED
+    return state.settings.margin if others > own else -TIE
 
 
 _DUELS = 2
-_TIE = 4.0
 
 
 def _excess(state: SearchState, judged: Judged) -> float:

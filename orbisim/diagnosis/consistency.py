@@ -15,6 +15,7 @@ from orbisim.diagnosis.refine import Judged, thinned
 from orbisim.diagnosis.sensible import absurd
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import find
+from orbisim.effects.base import index_of, is_scalar_joint
 
 Floats = npt.NDArray[np.float64]
 
@@ -46,7 +47,7 @@ def inconsistency(
     value = fit.values[index] - _neutral(bench, judged, number)
     weight = fit.information.sum(axis=0)[np.ix_(index, index)]
     whole = float(np.sqrt(max(value @ weight @ value, 1e-300)))
-    for name, measure in _regimes(bench, chosen).items():
+    for name, measure in _regimes(bench, chosen, _dof(bench, judged, number)).items():
         halves = [measure <= np.median(measure), measure > np.median(measure)]
         if min(h.sum() for h in halves) < _FEWEST or np.ptp(measure) <= 0:
             continue
@@ -101,19 +102,37 @@ def _prefers(
     return shift[index], covariance[np.ix_(index, index)]
 
 
-def _regimes(bench: Bench, chosen: npt.NDArray[np.int64]) -> dict[str, Floats]:
-    """Measures of each chosen window along which an effect should not change."""
+def _dof(bench: Bench, judged: Judged, number: int) -> int | None:
+    """The degree of freedom of an effect at a hinge or a slide; None for other effects."""
+    effect, model = judged.hypothesis.effects[number], bench.scene.model
+    if find(effect.effect).kind != "joint" or not is_scalar_joint(model, effect.target):
+        return None
+    return int(model.jnt_dofadr[index_of(model, "joint", effect.target)])
+
+
+def _regimes(bench: Bench, chosen: npt.NDArray[np.int64], dof: int | None) -> dict[str, Floats]:
+    """Measures of each chosen window along which an effect should not change.
+
+    Args:
+      dof: degree of freedom of the joint that it acts at; None if at none.
+    """
     windows, intervals = bench.windows, bench.intervals
-    speed, place, reach, when = [], [], [], []
+    found: dict[str, list[float]] = {}
     for w in chosen:
         first = windows.first[w]
         one = bench.samples[windows.recording[w]]
         rows = slice(int(intervals.row[first]), int(intervals.row[first]) + windows.length + 1)
         nv = one.absolute.shape[1] // 2
-        q = one.absolute[rows, :nv]
-        speed.append(float(np.sqrt(np.mean(one.qvel[rows] ** 2))))
-        place.append(float(q.mean(axis=0).sum()))
-        reach.append(float(np.sqrt(np.mean(q**2))))
-        when.append(float(one.time[rows.start]))
-    found = {"speed": speed, "position": place, "distance from zero": reach, "time": when}
+        q, v = one.absolute[rows, :nv], one.qvel[rows]
+        measures = {
+            "speed": np.sqrt(np.mean(v**2)),
+            "position": q.mean(axis=0).sum(),
+            "distance from zero": np.sqrt(np.mean(q**2)),
+            "time": one.time[rows.start],
+        }
+        if dof is not None and nv > 1:
+            measures["speed of its joint"] = np.sqrt(np.mean(v[:, dof] ** 2))
+            measures["position of its joint"] = q[:, dof].mean()
+        for name, value in measures.items():
+            found.setdefault(name, []).append(float(value))
     return {name: np.array(values) for name, values in found.items()}

@@ -111,10 +111,11 @@ class Problem:
         values = np.clip(self.begin, self.low, self.high)
         xi = self.widened(values, start)
         here = self.trial(values, xi)
+        others = [] if start is None or not xi.any() else [np.zeros_like(xi)]
         if self.hints.rough or self.hints.exact:
-            for other in ([] if start is None else [np.zeros_like(xi)]) + [self._measured(xi)]:
-                here = self._better(here, self.trial(values, other))
-        for other in self._ends(values, xi):
+            others.append(self._measured(xi))
+            others += self._read(values, [xi, *others])
+        for other in [*others, *self._ends(values, xi)]:
             here = self._better(here, self.trial(values, other))
         self.scale = self.hints.lenient * max(1.0, float(np.median(self._mean(here.cost))))
         damping, brakes = 1e-4, np.full(len(shooter), 1e-9)
@@ -183,6 +184,20 @@ class Problem:
         """Starts at the first sample as it was measured: smoothing blurs impacts."""
         found = np.zeros_like(xi)
         found[:, : 2 * self.shooter.nv] = self.shooter.first_seen
+        return found
+
+    def _read(self, values: Floats, starts: Sequence[Floats]) -> list[Floats]:
+        """The same as readings of a sensor with an offset or a scale; nothing without one. Through
+        impacts a fit does not find that all windows start elsewhere."""
+        measurement, nv = self.build(values).measurement, self.shooter.nv
+        if measurement.bias is None or measurement.scale is None:
+            return []
+        reference, found = self.shooter.absolute[:, 0], []
+        for start in starts:
+            truth = (reference + start[:, : 2 * nv] - measurement.bias) / measurement.scale
+            moved = start.copy()
+            moved[:, : 2 * nv] = truth - reference
+            found.append(moved)
         return found
 
     def _ends(self, values: Floats, xi: Floats) -> list[Floats]:

@@ -30,6 +30,8 @@ def unpaid(settings: Settings, before: Judged, after: Judged) -> str | None:
       before, after: the hypothesis without and with the effect, fitted on the same windows.
     """
     gain = before.cost - after.cost
+    if settles(before, after):
+        return None
     if _unfelt(before, after):
         if gain > _CLEARLY * settings.margin:
             return None  # held-out data have the last word
@@ -59,6 +61,29 @@ def unpaid(settings: Settings, before: Judged, after: Judged) -> str | None:
             "the numbers that it adds"
         )
     return None
+
+
+def settles(before: Judged, after: Judged) -> bool:
+    """Whether a stop accounts for what a few windows alone are bad by, where bodies touch: it makes
+    most of that good and no window worse. The criterion does not see it, as a few bad windows may
+    be impacts that no start brings about; but what brings about just those is no chance.
+
+    Args:
+      before, after: the hypothesis without and with the stop, fitted on the same windows.
+    """
+    effects = after.hypothesis.effects
+    if not before.touching or not effects or effects[-1].effect != "hard_stop":
+        return False
+    if not few_bad(before) or after.pooled**2 - 1.0 > _LEFT * (before.pooled**2 - 1.0):
+        return False
+    windows = ((before.checked, after.checked), (before.fitted, after.fitted))
+    return all((other <= 1.1 * np.maximum(one, 1.0)).all() for one, other in windows)
+
+
+def few_bad(judged: Judged) -> bool:
+    """Whether a few windows are bad and the others are not."""
+    whole, typical = judged.pooled**2 - 1.0, max(judged.ratio**2 - 1.0, 0.0)
+    return whole >= max(_BAD, _FEW_BAD * typical)
 
 
 def _reaches(settings: Settings, before: Judged, after: Judged, better: bool) -> bool:
@@ -105,3 +130,9 @@ def _capped(before: Judged, judged: Judged) -> Floats:
 _CLEARLY = 5.0
 _SURELY = 10.0
 _HOPELESS = 4.0
+_BAD = 0.5
+"""Mean square beyond the noise, over all windows, above which some are bad."""
+_FEW_BAD = 3.0
+"""How many times what windows leave with the worst left out, if few are bad."""
+_LEFT = 0.35
+"""Share of it that may remain."""

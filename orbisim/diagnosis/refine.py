@@ -40,6 +40,7 @@ class Judged:
       cost: information criterion of the fit; lower is better.
       check_fit: window starts on the check windows.
       windows: those that it was fitted to. touching: whether bodies touch in the data.
+      fitted: as `checked`, of the windows that it was fitted to.
     """
 
     hypothesis: Hypothesis
@@ -51,6 +52,7 @@ class Judged:
     check_fit: Fit
     windows: Windows
     touching: bool = False
+    fitted: Floats = dataclasses.field(default_factory=lambda: np.zeros(0))
 
 
 class Judge:
@@ -119,6 +121,7 @@ class Judge:
         return Judged(
             fitted, fit, means, float(np.sqrt(square)), float(np.sqrt(pooled)),
             self._cost(fitted, fit), checked, self.fitted.windows, self.bench.contacts,
+            fit_means,
         )  # fmt: skip
 
     def _typical(self, shooter: Shooter, means: Floats, trimmed: bool = True) -> float:
@@ -171,18 +174,28 @@ class Judge:
         and the size of the difference to that, corrected linearly, and this size; infinite if it
         cannot be simulated, or if `start_from` was not called before.
         """
+        some = np.arange(len(self.fitted)) % 2 == 0 if len(self.fitted) >= _MANY else None
+        left, size = self._glanced(hypothesis, some)
+        return (np.inf if left is None else self._typical(self.fitted, left)), size
+
+    def glance_at_all(self, hypothesis: Hypothesis) -> float:
+        """As `glance`, over all windows with none left out; bad ones count by their logarithm."""
+        left, _ = self._glanced(hypothesis, None)
+        return np.inf if left is None else float(np.log1p(left).mean())
+
+    def _glanced(self, hypothesis: Hypothesis, some: Bools | None) -> tuple[Floats | None, float]:
+        """Mean square of some windows or all; None if that cannot be told; and the better size."""
         start, free = self._warm.get(id(self.fitted)), self._free.get(id(self.fitted))
         if start is None or free is None:
-            return np.inf, 1.0
-        some = np.arange(len(self.fitted)) % 2 == 0 if len(self.fitted) >= _MANY else None
+            return None, 1.0
         try:
             variant = hypothesis.variant(self.bench.scene)
             own = self._own_slopes()
             left, size = glanced(self.fitted, variant, start, free, self.robust, own, some)
         except (OrbiSimError, np.linalg.LinAlgError):
-            return np.inf, 1.0
+            return None, 1.0
         dof = np.maximum(self.fitted.data - 2 * self.fitted.nv, 1)
-        return self._typical(self.fitted, (left / dof)[slice(None) if some is None else some]), size
+        return (left / dof)[slice(None) if some is None else some], size
 
     def tried(self, hypothesis: Hypothesis) -> float:
         """What one step of a fit leaves, over all windows; with derivatives by the numbers of the

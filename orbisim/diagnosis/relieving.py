@@ -20,8 +20,9 @@ from orbisim.effects.base import index_of
 
 
 def relieved(state: SearchState, current: Judged) -> Judged | None:
-    """With the effect that a declared parameter at the end of its range stands for, if that is
-    better by the margin and no other parameter is at the end of its range then."""
+    """With the effect that a declared parameter at the end of its range stands for, if no other
+    parameter is at the end of its range then. No declared parameter is that far off: the effect
+    need not earn the margin, it must only not cost more than that."""
     found: list[Judged] = []
     state.judge.start_from(current)
     for one in strain(current.hypothesis):
@@ -32,7 +33,7 @@ def relieved(state: SearchState, current: Judged) -> Judged | None:
         judged = state.judge.judge(current.hypothesis.plus(instance), state.iterations)
         if judged is None or strain(judged.hypothesis) or not state.done(judged):
             continue
-        if judged.cost < current.cost - state.settings.margin:
+        if judged.cost < current.cost + state.settings.margin:
             found.append(judged)
     if not found:
         return None

@@ -13,9 +13,10 @@ import numpy.typing as npt
 from orbisim.diagnosis.bench import Hypothesis, clean
 from orbisim.diagnosis.consistency import doubtful
 from orbisim.diagnosis.glances import Candidate, generalizations, shortlist
-from orbisim.diagnosis.paying import unpaid
+from orbisim.diagnosis.paying import few_bad, settles, unpaid
 from orbisim.diagnosis.refine import Judged, is_structural
 from orbisim.diagnosis.screening import cleaned
+from orbisim.diagnosis.sensible import hollow
 from orbisim.diagnosis.state import NEAR, Rival, SearchState
 from orbisim.diagnosis.suspects import Screening, Suspect
 from orbisim.effects import EffectInstance, effect_names, find
@@ -26,7 +27,7 @@ def best_addition(
     state: SearchState, current: Judged, suspects: Sequence[Suspect], screening: Screening
 ) -> Judged | None:
     """The best effect to add, if any pays."""
-    found = _suspects(state, current.hypothesis, suspects, screening)
+    found = _suspects(state, current, suspects, screening)
     return _best_of(state, current, found, current.hypothesis.plus)
 
 
@@ -81,10 +82,12 @@ def _best_of(
             begun.append(candidate)
         else:
             state.rejected.append((instance, "the scene with it cannot be simulated"))
+    model = state.bench.scene.model
     fitted += generalized(state, fitted, plus, [one.instance for one in begun])
     if not fitted:
         return None
-    fitted = _ranked(_closer(state, distinct(_ranked(fitted))))
+    few = _closer(state, distinct(ranked(model, fitted, current)))
+    fitted = ranked(model, few, current)
     unpaying = [unpaid(state.settings, current, judged) for judged in fitted]
     winner, reasons = _winner(state, fitted, unpaying)
     state.rivals += [
@@ -180,6 +183,7 @@ def _winner(
     reasons: list[str] = []
     for place, (judged, reason) in enumerate(zip(fitted, unpaying, strict=True)):
         last = len(judged.hypothesis.effects) - 1
+        reason = reason or hollowed(state, judged)
         if reason is None and winner is not None:
             best = winner.hypothesis.effects[-1]
             reason = f"it explains less than {best.effect} at {best.target}"
@@ -193,6 +197,12 @@ def _winner(
             winner = judged
         reasons.append(reason or "")
     return winner, reasons
+
+
+def hollowed(state: SearchState, judged: Judged) -> str | None:
+    """Why the last effect is really another one with fewer numbers; None if it is not."""
+    last = judged.hypothesis.effects[-1]
+    return hollow(state.bench.scene.model, last, state.bench.samples)
 
 
 def _settled(current: Judged, fitted: Sequence[Judged], slow: bool) -> bool:
@@ -209,11 +219,13 @@ def _settled(current: Judged, fitted: Sequence[Judged], slow: bool) -> bool:
 
 
 def _suspects(
-    state: SearchState, hypothesis: Hypothesis, suspects: Sequence[Suspect], screening: Screening
+    state: SearchState, current: Judged, suspects: Sequence[Suspect], screening: Screening
 ) -> Iterator[Candidate]:
     """Best first; then stops, play and elasticity, which no regression sees."""
+    hypothesis = current.hypothesis
     yield from shortlist(state, hypothesis, suspects)
-    yield from (Candidate(one) for one in stops(state, hypothesis, screening.shares))
+    if not state.bench.contacts or few_bad(current):
+        yield from (Candidate(one) for one in stops(state, hypothesis, screening.shares))
     yield from (Candidate(one, slow=True) for one in _structural(state, hypothesis, screening))
 
 
@@ -242,8 +254,10 @@ def stops(
     """Stops near both ends of the travel of joints at which something is left: an impact is over
     within a sample or two, and smoothing hides it from a regression."""
     only, model = state.settings.effects, state.bench.scene.model
-    if state.bench.contacts or (only is not None and _STOP not in only):
+    if only is not None and _STOP not in only:
         return
+    glance = state.judge.glance_at_all if state.bench.contacts else state.judge.glance
+    most = glance(hypothesis) if state.bench.contacts else np.inf
     taken = {(e.effect, e.target) for e in hypothesis.effects}
     for target in find(_STOP).targets(model):
         dof = int(model.jnt_dofadr[model.joint(target).id])
@@ -254,7 +268,9 @@ def stops(
             end, travel = float((side * q).max()), float(np.ptp(q))
             places = [side * (end - depth * travel) for depth in _DEPTHS]
             ends = [EffectInstance(_STOP, target, {"position": p, "side": side}) for p in places]
-            yield min(ends, key=lambda one: state.judge.glance(hypothesis.plus(one)))
+            left = [glance(hypothesis.plus(one)) for one in ends]
+            if min(left) < most:
+                yield ends[int(np.argmin(left))]
 
 
 def _best_trial(
@@ -277,31 +293,38 @@ def _best_trial(
 
 def tied(one: Judged, other: Judged) -> bool:
     """Whether the data do not tell two hypotheses apart."""
-    return abs(one.cost - other.cost) < _TIE
+    return abs(one.cost - other.cost) < TIE
 
 
-def simpler(model: mujoco.MjModel, hypothesis: Hypothesis) -> tuple[int, list[int]]:
-    """By what of equally good hypotheses one is taken: fewest numbers, then first in the catalogue;
-    numbers that the data do not determine count too."""
-    names = effect_names()
-    effects = hypothesis.effects
-    numbers = sum(len(find(e.effect).free_parameters(model, e.target)) for e in effects)
-    return numbers, sorted(names.index(e.effect) for e in effects)
+def numbers(model: mujoco.MjModel, effects: Iterable[EffectInstance]) -> int:
+    """How many free parameters effects have; those that the data do not determine count too."""
+    return sum(len(find(one.effect).free_parameters(model, one.target)) for one in effects)
 
 
-def _ranked(fitted: Sequence[Judged]) -> list[Judged]:
-    """Best first; of those that the data do not tell apart, the first in the catalogue first."""
+def ranked(model: mujoco.MjModel, fitted: Sequence[Judged], current: Judged) -> list[Judged]:
+    """Best first, and before all a stop that settles what is bad in `current`.
+
+    Of those that the data do not tell apart, the one with the fewest numbers, then the better one,
+    as the true one more often is; and of those that cost the same to `ROUNDED`, being the same
+    physics, the first in the catalogue.
+    """
     order = {name: i for i, name in enumerate(effect_names())}
     least = min(judged.cost for judged in fitted)
 
-    def rank(judged: Judged) -> tuple[float, int]:
-        tied = judged.cost < least + _TIE
-        return (least if tied else judged.cost, order[judged.hypothesis.effects[-1].effect])
+    def rank(judged: Judged) -> tuple[bool, float, int, int, int]:
+        last = judged.hypothesis.effects[-1]
+        size = numbers(model, [last])
+        behind = round((judged.cost - least) / ROUNDED)
+        cost = least if judged.cost < least + TIE else judged.cost
+        return not settles(current, judged), cost, size, behind, order[last.effect]
 
     return sorted(fitted, key=rank)
 
 
-_TIE = 4.0
+TIE = 4.0
+"""Difference in the criterion up to which data do not tell two hypotheses apart."""
+ROUNDED = 0.05
+"""Difference in the criterion that is a matter of how far fits went."""
 _FEW = 3
 _NEARLY = 25.0
 _SHARE = 0.08

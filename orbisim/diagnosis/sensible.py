@@ -14,6 +14,8 @@ from orbisim.effects.base import index_of
 
 _MOST_LOAD_FRICTION = 0.5
 """A transmission that loses half of what it carries could not be driven backwards."""
+_FALLS = (0.01, 0.6)
+"""Where friction may fall from static to Coulomb, in units of the joint's typical velocity."""
 _BEYOND = 1.5
 """Something fixed to a body may stick out of it by half its reach."""
 
@@ -67,6 +69,28 @@ def absurd(
     if sensible(model, instance, *extent(samples)):
         return None
     return f"{instance} is nothing that this machine can have"
+
+
+def hollow(
+    model: mujoco.MjModel, instance: EffectInstance, samples: Sequence[Samples]
+) -> str | None:
+    """Why an effect is another one with fewer numbers; None if it is not.
+
+    Stribeck friction that falls at a velocity far below those of the motion is Coulomb friction,
+    and one that falls far above them is Coulomb friction with less damping.
+    """
+    if instance.effect != "stribeck_friction":
+        return None
+    dof = int(model.jnt_dofadr[index_of(model, "joint", instance.target)])
+    speed = np.concatenate([one.qvel[one.usable, dof] for one in samples])
+    low, high = (share * float(np.sqrt(np.mean(speed**2))) for share in _FALLS)
+    at = instance.values["velocity"]
+    if low <= at <= high:
+        return None
+    return (
+        f"it falls at a velocity of {at:.3g}, where hardly any motion is (root mean square "
+        f"{high / _FALLS[1]:.3g}): that is Coulomb friction"
+    )
 
 
 def reach(model: mujoco.MjModel, name: str) -> float:

@@ -19,7 +19,7 @@ from orbisim.diagnosis.retune import Tunable, tunables
 from orbisim.diagnosis.screening import missing_force, screen
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.suspects import Screening, merged
-from orbisim.effects import EffectInstance
+from orbisim.effects import EffectInstance, find
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -103,6 +103,13 @@ class SearchState:
             self.bench, self.intervals, self.tunables, self.columns, settings.windows,
             self.robust,
         )  # fmt: skip
+
+    def allowed(self, instance: EffectInstance) -> bool:
+        """Whether the search may use an effect, and its target can have it."""
+        only = self.settings.effects
+        if only is not None and instance.effect not in only:
+            return False
+        return find(instance.effect).possible(self.bench.scene.model, instance.target)
 
     def need(self, hypothesis: Hypothesis) -> Judged:
         """Judges what must be possible to simulate.

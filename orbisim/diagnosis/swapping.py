@@ -8,11 +8,12 @@ from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.consistency import doubtful
 from orbisim.diagnosis.linear import linearize
 from orbisim.diagnosis.refine import Judged, is_structural
-from orbisim.diagnosis.rounds import begin, simpler, tied
+from orbisim.diagnosis.rounds import ROUNDED, begin, hollowed, numbers, tied
 from orbisim.diagnosis.screening import cleaned, screen
 from orbisim.diagnosis.state import NEAR, Rival, SearchState
 from orbisim.diagnosis.suspects import Suspect
-from orbisim.effects import find
+from orbisim.diagnosis.twins import twins
+from orbisim.effects import EffectInstance, find
 
 
 def swapped(state: SearchState, current: Judged) -> Judged:
@@ -35,21 +36,15 @@ def swapped(state: SearchState, current: Judged) -> Judged:
 
 
 def _kindred(state: SearchState, current: Judged) -> Judged:
-    """With another effect of the family of the last one, if that does better once it is fitted to
-    the end: through contacts a round stops long before, and two kinds of drag look alike until
-    then."""
+    """With another effect of the family of the last one, or one of its `twins`, if that does better
+    once it is fitted to the end: through contacts a round stops long before, and two kinds of drag
+    look alike until then."""
     effects = current.hypothesis.effects
-    if not effects or state.done(current):
+    if not effects:
         return current
     own, best = effects[-1], current
-    family = find(own.effect).family
-    near = [
-        rival.instance
-        for rival in state.rivals
-        if rival.round == state.round and rival.instance.target == own.target
-        if family and find(rival.instance.effect).family == family
-        if rival.instance.effect != own.effect
-    ]
+    alike = [one for one in twins(state.bench.scene.model, own) if state.allowed(one)]
+    near = [*([] if state.done(current) else _family(state, own)), *alike]
     fewer = current.hypothesis.without(len(effects) - 1)
     for instance in near:
         if state.late:
@@ -58,22 +53,36 @@ def _kindred(state: SearchState, current: Judged) -> Judged:
         state.judge.start_from(current)
         judged = state.judge.judge(fewer.plus(instance), state.iterations)
         judged = None if judged is None else state.settled(judged)
-        if judged is not None and judged.cost < best.cost - state.settings.margin:
-            best = judged
+        least = ROUNDED if instance in alike else state.settings.margin
+        if judged is None or judged.cost >= best.cost - least or hollowed(state, judged):
+            continue
+        best = judged
     state.judge.start_from(best)
     if best is current:
         return current
     found = best.hypothesis.effects[-1]
     lost = f"it explains less than {found.effect} at {found.target} once both are fitted"
-    names = {own.effect: lost, found.effect: ""}
+    names = {(own.effect, own.target): lost, (found.effect, found.target): ""}
     state.rivals = [
-        dataclasses.replace(rival, reason=names[rival.instance.effect])
-        if (rival.round, rival.instance.target) == (state.round, own.target)
-        and rival.instance.effect in names
+        dataclasses.replace(rival, reason=names[key])
+        if rival.round == state.round
+        and (key := (rival.instance.effect, rival.instance.target)) in names
         else rival
         for rival in state.rivals
     ]
     return state.renewed(state.prune(best))
+
+
+def _family(state: SearchState, own: EffectInstance) -> list[EffectInstance]:
+    """Effects of the last round at the same target and of the same family."""
+    family = find(own.effect).family
+    return [
+        rival.instance
+        for rival in state.rivals
+        if rival.round == state.round and rival.instance.target == own.target
+        if family and find(rival.instance.effect).family == family
+        if rival.instance.effect != own.effect
+    ]
 
 
 def _improved(state: SearchState, current: Judged, index: int) -> Judged:
@@ -89,7 +98,7 @@ def _improved(state: SearchState, current: Judged, index: int) -> Judged:
         if instance is None or state.late:
             continue
         judged = _fitted(state, begin(state, fewer.hypothesis.plus(instance), suspect.moved), best)
-        if judged is None or not _better(state, judged, best):
+        if judged is None or not _better(state, judged, best) or hollowed(state, judged):
             continue
         if not state.pays(fewer, judged):
             continue
@@ -140,8 +149,10 @@ def _better(state: SearchState, judged: Judged, best: Judged) -> bool:
     """Whether it explains more, or as much with fewer numbers."""
     if tied(judged, best):
         model = state.bench.scene.model
-        return simpler(model, judged.hypothesis) < simpler(model, best.hypothesis)
-    return judged.cost < best.cost
+        own, other = (numbers(model, one.hypothesis.effects) for one in (judged, best))
+        if own != other:
+            return own < other
+    return judged.cost < best.cost - ROUNDED
 
 
 _AFTER = 3

@@ -17,6 +17,8 @@ from orbisim.recording.held import Held
 
 Floats = npt.NDArray[np.float64]
 
+_CLIP = 2.2
+"""Times the median size, of which a wave's crest is 1.4."""
 _PEAKS = 4
 
 
@@ -215,7 +217,11 @@ def _frequency_grid(x: Floats, against: str) -> Floats:
 
 
 def _peaks(x: Floats, y: Floats, grid: Floats) -> Floats:
-    """The strongest angular frequencies, apart from each other."""
+    """The strongest angular frequencies, apart from each other. What is far off counts no more than
+    what is a little off: a few impacts would outweigh a wave."""
+    y = y - np.median(y)
+    most = _CLIP * float(np.median(np.abs(y)))
+    y = np.clip(y, -most, most) if most > 0 else y
     y = y - y.mean()
     power = np.empty(len(grid))
     for i, frequency in enumerate(grid):

@@ -26,9 +26,22 @@ the joint's addresses in qpos and qvel."""
 
 
 class Law(JointEffect):
-    """A generalized force at a joint: a polynomial of the third degree."""
+    """A generalized force at a joint that no effect of the catalogue is."""
 
     native = False
+
+    @abc.abstractmethod
+    def beginnings(self, q: Floats) -> list[dict[str, float]]:
+        """Values to begin a fit with.
+
+        Args:
+          q: [T] positions of the joint.
+        """
+
+
+class PolynomialLaw(Law):
+    """A polynomial of the third degree."""
+
     derived: frozenset[str] = frozenset()
 
     @abc.abstractmethod
@@ -41,8 +54,11 @@ class Law(JointEffect):
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Polynomial(model, instance, self.along, self.derived)
 
+    def beginnings(self, q: Floats) -> list[dict[str, float]]:
+        return [{f"c{k}": 0.0 for k in range(_POWERS)}]
 
-class PositionLaw(Law):
+
+class PositionLaw(PolynomialLaw):
     """Of the position."""
 
     name = "law_of_position"
@@ -52,7 +68,7 @@ class PositionLaw(Law):
         return moment.qpos[:, q], np.ones(len(moment.time))
 
 
-class VelocityLaw(Law):
+class VelocityLaw(PolynomialLaw):
     """Of the velocity."""
 
     name = "law_of_velocity"
@@ -62,7 +78,7 @@ class VelocityLaw(Law):
         return moment.qvel[:, v], np.ones(len(moment.time))
 
 
-class GainLaw(Law):
+class GainLaw(PolynomialLaw):
     """Of the time, times the actuators' force at the joint."""
 
     name = "law_of_gain"
@@ -73,7 +89,49 @@ class GainLaw(Law):
         return moment.time, moment.derived["qfrc_actuator"][:, v]
 
 
-UNNAMED: tuple[type[Law], ...] = (PositionLaw, VelocityLaw, GainLaw)
+class OneSidedLaw(Law):
+    """A spring and a damper that act beyond a position only: a slack cord, a soft stop."""
+
+    name = "law_of_one_side"
+    phrase = "a spring that acts beyond a position only"
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        return (
+            Parameter("stiffness", "SI", -_LARGE, _LARGE, 0.1),
+            Parameter("damping", "SI", -_LARGE, _LARGE, 0.1),
+            Parameter("position", "SI", -_LARGE, _LARGE, 0.1),
+            Parameter("side", "1", -1.0, 1.0, 1.0),
+        )
+
+    def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
+        """All but the side."""
+        return ("stiffness", "damping", "position")
+
+    def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
+        return _OneSided(model, instance)
+
+    def beginnings(self, q: Floats) -> list[dict[str, float]]:
+        """Nothing yet, on both sides of three positions."""
+        return [
+            {"stiffness": 0.0, "damping": 0.0, "position": float(place), "side": side}
+            for place in np.quantile(q, (0.25, 0.5, 0.75))
+            for side in (1.0, -1.0)
+        ]
+
+
+UNNAMED: tuple[type[Law], ...] = (PositionLaw, VelocityLaw, GainLaw, OneSidedLaw)
+
+
+class _OneSided(Hook):
+    def __init__(self, model: mujoco.MjModel, instance: EffectInstance) -> None:
+        super().__init__(instance.values)
+        joint = index_of(model, "joint", instance.target)
+        self._q, self._v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+
+    def force(self, moment: Moment) -> None:
+        beyond = moment.qpos[:, self._q] - self.value("position")
+        push = self.value("stiffness") * beyond + self.value("damping") * moment.qvel[:, self._v]
+        moment.qfrc[:, self._v] -= np.where(self.value("side") * beyond > 0, push, 0.0)
 
 
 class _Polynomial(Hook):

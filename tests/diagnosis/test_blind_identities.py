@@ -220,9 +220,29 @@ def test_an_encoder_offset_that_carries_the_arm_is_a_turn_of_gravity() -> None:
     assert back.values["offset"] == pytest.approx(offset)
 
 
+def test_an_encoder_offset_at_an_upright_servo_is_one_of_its_motor() -> None:
+    scene, offset = asset("arm6"), 0.03
+    bias = effect("sensor_bias", "axis1", offset=offset)
+    (push,) = tool("identities").identical(bias, scene.model)
+    assert (push.effect, push.target) == ("torque_bias", "servo1")
+    start = np.zeros(2 * scene.model.nv)
+    start[:2] = 0.4, -0.3
+    seen = start.copy()
+    seen[0] += offset
+    one, two, none = (
+        motion(scene, bias, start),
+        motion(scene, push, seen),
+        motion(scene, None, seen),
+    )
+    moved = np.abs(positions(one) - positions(none)).max()
+    assert np.abs(positions(one) - positions(two)).max() < 1e-9 * moved + 1e-12
+    (back,) = tool("identities").identical(push, scene.model)
+    assert back.values["offset"] == pytest.approx(offset)
+
+
 @pytest.mark.parametrize(
     ("name", "joint"),
-    [("arm2", "elbow"), ("cart_pole", "pole"), ("servo_pendulum", "servo"), ("arm6", "axis1")],
+    [("arm2", "elbow"), ("cart_pole", "pole"), ("servo_pendulum", "servo"), ("arm6", "axis2")],
 )
 def test_other_encoder_offsets_are_nothing_else(name: str, joint: str) -> None:
     bias = effect("sensor_bias", joint, offset=0.05)

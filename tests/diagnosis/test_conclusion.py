@@ -37,9 +37,10 @@ def won_by(costs: dict[str, float], rival: Rival) -> str:
     def judge(hypothesis: Hypothesis, iterations: int) -> Any:
         return SimpleNamespace(hypothesis=hypothesis, cost=costs[hypothesis.effects[-1].effect])
 
+    moving = SimpleNamespace(qvel=np.ones((10, 1)), usable=np.ones(10, bool))
     scene = SimpleNamespace(model=mujoco.MjModel.from_xml_string(MOTOR))
     state: Any = SimpleNamespace(
-        bench=SimpleNamespace(scene=scene),
+        bench=SimpleNamespace(scene=scene, samples=[moving]),
         rivals=[Rival(DELAY, 0.0, 1.0, 1, pays=True), rival],
         settings=Settings(),
         say=lambda text: None,
@@ -58,15 +59,20 @@ def test_a_near_rival_that_is_better_on_all_windows_wins() -> None:
     assert won_by({"actuator_delay": 100.0, "actuator_lag": 80.0}, NEAR) == "actuator_lag"
 
 
-def test_it_must_be_better_by_more_than_chance() -> None:
-    assert won_by({"actuator_delay": 100.0, "actuator_lag": 98.0}, NEAR) == "actuator_delay"
+def test_it_must_be_better_by_more_than_rounding() -> None:
+    assert won_by({"actuator_delay": 100.0, "actuator_lag": 99.98}, NEAR) == "actuator_delay"
+    assert won_by({"actuator_delay": 100.0, "actuator_lag": 99.0}, NEAR) == "actuator_lag"
 
 
 def test_with_more_numbers_it_must_be_better_by_a_margin() -> None:
-    force = EffectInstance("stribeck_friction", "hinge", {"coulomb": 1.0})
+    force = EffectInstance("stribeck_friction", "hinge", {"coulomb": 1.0, "velocity": 0.1})
     rival = dataclasses.replace(NEAR, instance=force)
     assert won_by({"actuator_delay": 100.0, "stribeck_friction": 92.0}, rival) == "actuator_delay"
     assert won_by({"actuator_delay": 100.0, "stribeck_friction": 80.0}, rival) != "actuator_delay"
+    costs = {"actuator_delay": 100.0, "stribeck_friction": 8.0}
+    for velocity in (1e-4, 3.0):  # Coulomb friction by another name, in motion at 1 rad/s
+        rival = dataclasses.replace(NEAR, instance=force.replace(velocity=velocity))
+        assert won_by(costs, rival) == "actuator_delay"
 
 
 def test_those_that_do_not_pay_or_are_far_off_or_of_another_round_are_not_tried() -> None:

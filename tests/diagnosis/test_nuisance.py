@@ -12,6 +12,7 @@ from orbisim.diagnosis.nuisance import OwnColumns, levelled, own_columns
 from orbisim.diagnosis.regress import Normal, fit, normal_of
 from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.screening import screen
+from orbisim.diagnosis.view import _peaks
 from orbisim.effects import EffectInstance
 from orbisim.testing import inject_effect
 
@@ -70,3 +71,13 @@ def test_columns_of_sensors_and_of_forces(arm: orbisim.Scene) -> None:
     hidden = Hypothesis((play, DAMPING))
     assert own_columns(bench, hidden, bench.flow(hidden)).which == (1,)
     assert own_columns(bench, Hypothesis(), bench.flow(Hypothesis())).count == 0
+
+
+def test_a_wave_stands_out_among_impacts() -> None:
+    """A few samples in which something strikes must not outweigh what all others say."""
+    rng = np.random.default_rng(5)
+    angle = rng.uniform(-0.6, 0.6, 2000)
+    force = 0.5 * np.sin(19.0 * angle + 0.4) + 0.3 * rng.normal(size=2000)
+    struck = rng.choice(2000, 60, replace=False)
+    force[struck] += 40.0 * np.sin(61.0 * angle[struck]) + 10.0 * rng.normal(size=60)
+    assert abs(_peaks(angle, force, np.arange(5.0, 120.0, 0.25))[0] - 19.0) < 0.5

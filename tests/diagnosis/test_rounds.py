@@ -99,4 +99,5 @@ def test_stops_are_tried_near_both_ends_of_the_travel() -> None:
     state.settings = Settings(effects=("torque_bias",))
     assert list(stops(state, Hypothesis(), shares)) == []
     state.settings, bench.contacts = Settings(), True
-    assert list(stops(state, Hypothesis(), shares)) == []
+    state.judge.glance_at_all = lambda tried: glance(tried) if tried.effects else 1.0
+    assert [one.values for one in stops(state, Hypothesis(), shares)] == [upper.values]

@@ -11,9 +11,13 @@ import pytest
 import orbisim
 from orbisim.diagnosis.along import tame
 from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
+from orbisim.diagnosis.fits import Hints
+from orbisim.diagnosis.gauss_newton import Problem
+from orbisim.diagnosis.measurement import Measurement
 from orbisim.diagnosis.refine import Judge
 from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.shooting import Variant
 from orbisim.diagnosis.state import quiet
 from orbisim.effects import EffectInstance
 from orbisim.testing import inject_effect
@@ -39,6 +43,35 @@ def test_a_saturated_servo() -> None:
     found = judge.closer(first)
     assert found.hypothesis.effects[0].values["limit"] == pytest.approx(truth, rel=0.01)
     assert found.ratio < 1.2
+
+
+def test_starts_of_a_poor_scene_are_not_insisted_on() -> None:
+    """What starts do to make up for a limit that is not declared leads far away with it."""
+    scene = orbisim.load_scene(ASSETS / "servo_pendulum" / "scene.xml")
+    limit = 0.2 * float(np.abs(_forces(scene)).max())
+    truth = EffectInstance("torque_saturation", "servo", {"limit": limit})
+    bench = _bench(scene, truth)
+    held = Hypothesis((truth,), frozen=frozenset({(0, "limit")}))
+    judge = Judge(bench, bench.intervals)
+    cold, declared = judge.judge(held), judge.judge(Hypothesis())
+    assert cold is not None and declared is not None and declared.ratio > 20
+    far = dataclasses.replace(declared.fit, start=declared.fit.start + 0.3)
+    judge.start_from(dataclasses.replace(declared, fit=far))
+    warm = judge.judge(held)
+    assert warm is not None and warm.cost < cold.cost + 1.0
+
+
+def test_starts_may_be_readings_of_a_sensor_with_an_offset() -> None:
+    """True positions 2 and 3, read at half their size and 0.1 more."""
+    model = SimpleNamespace(nv=1)
+    measurement = Measurement(1.0, np.array([0.1, 0.0]), np.array([0.5, 0.5]), np.zeros(2))
+    shooter: Any = SimpleNamespace(nv=1, absolute=np.array([[[1.0, 0.2]], [[1.5, 0.2]]]))
+    scene: Any = SimpleNamespace(model=model)
+    problem = Problem(shooter, lambda _: Variant(scene, measurement), [], Hints(), None)
+    (found,) = problem._read(np.zeros(0), [np.array([[0.1, 0.0], [0.1, 0.0]])])
+    np.testing.assert_allclose(shooter.absolute[:, 0] + found, [[2.0, 0.4], [3.0, 0.4]])
+    plain = Problem(shooter, lambda _: Variant(scene), [], Hints(), None)
+    assert plain._read(np.zeros(0), [np.zeros((2, 2))]) == []
 
 
 def _forces(scene: orbisim.Scene) -> np.ndarray:

@@ -79,3 +79,17 @@ def test_what_mujoco_does_not_write_is_a_scene_error(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(type(find("armature")), "edit", refuse)
     with pytest.raises(SceneError, match=r"armature.*cannot be written.*A \+ B >= C"):
         add_effects(scene(), [EffectInstance("armature", "hinge", {"inertia": 0.1})])
+
+
+def test_a_law_of_one_side_acts_beyond_its_position_only() -> None:
+    values = {"stiffness": 2.0, "damping": 0.3, "position": 0.1, "side": 1.0}
+    expected = -2.0 * (0.4 - 0.1) - 0.3 * 1.5
+    assert accelerated("law_of_one_side", values, 0.4, 1.5, 0.0) == pytest.approx(
+        expected, rel=1e-6
+    )
+    assert accelerated("law_of_one_side", values, -0.2, 1.5, 0.0) == pytest.approx(0.0, abs=1e-9)
+    values["side"] = -1.0
+    expected = -2.0 * (-0.2 - 0.1) - 0.3 * 1.5
+    assert accelerated("law_of_one_side", values, -0.2, 1.5, 0.0) == pytest.approx(
+        expected, rel=1e-6
+    )

@@ -36,6 +36,8 @@ def identical(truth: EffectInstance, model: mujoco.MjModel) -> list[EffectInstan
     - On the only body of a scene, gravity of another direction is a constant force.
     - An offset of the encoder at the hinge that carries the whole mechanism is a turn of gravity
       about its axis, if nothing else depends on that angle.
+    - At a position servo of an upright hinge that carries the whole mechanism, an offset of the
+      encoder is one of the motor.
     - In a scene with one joint and one control, a delay of the one is a delay of the other.
     """
     return [one for rule in _RULES for one in rule(truth, model)]
@@ -125,6 +127,24 @@ def _turned(one: EffectInstance, model: mujoco.MjModel) -> Iterator[EffectInstan
             yield EffectInstance("sensor_bias", joint, {"offset": angle})
 
 
+def _servoed(one: EffectInstance, model: mujoco.MjModel) -> Iterator[EffectInstance]:
+    joint = mechanism.cyclic_hinge(model, servo=True)
+    if joint is None:
+        return
+    gravity, motors = np.array(model.opt.gravity), mechanism.motors(model, joint)
+    across = gravity - mechanism.axis(model, joint) * (mechanism.axis(model, joint) @ gravity)
+    if len(motors) != 1 or np.linalg.norm(across) > EXACT * np.linalg.norm(gravity):
+        return
+    motor, gear = motors[0]
+    stiffness = -gear * float(model.actuator(motor).biasprm[1])
+    if stiffness and one.effect == "sensor_bias" and one.target == joint:
+        offset = stiffness * one.values["offset"]
+        yield EffectInstance("torque_bias", motor, {"offset": offset})
+    if stiffness and one.effect == "torque_bias" and one.target == motor:
+        offset = one.values["offset"] / stiffness
+        yield EffectInstance("sensor_bias", joint, {"offset": offset})
+
+
 def _late(one: EffectInstance, model: mujoco.MjModel) -> Iterator[EffectInstance]:
     joints, actuators = mechanism.names(model, "joint"), mechanism.names(model, "actuator")
     if model.nv != 1 or model.nu != 1 or len(joints) != 1 or len(actuators) != 1:
@@ -135,7 +155,7 @@ def _late(one: EffectInstance, model: mujoco.MjModel) -> Iterator[EffectInstance
         yield EffectInstance("sensor_delay", joints[0], {"delay": one.values["delay"]})
 
 
-_RULES = (_lift, _drag, _offset, _mass, _tilt, _turned, _late)
+_RULES = (_lift, _drag, _offset, _mass, _tilt, _turned, _servoed, _late)
 
 
 def vector_of(one: EffectInstance) -> Floats:

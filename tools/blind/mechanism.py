@@ -88,18 +88,21 @@ def touches(model: mujoco.MjModel, body: str) -> bool:
     return False
 
 
-def cyclic_hinge(model: mujoco.MjModel) -> str | None:
+def cyclic_hinge(model: mujoco.MjModel, servo: bool = False) -> str | None:
     """The hinge that carries all that moves, if nothing but gravity depends on its angle.
 
     There must be no limit or spring at it, no actuator that feels its position, no equality, tendon
     or wind, and nothing that touches.
+
+    Args:
+      servo: whether a position servo may act at the hinge.
     """
     roots = [b for b in range(1, model.nbody) if model.body_weldid[b] and _hangs_on_world(model, b)]
     if len(roots) != 1 or int(model.body_jntnum[roots[0]]) != 1:
         return None
     joint = int(model.body_jntadr[roots[0]])
     free = int(model.jnt_type[joint]) == HINGE and not model.jnt_limited[joint]
-    springs = np.any(model.jnt_stiffness[joint]) or _feels_position(model, joint)
+    springs = np.any(model.jnt_stiffness[joint]) or _feels_position(model, joint, servo)
     other = model.neq or model.ntendon or np.any(model.opt.wind)
     if not free or springs or other or touches(model, model.body(roots[0]).name):
         return None
@@ -111,8 +114,12 @@ def _hangs_on_world(model: mujoco.MjModel, body: int) -> bool:
     return not model.body_weldid[int(model.body_parentid[body])]
 
 
-def _feels_position(model: mujoco.MjModel, joint: int) -> bool:
-    """Whether the force of an actuator depends on the joint's position."""
+def _feels_position(model: mujoco.MjModel, joint: int, servo: bool) -> bool:
+    """Whether the force of an actuator depends on the joint's position.
+
+    Args:
+      servo: whether one at the joint may.
+    """
     for a in range(model.nactuator):
         kinds = (int(model.actuator_gaintype[a]), int(model.actuator_biastype[a]))
         known = kinds[0] == int(mujoco.mjtGain.mjGAIN_FIXED) and kinds[1] in (
@@ -122,7 +129,7 @@ def _feels_position(model: mujoco.MjModel, joint: int) -> bool:
         at_joint = int(model.actuator_trntype[a]) == int(mujoco.mjtTrn.mjTRN_JOINT)
         own = at_joint and int(model.actuator_trnid[a, 0]) == joint
         spring = kinds[1] == int(mujoco.mjtBias.mjBIAS_AFFINE) and model.actuator_biasprm[a, 1]
-        if not at_joint or not known or (own and spring):
+        if not at_joint or not known or (own and spring and not servo):
             return True
     return False
 

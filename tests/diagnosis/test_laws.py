@@ -1,0 +1,57 @@
+"""Laws without a name that do better than named effects."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import orbisim
+from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
+from orbisim.diagnosis.consistency import inconsistency
+from orbisim.diagnosis.laws import imitated
+from orbisim.diagnosis.refine import Judge, Judged
+from orbisim.diagnosis.samples import prepare_all
+from orbisim.effects import EffectInstance
+from orbisim.effects.unnamed import OneSidedLaw
+from orbisim.testing import inject_effect
+
+SPRING = EffectInstance("joint_spring", "elbow", {"stiffness": 0.3, "rest_position": 0.0})
+CORD = EffectInstance(
+    "law_of_one_side",
+    "elbow",
+    {"stiffness": 1.5, "damping": 0.02, "position": 0.1, "side": 1.0},
+)
+
+
+def judged(
+    arm: orbisim.Scene, truth: EffectInstance, guess: Hypothesis
+) -> tuple[Bench, Judge, Judged]:
+    """A hypothesis fitted to recordings of the arm with another effect."""
+    runs = inject_effect(arm, truth, duration=6.0, episodes=3, noise=2e-4, seed=3)
+    bench = make_bench(arm, prepare_all(runs, arm), 0.5)
+    judge = Judge(bench, bench.intervals)
+    found = judge.judge(guess, 8)
+    assert found is not None
+    return bench, judge, found
+
+
+def test_a_spring_is_no_name_for_a_cord_that_pulls_on_one_side(arm: orbisim.Scene) -> None:
+    bench, judge, found = judged(arm, CORD, Hypothesis((SPRING,)))
+    assert found.ratio > 1.5
+    told = imitated(judge, found)
+    assert told is not None and "explains it much better" in told
+    told = inconsistency(bench, found, 0)
+    assert told is not None and "position" in told
+
+
+def test_a_spring_is_one(arm: orbisim.Scene) -> None:
+    bench, judge, found = judged(arm, SPRING, Hypothesis((SPRING,)))
+    assert imitated(judge, found) is None
+    assert inconsistency(bench, found, 0) is None
+    assert found.hypothesis.effects[0].values["stiffness"] == pytest.approx(0.3, rel=0.02)
+
+
+def test_a_law_of_one_side_is_fitted_from_either_side() -> None:
+    begun = OneSidedLaw().beginnings(np.linspace(-1, 3, 101))
+    assert sorted({one["position"] for one in begun}) == pytest.approx([0.0, 1.0, 2.0])
+    assert {one["side"] for one in begun} == {-1.0, 1.0}
