@@ -125,6 +125,9 @@ def main(argv: list[str] | None = None) -> int:
     running.add_argument("--tools", nargs="+", choices=TOOLS, default=list(TOOLS))
     running.add_argument("--only", nargs="+", default=[], help="names of trials or scenes")
     running.add_argument("--limit", type=int, default=0, help="so many trials, in their order")
+    running.add_argument(
+        "--first", nargs="+", default=[], help="scenes whose trials, which take longest, come first"
+    )
     running.add_argument("--sample", action="store_true", help="only the fixed few")
     running.add_argument("--timeout", type=float, default=900.0, help="s, for each diagnosis")
     running.add_argument("--peer-timeout", type=float, default=300.0, help="s, for each peer's fit")

@@ -10,7 +10,7 @@ import numpy as np
 from orbisim.diagnosis.bench import SAME, Bench, Hypothesis
 from orbisim.diagnosis.conclusion import Attribution, conclude
 from orbisim.diagnosis.joint import propose
-from orbisim.diagnosis.paying import settles, strain, unpaid
+from orbisim.diagnosis.paying import few_bad, settles, strain, unpaid
 from orbisim.diagnosis.refine import Judge, Judged
 from orbisim.diagnosis.relieving import relieved
 from orbisim.diagnosis.rounds import best_addition, best_with_retuning, numbers, tied
@@ -49,20 +49,26 @@ def _explain(state: SearchState, nothing: Judged, first: Screening) -> Judged:
         if not rivals and alone.hypothesis.effects[0].effect not in SAME:
             return alone
     tuned = state.tuned(Hypothesis())
-    if tuned is not None and _explained(state, tuned) and _outdoes(tuned, alone):
+    if tuned is not None and _explained(state, tuned) and _outdoes(nothing, tuned, alone):
         return tuned
     if alone is not None:
         other = _retuned(state, tuned, first, rivals) if rivals else None
-        if other is None or settles(other, alone) or not _preferable(state, other, alone):
+        if other is None or not _preferable(state, other, alone):
             return alone
-        return other
+        return other if _as_settled(nothing, other, alone) else alone
     return _several(state, nothing, single, tuned, first)
 
 
-def _outdoes(tuned: Judged, alone: Judged | None) -> bool:
-    """Whether retuned parameters are better than a single effect; not if that is a stop, and makes
-    the few windows good that they leave bad."""
-    return alone is None or (tuned.cost < alone.cost and not settles(tuned, alone))
+def _outdoes(nothing: Judged, tuned: Judged, alone: Judged | None) -> bool:
+    """Whether retuned parameters are better than a single effect, if there is one."""
+    if alone is None:
+        return True
+    return tuned.cost < alone.cost and _as_settled(nothing, tuned, alone)
+
+
+def _as_settled(nothing: Judged, other: Judged, alone: Judged) -> bool:
+    """Whether another explanation, too, makes the few windows good that a stop does."""
+    return not (settles(nothing, alone) and few_bad(other))
 
 
 def _several(

@@ -28,6 +28,7 @@ from orbisim.diagnosis.findings import (
     with_sensors,
 )
 from orbisim.diagnosis.force_result import diagnose_forces
+from orbisim.diagnosis.paying import few_bad
 from orbisim.diagnosis.refine import Judge
 from orbisim.diagnosis.rest import learn_rest as learn
 from orbisim.diagnosis.result import Diagnosis
@@ -149,6 +150,14 @@ def _by_motion(
             "impacts make the cost rugged: intervals of effects on contacts do not contain that; "
             "other recordings of the same thing may give numbers further apart"
         )
+    if found.after is found.before and found.bench.contacts and few_bad(found.before):
+        bad = found.before.fitted > _FAR_OFF**2
+        notes.append(
+            f"{bad.sum()} of {len(bad)} windows miss by more than {_FAR_OFF:g} times the noise (up "
+            f"to {np.sqrt(found.before.fitted.max()):.3g} times), the others do not: impacts there "
+            "may be hard to reproduce, but an effect that acts in these windows alone would not be "
+            "seen either"
+        )
     sensed = sense(found, unseen, settings, notes, say)
     result = _result(scene, named, found, settings, fit, held, window, backend, notes, sensed)
     if rest:
@@ -237,6 +246,8 @@ def _confirmed(
 
 _HELD_WINDOWS = 96
 _FELT = 1e-4
+_FAR_OFF = 1.5
+"""Residual over noise of a window that is bad where others are not."""
 _CLEARLY = 0.8
 """Share of the free-running error that an effect may leave which windows do not feel."""
 

@@ -187,8 +187,18 @@ def test_trials_and_scenes_that_are_not_there_are_errors(tmp_path: Path) -> None
 # -- the sample ------------------------------------------------------------------------------------
 
 
+def test_trials_of_some_scenes_may_come_first(tmp_path: Path) -> None:
+    for name, scene in (("t0", "arm2"), ("t1", "leg"), ("t2", "arm2"), ("t3", "puck")):
+        one = tmp_path / "trials" / name
+        one.mkdir(parents=True)
+        (one / "scene.xml").write_text(f'<mujoco model="{scene}"/>')
+    asked = settings(tmp_path, tmp_path / "out.jsonl", first=["leg", "puck"], tools=["diagnose"])
+    jobs = tool("blind.running").jobs_of(asked)
+    assert [job.trial for job in jobs] == ["t1", "t3", "t0", "t2"]
+
+
 def settings(trials: Path, out: Path, **more: Any) -> Namespace:
-    every = {"sample": False, "only": [], "limit": 0, "again": False, "workers": 2,
+    every = {"sample": False, "only": [], "first": [], "limit": 0, "again": False, "workers": 2,
              "timeout": 300.0, "peer_timeout": 20.0, "time_limit": 0.0,
              "tools": ["diagnose", "peer"]}  # fmt: skip
     return Namespace(trials=str(trials), out=str(out), **(every | more))

@@ -55,6 +55,9 @@ def jobs_of(args: argparse.Namespace) -> list[Job]:
             raise SystemExit(f"no trial or scene {unknown[0]!r} among the {len(names)} of {folder}")
         names = [n for n in names if n in args.only or scenes[n] in args.only]
     names = names[: args.limit] if args.limit else names
+    if args.first:
+        scenes = {name: _scene_of(folder / name) for name in names}
+        names.sort(key=lambda name: scenes[name] not in args.first)
     done = {
         (entry["trial"], entry["tool"])
         for entry in read_lines(Path(args.out))
