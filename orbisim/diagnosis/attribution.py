@@ -42,6 +42,7 @@ def attribute(bench: Bench, settings: Settings, say: Progress = lambda _: None) 
 def _explain(state: SearchState, nothing: Judged, first: Screening) -> Judged:
     """One effect if it is all; else declared parameters; else effects and parameters."""
     single = best_addition(state, nothing, first.suspects, first)
+    stopped = single is not None and settles(nothing, single)
     single = None if single is None else swapped(state, state.renewed(single))
     alone = single if single is not None and _sufficient(state, single) else None
     if alone is not None:
@@ -49,26 +50,25 @@ def _explain(state: SearchState, nothing: Judged, first: Screening) -> Judged:
         if not rivals and alone.hypothesis.effects[0].effect not in SAME:
             return alone
     tuned = state.tuned(Hypothesis())
-    if tuned is not None and _explained(state, tuned) and _outdoes(nothing, tuned, alone):
+    if tuned is not None and _explained(state, tuned) and _outdoes(tuned, alone, stopped):
         return tuned
     if alone is not None:
         other = _retuned(state, tuned, first, rivals) if rivals else None
         if other is None or not _preferable(state, other, alone):
             return alone
-        return other if _as_settled(nothing, other, alone) else alone
+        return alone if stopped and few_bad(other) else other
     return _several(state, nothing, single, tuned, first)
 
 
-def _outdoes(nothing: Judged, tuned: Judged, alone: Judged | None) -> bool:
-    """Whether retuned parameters are better than a single effect, if there is one."""
+def _outdoes(tuned: Judged, alone: Judged | None, stopped: bool) -> bool:
+    """Whether retuned parameters are better than a single effect, if there is one.
+
+    Args:
+      stopped: whether that is a stop, and makes the few windows good that were bad.
+    """
     if alone is None:
         return True
-    return tuned.cost < alone.cost and _as_settled(nothing, tuned, alone)
-
-
-def _as_settled(nothing: Judged, other: Judged, alone: Judged) -> bool:
-    """Whether another explanation, too, makes the few windows good that a stop does."""
-    return not (settles(nothing, alone) and few_bad(other))
+    return tuned.cost < alone.cost and not (stopped and few_bad(tuned))
 
 
 def _several(

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
 from orbisim.diagnosis.consistency import doubtful
@@ -16,6 +19,8 @@ from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.state import NEAR, Rival, SearchState
 from orbisim.diagnosis.suspects import Screening
 from orbisim.effects import EffectInstance, find
+
+Floats = npt.NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -234,9 +239,23 @@ def _needed(state: SearchState, other: Hypothesis, best: Judged) -> float:
 _DUELS = 2
 
 
-def _excess(state: SearchState, judged: Judged) -> float:
-    """Amplitude of the residual beyond the noise, in units of the noise."""
-    return _amplitude(float(np.mean(judged.checked)) - 1.0, state.robust)
+def _share_left(state: SearchState, before: Judged, after: Judged) -> float:
+    """Share of the residual's amplitude beyond the noise that is left. Where bodies touch, in the
+    typical window if the residual shows there: some impacts no start brings about, of the true
+    scene neither."""
+
+    def left(of: Callable[[Floats], Any]) -> tuple[float, float]:
+        squares = (float(of(judged.checked)) - 1.0 for judged in (before, after))
+        one, other = (_amplitude(square, state.robust) for square in squares)
+        return one, other / max(one, 1e-12)
+
+    share = left(np.mean)[1]
+    size, typical = left(np.median)
+    return min(share, typical) if state.bench.contacts and size > _SHOWS else share
+
+
+_SHOWS = 0.5
+"""Amplitude beyond the noise, in units of it, that typical windows must have had to say anything."""
 
 
 def doubt(state: SearchState, whole: Bench, before: Judged, after: Judged) -> str | None:
@@ -249,7 +268,7 @@ def doubt(state: SearchState, whole: Bench, before: Judged, after: Judged) -> st
         return None
     if not after.hypothesis.effects:
         return "declared parameters alone do not explain it"
-    left = _excess(state, after) / max(_excess(state, before), 1e-12)
+    left = _share_left(state, before, after)
     if left > state.settings.most_left:
         return f"{100 * left:.0f} % of the residual's amplitude remains"
     for index in range(len(after.hypothesis.effects)):

@@ -223,10 +223,27 @@ def _suspects(
 ) -> Iterator[Candidate]:
     """Best first; then stops, play and elasticity, which no regression sees."""
     hypothesis = current.hypothesis
+    if is_structural(hypothesis):
+        yield from _earlier(state, hypothesis)
     yield from shortlist(state, hypothesis, suspects)
     if not state.bench.contacts or few_bad(current):
         yield from (Candidate(one) for one in stops(state, hypothesis, screening.shares))
     yield from (Candidate(one, slow=True) for one in _structural(state, hypothesis, screening))
+
+
+def _earlier(state: SearchState, hypothesis: Hypothesis) -> Iterator[Candidate]:
+    """The best of the first round: an added joint, whose state nothing reads, hides what else is
+    missing from a regression, and the first round saw it."""
+    taken = {(e.effect, e.target) for e in hypothesis.effects}
+    first = [rival for rival in state.rivals if rival.round == 1]
+    kept = 0
+    for rival in sorted(first, key=lambda rival: rival.delta_bic):
+        own = rival.instance
+        if (own.effect, own.target) in taken or find(own.effect).structural or kept == _FEW:
+            continue
+        taken.add((own.effect, own.target))
+        kept += 1
+        yield Candidate(own)
 
 
 def _structural(
