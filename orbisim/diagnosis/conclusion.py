@@ -255,7 +255,7 @@ def _share_left(state: SearchState, before: Judged, after: Judged) -> float:
 
 
 _SHOWS = 0.5
-"""Amplitude beyond the noise, in units of it, that typical windows must have had to say anything."""
+"""Amplitude beyond the noise, in units of it, that typical windows must have had to tell."""
 
 
 def doubt(state: SearchState, whole: Bench, before: Judged, after: Judged) -> str | None:

@@ -70,7 +70,7 @@ class _Filter:
         self.bound, self.hidden, self.rows = bound, hidden, rows
         self.qpos, self.qvel = qpos, qvel
         self.model = _driven(bound)
-        self.data = mujoco.MjData(self.model)
+        self.data, self.trial = mujoco.MjData(self.model), mujoco.MjData(self.model)
         self.longest = float(self.model.opt.timestep)
         nv = self.model.nv
         unread = np.zeros(nv, bool)
@@ -134,11 +134,9 @@ class _Filter:
         data.ctrl[:] = self.bound.ctrl[before]
         force = np.nan_to_num(self.bound.torque[before])
         data.qfrc_applied[:] = np.where(self.bound.applied, force, 0.0)
-        size = 2 * nv + model.na
-        one, every = np.zeros((size, size)), np.eye(2 * nv)
+        every = np.eye(2 * nv)
         for _ in range(count):
-            mujoco.mjd_transitionFD(model, data, _EPS, False, one, None, None, None)
-            every = one[: 2 * nv, : 2 * nv] @ every
+            every = self._transition() @ every
             mujoco.mj_step(model, data)
         if not (np.isfinite(data.qpos).all() and np.isfinite(every).all()):
             mujoco.mj_resetData(model, data)
@@ -151,6 +149,33 @@ class _Filter:
         grown = 0.5 * (grown + grown.T)
         grown[range(nv, 2 * nv), range(nv, 2 * nv)] += self.process * duration
         return np.asarray(grown)
+
+    def _transition(self) -> Floats:
+        """[2 nv, 2 nv]: derivatives of the next state by this one; what is in delay buffers, which
+        `mjd_transitionFD` does not support, stays as it is."""
+        model, nv = self.model, self.model.nv
+        size = 2 * nv + model.na
+        found = np.zeros((size, size))
+        if not model.nhistory:
+            mujoco.mjd_transitionFD(model, self.data, _EPS, False, found, None, None, None)
+            return found[: 2 * nv, : 2 * nv]
+        base = self._stepped(np.zeros(2 * nv))
+        for column in range(2 * nv):
+            moved = self._stepped(_EPS * np.eye(2 * nv)[column])
+            change = np.zeros(nv)
+            mujoco.mj_differentiatePos(model, change, _EPS, base[: model.nq], moved[: model.nq])
+            found[:nv, column] = change
+            found[nv : 2 * nv, column] = (moved[model.nq :] - base[model.nq :]) / _EPS
+        return found[: 2 * nv, : 2 * nv]
+
+    def _stepped(self, move: Floats) -> Floats:
+        """Positions and velocities [nq + nv] a timestep after the state moved by [2 nv]."""
+        model, nv, data = self.model, self.model.nv, self.trial
+        mujoco.mj_copyData(data, model, self.data)
+        mujoco.mj_integratePos(model, data.qpos, move[:nv], 1.0)
+        data.qvel[:] += move[nv:]
+        mujoco.mj_step(model, data)
+        return np.concatenate([data.qpos, data.qvel])
 
     def _correct(self, row: int, spread: Floats) -> Floats:
         """Moves the state towards what was read."""

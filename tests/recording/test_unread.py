@@ -57,6 +57,13 @@ def test_an_added_lag_is_carried_too(arm: orbisim.Scene) -> None:
     assert found.rms < 8 * NOISE
 
 
+def test_a_late_motor_is_no_obstacle(arm: orbisim.Scene) -> None:
+    """MuJoCo has no derivatives of a scene with delay buffers."""
+    effects = [HIDDEN[2], EffectInstance("actuator_delay", "elbow", {"delay": 0.02})]
+    found = orbisim.replay(add_effects(arm, effects), _run(arm, *effects))
+    assert found.rms < 8 * NOISE
+
+
 def test_nothing_after_a_sample_tells_the_state_there(arm: orbisim.Scene) -> None:
     effect, border = HIDDEN[0], 120
     run, true = _run(arm, effect), add_effects(arm, [effect])
