@@ -12,7 +12,7 @@ from orbisim.diagnosis.conclusion import Attribution, conclude
 from orbisim.diagnosis.joint import propose
 from orbisim.diagnosis.paying import few_bad, settles, strain, unpaid
 from orbisim.diagnosis.refine import Judge, Judged
-from orbisim.diagnosis.relieving import relieved
+from orbisim.diagnosis.relieving import gathered, relieved
 from orbisim.diagnosis.rounds import best_addition, best_with_retuning, numbers, tied
 from orbisim.diagnosis.screening import cleaned
 from orbisim.diagnosis.settings import Settings
@@ -51,7 +51,7 @@ def _explain(state: SearchState, nothing: Judged, first: Screening) -> Judged:
             return alone
     tuned = state.tuned(Hypothesis())
     if tuned is not None and _explained(state, tuned) and _outdoes(tuned, alone, stopped):
-        return tuned
+        return gathered(state, tuned)
     if alone is not None:
         other = _retuned(state, tuned, first, rivals) if rivals else None
         if other is None or not _preferable(state, other, alone):
@@ -250,7 +250,7 @@ def _forward(state: SearchState, start: Judged, base: Judged, first: Screening) 
 def _add_all(state: SearchState, current: Judged) -> Judged:
     while len(current.hypothesis.effects) < state.settings.most_effects and not state.late:
         if _explained(state, current):
-            return current
+            return gathered(state, current)
         other = relieved(state, current) if state.done(current) else None
         if other is not None:
             current = state.renewed(state.prune(other))

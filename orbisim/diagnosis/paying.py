@@ -20,7 +20,12 @@ def enough(settings: Settings, judged: Judged) -> float:
 
 def strain(hypothesis: Hypothesis) -> list[Tunable]:
     """Declared parameters that are as far off as they may be: those are effects, then."""
-    return [one for one, factor in hypothesis.factors if abs(factor - 1) > 0.9 * REACH]
+    return [one for one, factor in hypothesis.factors if far_off(factor)]
+
+
+def far_off(factor: float) -> bool:
+    """Whether no declared parameter is off by such a factor."""
+    return abs(factor - 1) > 0.9 * REACH
 
 
 def unpaid(settings: Settings, before: Judged, after: Judged) -> str | None:

@@ -7,12 +7,14 @@ anything more; but one of them ends at the limit of its range.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 
 from orbisim.diagnosis.bench import SAME
-from orbisim.diagnosis.paying import strain
+from orbisim.diagnosis.paying import far_off, strain
 from orbisim.diagnosis.refine import Judged
 from orbisim.diagnosis.retune import Tunable
+from orbisim.diagnosis.rounds import ROUNDED
 from orbisim.diagnosis.screening import bounded_instance
 from orbisim.diagnosis.state import Rival, SearchState
 from orbisim.effects import EffectInstance
@@ -35,8 +37,40 @@ def relieved(state: SearchState, current: Judged) -> Judged | None:
             continue
         if judged.cost < current.cost + state.settings.margin:
             found.append(judged)
-    if not found:
-        return None
+    return _first_of(state, found) if found else None
+
+
+def gathered(state: SearchState, tuned: Judged) -> Judged:
+    """One gain far off instead of several declared parameters a little off, if that is better: a
+    motor a tenth too weak is shared out among its gain, masses and dampings.
+
+    Args:
+      tuned: an explanation in which declared parameters are retuned.
+    """
+    factors = dict(tuned.hypothesis.factors)
+    far = [one for one, factor in factors.items() if abs(factor - 1) > _A_LITTLE]
+    gains = sorted((one for one in far if one.kind == "gain"), key=lambda o: -abs(factors[o] - 1))
+    found: list[Judged] = []
+    for one in gains[:_FEW] if len(far) > 1 else ():
+        instance = meant(state, one, factors[one])
+        if instance is None or state.late:
+            continue
+        state.say(f"fitting {instance.effect} at {instance.target} instead of several parameters")
+        start = tuned.hypothesis.plus(instance)
+        anew = tuple((other, 1.0) for other, _ in start.factors)
+        state.judge.start_from(tuned)
+        judged = state.judge.judge(dataclasses.replace(start, factors=anew), state.iterations)
+        if judged is None or strain(judged.hypothesis) or not state.done(judged):
+            continue
+        gain = judged.hypothesis.effects[-1].values["gain"]
+        if far_off(gain) and judged.cost < tuned.cost - ROUNDED:
+            found.append(judged)
+    state.judge.start_from(tuned)
+    return _first_of(state, found) if found else tuned
+
+
+def _first_of(state: SearchState, found: list[Judged]) -> Judged:
+    """The best; all are kept as rivals of one round."""
     state.round += 1
     found.sort(key=lambda judged: judged.cost)
     for judged in found:
@@ -45,6 +79,11 @@ def relieved(state: SearchState, current: Judged) -> Judged | None:
         behind = judged.cost - found[0].cost
         state.rivals.append(Rival(last, behind, judged.ratio, state.round, reason, pays=True))
     return found[0]
+
+
+_A_LITTLE = 0.015
+"""Deviation from 1 of a factor that may be part of what an effect does."""
+_FEW = 3
 
 
 def meant(state: SearchState, one: Tunable, factor: float) -> EffectInstance | None:

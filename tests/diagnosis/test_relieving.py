@@ -13,7 +13,7 @@ import orbisim
 from orbisim.diagnosis.bench import Hypothesis, make_bench
 from orbisim.diagnosis.paying import strain
 from orbisim.diagnosis.refine import Judge
-from orbisim.diagnosis.relieving import meant, relieved
+from orbisim.diagnosis.relieving import gathered, meant, relieved
 from orbisim.diagnosis.retune import REACH, Tunable, retuned, tunables
 from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.settings import Settings
@@ -94,6 +94,25 @@ def test_a_gain_that_all_others_make_up_for_is_named(arm: orbisim.Scene) -> None
     masses_now = dict(found.hypothesis.factors)[masses[0]]
     assert effect.values["gain"] / masses_now == pytest.approx(0.87, rel=0.01)
     assert [r.instance.effect for r in state.rivals] == ["torque_gain"]
+
+
+def test_a_gain_that_several_parameters_share_is_named(arm: orbisim.Scene) -> None:
+    """No factor is at its limit, and yet masses, dampings and gains moved together."""
+    gain = Tunable("gain", "elbow")
+    for factor, named in ((1.12, True), (1.04, False)):
+        runs = inject_effect(retuned(arm, {gain: factor}), [], duration=4.0, episodes=2,
+                             noise=5e-4, seed=4)  # fmt: skip
+        bench = make_bench(arm, prepare_all(runs, arm), 0.5)
+        state = SearchState(bench, Settings(), lambda _: None)
+        state.find_tunables()
+        tuned = state.tuned(Hypothesis())
+        assert tuned is not None and state.done(tuned)
+        found = gathered(state, tuned)
+        assert (found is not tuned) == named
+        if named:
+            (effect,) = found.hypothesis.effects
+            assert (effect.effect, effect.target) == ("torque_gain", "elbow")
+            assert effect.values["gain"] == pytest.approx(1.12, rel=0.03)
 
 
 def test_nothing_is_relieved_without_strain(arm: orbisim.Scene) -> None:
