@@ -117,12 +117,14 @@ def generalized(
             for values in find(own.effect).generalized(model, other, own.values)[:1]:
                 start = plus(dataclasses.replace(own, values=dict(values)))
                 found.append(state.judge.judge(start, state.iterations))
-    ranked = sorted(fitted, key=lambda judged: judged.cost)[:_FEW]
-    if not ranked or state.done(ranked[0]):
-        return [judged for judged in found if judged is not None]
+    best = sorted(fitted, key=lambda judged: judged.cost)[:_FEW]
+    done = bool(best) and state.done(best[0])
     tried = {(one.effect, one.target) for one in begun}
-    for special in ranked:
-        every = generalizations(state, special.hypothesis.effects[-1])
+    for special in best[:1] if done else best:
+        own = special.hypothesis.effects[-1]
+        every = generalizations(state, own)
+        if done:  # what explains all gives way only to what needs fewer numbers
+            every = [one for one in every if numbers(model, [one]) < numbers(model, [own])]
         more = [one for one in every if (one.effect, one.target) not in tried]
         tried.update((one.effect, one.target) for one in more)
         for _, same in itertools.groupby(more, key=lambda one: one.effect):

@@ -38,6 +38,7 @@ def sentence(diagnosis: Diagnosis) -> str:
     what = " and ".join(described(effect) for effect in diagnosis.effects)
     if not what:
         named = ", ".join(f"{t.label} by {100 * (t.factor - 1):+.1f} %" for t in diagnosis.retuned)
+        named = named or "several together, none of them clearly"
         what = f"no effect is missing, but declared parameters are off ({named})"
     rest = "" if verdict == "explained" else "; something structured remains"
     return (

@@ -272,6 +272,19 @@ def test_the_best_effect_that_leaves_much_is_generalized(hammer: orbisim.Scene) 
     assert count(9.0, ("com_offset", "torque_bias")) == 0
 
 
+def test_what_explains_all_gives_way_to_fewer_numbers_only(hammer: orbisim.Scene) -> None:
+    """A payload at a distance, and nothing is left: an offset of the centre of mass may do."""
+    place = {"com_x": 0.3, "com_y": -0.1, "com_z": 0.05}
+    load = EffectInstance("payload", "head", {"mass": 0.02, **place})
+    state, begun = searching(hammer)
+    state.judge.glance = lambda hypothesis: 1.0
+    generalized(
+        state, [fitted(load, 20.0, 1.0), fitted(BIAS, 30.0)], Hypothesis().plus, [load, BIAS]
+    )
+    assert [one.effect for one in begun] == ["com_offset"]
+    assert begun[0].values["x"] > 0 > begun[0].values["y"]
+
+
 def searching(scene: orbisim.Scene) -> tuple[Any, list[EffectInstance]]:
     """What `generalized` reads of a search, and the effects that were fitted."""
     begun: list[EffectInstance] = []
