@@ -79,7 +79,7 @@ def conclude(state: SearchState, current: Judged, first: Screening | None) -> At
     else:
         problem = doubt(state, whole, before, after)
         if problem is None and not state.bench.contacts:
-            problem = imitated(judge, after)
+            problem = imitated(judge, after, state.settings.margin)
         if problem is not None:
             state.rejected += [(effect, problem) for effect in after.hypothesis.effects]
             after = before

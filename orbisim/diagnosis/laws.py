@@ -10,7 +10,6 @@ import numpy as np
 
 from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.refine import Judge, Judged
-from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.state import NEAR
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.base import index_of, names_of_kind
@@ -25,7 +24,7 @@ _BENT: dict[str, tuple[type[Law], ...]] = {"joint_spring": (PositionLaw, OneSide
 """Laws of which an effect is the straight case."""
 
 
-def imitated(judge: Judge, found: Judged, margin: float = Settings().margin) -> str | None:
+def imitated(judge: Judge, found: Judged, margin: float) -> str | None:
     """What effects imitate: several, if a single law at one of their joints costs no more; one that
     leaves more than noise, if a law of which it is the straight case leaves half of that.
 

@@ -276,7 +276,7 @@ def stops(
     if only is not None and _STOP not in only:
         return
     glance = state.judge.glance_at_all if state.bench.contacts else state.judge.glance
-    most = glance(hypothesis) if state.bench.contacts else np.inf
+    most = glance(hypothesis) if state.bench.contacts else 0.0
     taken = {(e.effect, e.target) for e in hypothesis.effects}
     for target in find(_STOP).targets(model):
         dof = int(model.jnt_dofadr[model.joint(target).id])
@@ -288,7 +288,7 @@ def stops(
             places = [side * (end - depth * travel) for depth in _DEPTHS]
             ends = [EffectInstance(_STOP, target, {"position": p, "side": side}) for p in places]
             left = [glance(hypothesis.plus(one)) for one in ends]
-            if min(left) < most:
+            if not state.bench.contacts or min(left) < most:
                 yield ends[int(np.argmin(left))]
 
 

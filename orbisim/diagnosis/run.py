@@ -29,7 +29,7 @@ from orbisim.diagnosis.findings import (
 )
 from orbisim.diagnosis.force_result import diagnose_forces
 from orbisim.diagnosis.paying import few_bad
-from orbisim.diagnosis.refine import Judge
+from orbisim.diagnosis.refine import Judge, Judged
 from orbisim.diagnosis.rest import learn_rest as learn
 from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.samples import prepare_all
@@ -151,13 +151,7 @@ def _by_motion(
             "other recordings of the same thing may give numbers further apart"
         )
     if found.after is found.before and found.bench.contacts and few_bad(found.before):
-        bad = found.before.fitted > _FAR_OFF**2
-        notes.append(
-            f"{bad.sum()} of {len(bad)} windows miss by more than {_FAR_OFF:g} times the noise (up "
-            f"to {np.sqrt(found.before.fitted.max()):.3g} times), the others do not: impacts there "
-            "may be hard to reproduce, but an effect that acts in these windows alone would not be "
-            "seen either"
-        )
+        notes.append(bad_windows(found.before))
     sensed = sense(found, unseen, settings, notes, say)
     result = _result(scene, named, found, settings, fit, held, window, backend, notes, sensed)
     if rest:
@@ -171,6 +165,17 @@ def _by_motion(
         hint = "the forces at all joints are known: residual='force' explains them instead"
         result = dataclasses.replace(result, notes=(*result.notes, hint))
     return result
+
+
+def bad_windows(declared: Judged) -> str:
+    """What to say where a few windows are bad and nothing accounts for them."""
+    left = np.concatenate([declared.fitted, declared.checked])
+    return (
+        f"{(left > _FAR_OFF**2).sum()} of {len(left)} windows miss by more than {_FAR_OFF:g} times "
+        f"the noise (up to {np.sqrt(left.max()):.3g} times), the others do not: impacts there may "
+        "be hard to reproduce, but an effect that acts in these windows alone would not be seen "
+        "either"
+    )
 
 
 def _forces_known(bench: Bench) -> bool:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
+import mujoco
+
 from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.consistency import doubtful
 from orbisim.diagnosis.linear import linearize
@@ -13,7 +15,7 @@ from orbisim.diagnosis.screening import cleaned, screen
 from orbisim.diagnosis.state import NEAR, Rival, SearchState
 from orbisim.diagnosis.suspects import Suspect
 from orbisim.diagnosis.twins import twins
-from orbisim.effects import EffectInstance, find
+from orbisim.effects import EffectInstance, effect_names, find
 
 
 def swapped(state: SearchState, current: Judged) -> Judged:
@@ -146,13 +148,18 @@ def _rivals(state: SearchState, current: Judged, fewer: Judged, index: int) -> l
 
 
 def _better(state: SearchState, judged: Judged, best: Judged) -> bool:
-    """Whether it explains more, or as much with fewer numbers."""
-    if tied(judged, best):
-        model = state.bench.scene.model
-        own, other = (numbers(model, one.hypothesis.effects) for one in (judged, best))
-        if own != other:
-            return own < other
-    return judged.cost < best.cost - ROUNDED
+    """Whether it explains more, or as much with fewer numbers; with as many, an effect that was
+    found stays, unless the other comes before it in the catalogue."""
+    if not tied(judged, best):
+        return judged.cost < best.cost
+    model = state.bench.scene.model
+    return _simplicity(model, judged) < _simplicity(model, best)
+
+
+def _simplicity(model: mujoco.MjModel, judged: Judged) -> tuple[int, list[int]]:
+    """How many numbers the effects have, and where they stand in the catalogue."""
+    names, effects = effect_names(), judged.hypothesis.effects
+    return numbers(model, effects), sorted(names.index(one.effect) for one in effects)
 
 
 _AFTER = 3

@@ -199,6 +199,17 @@ def test_drag_and_damping_of_another_power_are_not_the_same() -> None:
 # -- measurements ----------------------------------------------------------------------------------
 
 
+def read_alike(
+    scene: Scene, bias: EffectInstance, start: np.ndarray, other: EffectInstance, seen: np.ndarray
+) -> bool:
+    """Whether an encoder's offset from one start reads as another effect does from where it seems
+    to start."""
+    one, two = motion(scene, bias, start), motion(scene, other, seen)
+    none = motion(scene, None, seen)
+    moved = np.abs(positions(one) - positions(none)).max()
+    return bool(np.abs(positions(one) - positions(two)).max() < 1e-9 * moved + 1e-12)
+
+
 def test_an_encoder_offset_that_carries_the_arm_is_a_turn_of_gravity() -> None:
     scene, offset = asset("arm2"), 0.06
     bias = effect("sensor_bias", "shoulder", offset=offset)
@@ -207,13 +218,7 @@ def test_an_encoder_offset_that_carries_the_arm_is_a_turn_of_gravity() -> None:
     assert turn.values["angle"] == pytest.approx(np.degrees(offset))
     start = np.array([0.4, -0.3, 0.2, 0.1])
     seen = start + np.array([offset, 0, 0, 0])
-    one, two, none = (
-        motion(scene, bias, start),
-        motion(scene, turn, seen),
-        motion(scene, None, seen),
-    )
-    moved = np.abs(positions(one) - positions(none)).max()
-    assert np.abs(positions(one) - positions(two)).max() < 1e-9 * moved + 1e-12
+    assert read_alike(scene, bias, start, turn, seen)
     (back,) = (
         e for e in tool("identities").identical(turn, scene.model) if e.effect == "sensor_bias"
     )
@@ -229,13 +234,7 @@ def test_an_encoder_offset_at_an_upright_servo_is_one_of_its_motor() -> None:
     start[:2] = 0.4, -0.3
     seen = start.copy()
     seen[0] += offset
-    one, two, none = (
-        motion(scene, bias, start),
-        motion(scene, push, seen),
-        motion(scene, None, seen),
-    )
-    moved = np.abs(positions(one) - positions(none)).max()
-    assert np.abs(positions(one) - positions(two)).max() < 1e-9 * moved + 1e-12
+    assert read_alike(scene, bias, start, push, seen)
     (back,) = tool("identities").identical(push, scene.model)
     assert back.values["offset"] == pytest.approx(offset)
 

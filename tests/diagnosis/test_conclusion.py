@@ -10,7 +10,7 @@ import pytest
 
 import orbisim
 from orbisim.diagnosis.bench import Hypothesis, make_bench
-from orbisim.diagnosis.conclusion import duel, on_contacts, rescaled, scanned
+from orbisim.diagnosis.conclusion import doubt, duel, on_contacts, rescaled, scanned
 from orbisim.diagnosis.refine import Judge
 from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.settings import Settings
@@ -139,3 +139,32 @@ def test_through_impacts_other_sizes_of_a_contact_effect_are_tried(begin: float)
     assert scanned(state, judge, after) is after and not on_contacts(state, after)
     bench.contacts, after.ratio = True, 1.2
     assert scanned(state, judge, after) is after
+
+
+def left(before: list[float], after: list[float], contacts: bool) -> str | None:
+    """Why an explanation that leaves these mean squares of windows is none."""
+    state: Any = SimpleNamespace(
+        robust=None, settings=Settings(), bench=SimpleNamespace(contacts=contacts)
+    )
+    one: Any = SimpleNamespace(checked=np.array(before))
+    held = Hypothesis((LAG,), frozen=frozenset({(0, "time_constant")}))
+    other: Any = SimpleNamespace(
+        checked=np.array(after), ratio=3.0, hypothesis=held,
+        fit=SimpleNamespace(per_window=np.zeros(1)),
+    )  # fmt: skip
+    whole: Any = SimpleNamespace(scene=orbisim.load_scene(MOTOR), samples=[TURNING])
+    return doubt(state, whole, one, other)
+
+
+TURNING: Any = SimpleNamespace(
+    time=np.array([0.0, 1.0]), absolute=np.zeros((2, 2)), usable=np.ones(2, bool)
+)
+
+
+def test_where_bodies_touch_the_typical_window_says_what_is_left() -> None:
+    """Impacts that no start brings about are in a third of the windows."""
+    before, after = [20.0, 22.0, 30.0], [1.0, 1.1, 24.0]
+    assert "remains" in str(left(before, after, contacts=False))
+    assert left(before, after, contacts=True) is None
+    assert "remains" in str(left([1.0, 1.1, 30.0], [1.0, 1.1, 24.0], contacts=True))  # few were bad
+    assert "remains" in str(left(before, [12.0, 13.0, 14.0], contacts=True))

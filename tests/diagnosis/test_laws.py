@@ -11,6 +11,7 @@ from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.laws import imitated
 from orbisim.diagnosis.refine import Judge, Judged
 from orbisim.diagnosis.samples import prepare_all
+from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
 from orbisim.effects.unnamed import OneSidedLaw
 from orbisim.testing import inject_effect
@@ -38,7 +39,7 @@ def judged(
 def test_a_spring_is_no_name_for_a_cord_that_pulls_on_one_side(arm: orbisim.Scene) -> None:
     bench, judge, found = judged(arm, CORD, Hypothesis((SPRING,)))
     assert found.ratio > 1.5
-    told = imitated(judge, found)
+    told = imitated(judge, found, Settings().margin)
     assert told is not None and "explains it much better" in told
     told = inconsistency(bench, found, 0)
     assert told is not None and "position" in told
@@ -46,7 +47,7 @@ def test_a_spring_is_no_name_for_a_cord_that_pulls_on_one_side(arm: orbisim.Scen
 
 def test_a_spring_is_one(arm: orbisim.Scene) -> None:
     bench, judge, found = judged(arm, SPRING, Hypothesis((SPRING,)))
-    assert imitated(judge, found) is None
+    assert imitated(judge, found, Settings().margin) is None
     assert inconsistency(bench, found, 0) is None
     assert found.hypothesis.effects[0].values["stiffness"] == pytest.approx(0.3, rel=0.02)
 

@@ -9,8 +9,9 @@ import pytest
 import orbisim
 from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.glances import Candidate, usual, varied
-from orbisim.diagnosis.rounds import distinct, stops
+from orbisim.diagnosis.rounds import _earlier, distinct, stops
 from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.state import Rival
 from orbisim.effects import EffectInstance
 
 SCENE = """
@@ -101,3 +102,21 @@ def test_stops_are_tried_near_both_ends_of_the_travel() -> None:
     state.settings, bench.contacts = Settings(), True
     state.judge.glance_at_all = lambda tried: glance(tried) if tried.effects else 1.0
     assert [one.values for one in stops(state, Hypothesis(), shares)] == [upper.values]
+
+
+def test_beside_an_added_joint_the_best_of_the_first_round_are_tried() -> None:
+    """No regression sees them any more."""
+    play = EffectInstance("backlash", "first", {"width": 0.02})
+    damping = EffectInstance("viscous_damping", "first", {"coefficient": 0.1})
+    soft = EffectInstance("joint_flexibility", "first", {"stiffness": 9.0, "damping": 0.1})
+    rivals = [
+        Rival(damping.replace(coefficient=0.2), 9.0, 2.0, 2),
+        Rival(soft, 1.0, 2.0, 1),
+        Rival(payload(0.1), 5.0, 2.0, 1),
+        Rival(damping, 2.0, 2.0, 1),
+        Rival(play, 0.0, 2.0, 1),
+    ]
+    state: Any = SimpleNamespace(rivals=rivals)
+    found = [one.instance for one in _earlier(state, Hypothesis((play,)))]
+    assert [one.effect for one in found] == ["viscous_damping", "payload"]
+    assert found[0].values["coefficient"] == 0.1

@@ -13,6 +13,7 @@ import orbisim
 from orbisim.diagnosis.bench import Hypothesis, make_bench
 from orbisim.diagnosis.paying import unpaid
 from orbisim.diagnosis.rounds import ranked
+from orbisim.diagnosis.run import bad_windows
 from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.state import Rival, SearchState
@@ -164,6 +165,13 @@ def test_it_stays_where_the_other_is_no_better_or_nothing_is_left() -> None:
     assert state.rivals[0].reason == ""
     found, state = exchanged({"quadratic_drag": 30.0}, done=True)
     assert found == ["payload", "linear_drag"] and state.fitted == []
+
+
+def test_what_is_bad_in_few_windows_is_said() -> None:
+    declared: Any = SimpleNamespace(fitted=np.array([1.0, 36.0]), checked=np.array([0.9, 4.0]))
+    assert bad_windows(declared).startswith(
+        "2 of 4 windows miss by more than 1.5 times the noise (up to 6 times)"
+    )
 
 
 def test_offsets_at_a_servo_are_twins() -> None:
