@@ -136,11 +136,19 @@ def _preferable(state: SearchState, one: Judged, other: Judged) -> bool:
 
 def _rivals(state: SearchState, single: Judged) -> list[EffectInstance]:
     """Other effects that do nearly as well as the best with no more numbers: as long as parameters
-    are as declared, which one is better may be a matter of those."""
+    are as declared, which one is better may be a matter of those. Where the best is one that is
+    also declared, a mass, they are the parameters that may be off: then every simpler one counts.
+    """
     model, best = state.bench.scene.model, single.hypothesis.effects[0]
-
-    near = (r.instance for r in state.rivals if r.round == 1 and 0 < r.delta_bic < _NEARLY)
-    return [one for one in near if numbers(model, [one]) <= numbers(model, [best])][:_FEW]
+    most = numbers(model, [best])
+    first = [r for r in state.rivals if r.round == 1 and r.delta_bic > 0]
+    near = [r.instance for r in first if r.delta_bic < _NEARLY]
+    found = [one for one in near if numbers(model, [one]) <= most][:_FEW]
+    if best.effect not in SAME or state.bench.contacts:
+        return found
+    simpler = [r.instance for r in first if r.pays and numbers(model, [r.instance]) < most]
+    simpler.sort(key=lambda one: numbers(model, [one]))
+    return [*(one for one in found if one not in simpler), *simpler][:_SIMPLER]
 
 
 def _excess(judged: Judged) -> float:
@@ -277,3 +285,4 @@ _TRACE = 0.1
 """Share of the declared scene's mean square beyond the noise that they may leave besides."""
 _NEARLY = 130.0
 _FEW = 2
+_SIMPLER = 8

@@ -125,14 +125,15 @@ _TO_SIGMA = 1.4826
 def _finally(
     state: SearchState, judge: Judge, known: Judged, hypothesis: Hypothesis
 ) -> Judged | None:
-    """A hypothesis fitted on all windows.
+    """A hypothesis fitted on all windows, with what some of them alone did not determine.
 
     Args:
       known: what has windows' starts close to the hypothesis' own.
     """
     if state.bench.contacts:  # a start from nothing takes long
         judge.start_from(known, state.bench.fit)
-    return judge.judge(hypothesis, 8 if hypothesis.effects else 5)
+    anew = dataclasses.replace(hypothesis, frozen=frozenset())
+    return judge.judge(anew, 8 if hypothesis.effects else 5)
 
 
 def duel(state: SearchState, judge: Judge, after: Judged) -> Judged:

@@ -240,7 +240,7 @@ class Problem:
         active: Bools,
     ) -> Trial | None:
         """The first step, ever shorter, that lowers the cost; windows it worsens stay behind."""
-        for _ in range(5):
+        for _ in range(_SHORTER):
             step, moves = self._step(here, slopes, free, damping, brakes)
             values = np.clip(here.values + step, self.low, self.high)
             try:
@@ -458,6 +458,9 @@ def least_squares(matrix: Floats, wanted: Floats, brakes: Floats) -> Floats:
 
 
 _START_STEP = 1e-6
+_SHORTER = 7
+"""How many steps are tried, each damped ten times as much: friction that makes a joint stick hardly
+grows where it does not yet, so that the first may be ten times too long."""
 _REFUSED = 100.0
 """By how much a step is damped that leads to no possible scene."""
 _STALE = 0.1

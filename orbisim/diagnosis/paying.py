@@ -35,7 +35,7 @@ def unpaid(settings: Settings, before: Judged, after: Judged) -> str | None:
       before, after: the hypothesis without and with the effect, fitted on the same windows.
     """
     gain = before.cost - after.cost
-    if settles(before, after):
+    if settles(before, after) or _clears(settings, before, after):
         return None
     if _unfelt(before, after):
         if gain > _CLEARLY * settings.margin:
@@ -60,7 +60,7 @@ def unpaid(settings: Settings, before: Judged, after: Judged) -> str | None:
             f"on windows that it was not fitted to, its gain is {mean / error:.2g} standard errors "
             f"over windows; {settings.certainty:g} are needed"
         )
-    if not gain > settings.margin:
+    if not gain > settings.margin and not _foreseen(before, after):
         return (
             f"the information criterion falls by {gain:.2g}, {settings.margin:g} are needed for "
             "the numbers that it adds"
@@ -81,8 +81,29 @@ def settles(before: Judged, after: Judged) -> bool:
         return False
     if not few_bad(before) or after.pooled**2 - 1.0 > _LEFT * (before.pooled**2 - 1.0):
         return False
+    return _none_worse(before, after)
+
+
+def _clears(settings: Settings, before: Judged, after: Judged) -> bool:
+    """Whether all windows, with none left out, are good with an effect where a few were bad without
+    it: one that acts in impacts alone, as adhesion does, the typical window does not feel."""
+    if not before.touching or not few_bad(before) or is_structural(after.hypothesis):
+        return False
+    return after.pooled <= enough(settings, after) and _none_worse(before, after)
+
+
+def _none_worse(before: Judged, after: Judged) -> bool:
+    """Whether no window, fitted or not, gets worse by more than noise and a tenth."""
     windows = ((before.checked, after.checked), (before.fitted, after.fitted))
     return all((other <= 1.1 * np.maximum(one, 1.0)).all() for one, other in windows)
+
+
+def _foreseen(before: Judged, after: Judged) -> bool:
+    """Whether a stop that no window feels that it was fitted to, placed where motion ends, makes
+    good most of what is bad in others: they need no criterion."""
+    last = after.hypothesis.effects[-1].effect if after.hypothesis.effects else ""
+    most = _LEFT * (float(before.checked.mean()) - 1.0)
+    return last == "hard_stop" and most > _BAD and float(after.checked.mean()) - 1.0 <= most
 
 
 def few_bad(judged: Judged) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis, clean
+from orbisim.diagnosis.confidence import confidence
 from orbisim.diagnosis.consistency import doubtful
 from orbisim.diagnosis.glances import Candidate, generalizations, shortlist
 from orbisim.diagnosis.paying import few_bad, settles, unpaid
@@ -68,22 +69,22 @@ def _best_of(
     state.round += 1
     state.judge.start_from(current)
     fitted: list[Judged] = []
-    begun: list[Candidate] = []
+    begun: list[EffectInstance] = []
     for candidate in candidates:
-        instance = candidate.instance
         if fitted and (state.late or _settled(current, fitted, candidate.slow)):
             break
+        instance = _tamed(state, plus, candidate)
         state.say(f"round {state.round}: fitting {instance.effect} at {instance.target}")
         quick = state.bench.contacts  # the best few are fitted again
         start = begin(state, plus(instance), candidate.moved)
         judged = state.judge.judge(start, state.iterations, polish=not quick)
         if judged is not None:
             fitted.append(judged)
-            begun.append(candidate)
+            begun.append(instance)
         else:
             state.rejected.append((instance, "the scene with it cannot be simulated"))
     model = state.bench.scene.model
-    fitted += generalized(state, fitted, plus, [one.instance for one in begun])
+    fitted += generalized(state, fitted, plus, begun)
     if not fitted:
         return None
     few = _closer(state, distinct(ranked(model, fitted, current)))
@@ -100,6 +101,23 @@ def _best_of(
     return winner
 
 
+def _tamed(
+    state: SearchState, plus: Callable[[EffectInstance], Hypothesis], candidate: Candidate
+) -> EffectInstance:
+    """An effect smaller than suspected where that leaves more than there is without it: with more
+    friction than the true one a joint sticks, and a fit does not find back. Where bodies touch, the
+    shortlist has seen to it."""
+    instance = candidate.instance
+    if state.bench.contacts or find(instance.effect).structural:
+        return instance
+    whole = plus(instance)
+    most = state.judge.glance(whole.without(len(whole.effects) - 1))
+    if state.judge.glance(whole) <= most:
+        return instance
+    smaller = (one for share in _SMALLER if (one := candidate.sized(share)) is not None)
+    return next((one for one in smaller if state.judge.glance(plus(one)) < most), instance)
+
+
 def generalized(
     state: SearchState,
     fitted: Sequence[Judged],
@@ -114,8 +132,10 @@ def generalized(
             other = special.hypothesis.effects[-1]
             if special.cost >= general.cost or other.target != own.target:
                 continue
-            for values in find(own.effect).generalized(model, other, own.values)[:1]:
-                start = plus(dataclasses.replace(own, values=dict(values)))
+            every = find(own.effect).generalized(model, other, own.values)
+            same = [plus(dataclasses.replace(own, values=dict(values))) for values in every]
+            if same:
+                start = min(same, key=state.judge.glance)
                 found.append(state.judge.judge(start, state.iterations))
     best = sorted(fitted, key=lambda judged: judged.cost)[:_FEW]
     done = bool(best) and state.done(best[0])
@@ -202,9 +222,26 @@ def _winner(
 
 
 def hollowed(state: SearchState, judged: Judged) -> str | None:
-    """Why the last effect is really another one with fewer numbers; None if it is not."""
+    """Why the last effect is really another one with fewer numbers, or none; None if it is not."""
     last = judged.hypothesis.effects[-1]
-    return hollow(state.bench.scene.model, last, state.bench.samples)
+    return hollow(state.bench.scene.model, last, state.bench.samples) or vague(state, judged)
+
+
+def vague(state: SearchState, judged: Judged) -> str | None:
+    """Why a stiffness is not one; None if it is. That of a spring may be zero, far from where it is
+    at rest: a constant force. That of a transmission may be infinite: it is rigid, and what it made
+    better were windows' starts."""
+    effects = judged.hypothesis.effects
+    last = len(effects) - 1
+    if state.bench.contacts or effects[last].effect not in _STIFF:
+        return None
+    names = [f"{i} {name}" for i, name in judged.hypothesis.free(state.bench.scene)]
+    low, high = confidence(judged.fit, names).get(f"{last} stiffness", (1.0, 1.0))
+    middle, width = effects[last].values["stiffness"], (high - low) / 2
+    if abs(middle) > width:
+        return None
+    what = _STIFF[effects[last].effect]
+    return f"its stiffness is {middle:.3g} +- {width:.2g}, so that it may be {what}"
 
 
 def _settled(current: Judged, fitted: Sequence[Judged], slow: bool) -> bool:
@@ -288,8 +325,20 @@ def stops(
             places = [side * (end - depth * travel) for depth in _DEPTHS]
             ends = [EffectInstance(_STOP, target, {"position": p, "side": side}) for p in places]
             left = [glance(hypothesis.plus(one)) for one in ends]
-            if not state.bench.contacts or min(left) < most:
-                yield ends[int(np.argmin(left))]
+            if state.bench.contacts and not min(left) < most:
+                continue
+            best = [one for one, l in zip(ends, left, strict=True) if l <= _ALIKE * min(left)]
+            if len(best) > 1 and not state.bench.contacts:  # no fitted window feels them
+                best.sort(key=lambda one: _checked(state, hypothesis.plus(one)))
+            yield best[0]
+
+
+def _checked(state: SearchState, hypothesis: Hypothesis) -> float:
+    """What check windows leave, without fitting; infinite if it cannot be simulated."""
+    try:
+        return state.judge.score(hypothesis, state.judge.check, 2).square
+    except OrbiSimError:
+        return np.inf
 
 
 def _best_trial(
@@ -301,10 +350,9 @@ def _best_trial(
         instance = EffectInstance(name, target, dict(values))
         try:
             instance = clean(state.bench.scene, instance)
-            trial = hypothesis.plus(instance)
-            left = state.judge.score(trial, state.judge.check, 2).square
-        except OrbiSimError:  # a variant that cannot be simulated is no candidate
+        except OrbiSimError:  # a variant that cannot be is no candidate
             continue
+        left = _checked(state, hypothesis.plus(instance))
         if left < least:
             best, least = instance, left
     return best
@@ -344,10 +392,14 @@ TIE = 4.0
 """Difference in the criterion up to which data do not tell two hypotheses apart."""
 ROUNDED = 0.05
 """Difference in the criterion that is a matter of how far fits went."""
+_STIFF = {"joint_spring": "a constant force", "joint_flexibility": "rigid"}
+_SMALLER = (0.5, 0.25, 0.1)
 _FEW = 3
 _NEARLY = 25.0
 _SHARE = 0.08
 _STOP = "hard_stop"
+_ALIKE = 1 + 1e-6
+"""How many times the least a stop leaves that none of the fitted windows feels either."""
 _DEPTHS = (0.0, 0.003, 0.01, 0.03, 0.08)
 """How far motion may press into a stop, in units of the travel."""
 _LITTLE = 0.1

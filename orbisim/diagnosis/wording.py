@@ -41,8 +41,9 @@ def sentence(diagnosis: Diagnosis) -> str:
         named = named or "several together, none of them clearly"
         what = f"no effect is missing, but declared parameters are off ({named})"
     rest = "" if verdict == "explained" else "; something structured remains"
+    goes = "falls" if after <= before else "rises"
     return (
-        f"{what[0].upper()}{what[1:]}; {what_error} on held-out data falls from "
+        f"{what[0].upper()}{what[1:]}; {what_error} on held-out data {goes} from "
         f"{number(before)} {unit} to {number(after)} {unit} ({floor}){rest}."
     )
 

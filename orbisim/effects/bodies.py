@@ -89,14 +89,14 @@ class Payload(BodyEffect):
     def generalized(
         self, model: mujoco.MjModel, special: EffectInstance, values: Values | None = None
     ) -> list[Values]:
-        """Masses of a tenth of the body's to all of it, each where it moves the centre of mass as
-        the offset does."""
+        """Masses of a tenth of the body's to twice as much, each where it moves the centre of mass
+        as the offset does."""
         if special.effect != ComOffset.name:
             return []
         body = index_of(model, "body", special.target)
         offset = np.array([special.values[axis] for axis in _AXES])
         found: list[Values] = []
-        for share in (*_SHARES, 1.0):
+        for share in (*_SHARES, 1.0, 2.0):
             place = model.body_ipos[body] + offset * (1 + 1 / share)
             parts = dict(zip(("com_x", "com_y", "com_z"), map(float, place), strict=True))
             found.append({"mass": share * float(model.body_mass[body]), **parts})
