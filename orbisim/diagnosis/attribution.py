@@ -18,7 +18,7 @@ from orbisim.diagnosis.screening import cleaned
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.state import NEAR, Progress, SearchState, quiet
 from orbisim.diagnosis.suspects import Screening
-from orbisim.diagnosis.swapping import swapped
+from orbisim.diagnosis.swapping import swapped, united
 from orbisim.effects import EffectInstance
 
 
@@ -36,7 +36,7 @@ def attribute(bench: Bench, settings: Settings, say: Progress = lambda _: None) 
     together = _jointly(state, found)
     if together is not None:
         found = state.prune(_add_all(state, together))
-    return conclude(state, swapped(state, found), first)
+    return conclude(state, united(state, swapped(state, found)), first)
 
 
 def _explain(state: SearchState, nothing: Judged, first: Screening) -> Judged:

@@ -103,7 +103,8 @@ def _foreseen(before: Judged, after: Judged) -> bool:
     good most of what is bad in others: they need no criterion."""
     last = after.hypothesis.effects[-1].effect if after.hypothesis.effects else ""
     most = _LEFT * (float(before.checked.mean()) - 1.0)
-    return last == "hard_stop" and most > _BAD and float(after.checked.mean()) - 1.0 <= most
+    stop = last == "hard_stop" and not before.touching
+    return stop and most > _BAD and float(after.checked.mean()) - 1.0 <= most
 
 
 def few_bad(judged: Judged) -> bool:

@@ -132,10 +132,10 @@ def generalized(
             other = special.hypothesis.effects[-1]
             if special.cost >= general.cost or other.target != own.target:
                 continue
-            every = find(own.effect).generalized(model, other, own.values)
-            same = [plus(dataclasses.replace(own, values=dict(values))) for values in every]
-            if same:
-                start = min(same, key=state.judge.glance)
+            forms = find(own.effect).generalized(model, other, own.values)
+            starts = [plus(dataclasses.replace(own, values=dict(values))) for values in forms]
+            if starts:
+                start = min(starts, key=state.judge.glance)
                 found.append(state.judge.judge(start, state.iterations))
     best = sorted(fitted, key=lambda judged: judged.cost)[:_FEW]
     done = bool(best) and state.done(best[0])
@@ -233,7 +233,7 @@ def vague(state: SearchState, judged: Judged) -> str | None:
     better were windows' starts."""
     effects = judged.hypothesis.effects
     last = len(effects) - 1
-    if state.bench.contacts or effects[last].effect not in _STIFF:
+    if effects[last].effect not in _STIFF or state.bench.contacts:
         return None
     names = [f"{i} {name}" for i, name in judged.hypothesis.free(state.bench.scene)]
     low, high = confidence(judged.fit, names).get(f"{last} stiffness", (1.0, 1.0))
@@ -327,7 +327,8 @@ def stops(
             left = [glance(hypothesis.plus(one)) for one in ends]
             if state.bench.contacts and not min(left) < most:
                 continue
-            best = [one for one, l in zip(ends, left, strict=True) if l <= _ALIKE * min(left)]
+            most_left = _ALIKE * min(left)
+            best = [one for one, here in zip(ends, left, strict=True) if here <= most_left]
             if len(best) > 1 and not state.bench.contacts:  # no fitted window feels them
                 best.sort(key=lambda one: _checked(state, hypothesis.plus(one)))
             yield best[0]

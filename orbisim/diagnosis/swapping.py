@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+from collections.abc import Sequence
 
 import mujoco
 
@@ -35,6 +37,61 @@ def swapped(state: SearchState, current: Judged) -> Judged:
         if place in left and len(left) > 1 and not state.late:
             current = _improved(state, current, left.index(place))
     return current
+
+
+def united(state: SearchState, current: Judged) -> Judged:
+    """With one effect in the place of two where that does as well with no more numbers: what a
+    payload does is found in parts, a force first, and none of the parts gives way to it alone. Not
+    where bodies touch or joints were added: that would take too long."""
+    if state.bench.contacts or is_structural(current.hypothesis):
+        return current
+    for one, other in itertools.combinations(range(len(current.hypothesis.effects)), 2):
+        if len(current.hypothesis.effects) < _SEVERAL or state.late:
+            break
+        effects = current.hypothesis.effects
+        fewer = state.judge.judge(current.hypothesis.without(other).without(one))
+        if fewer is None:
+            continue
+        most = numbers(state.bench.scene.model, (effects[one], effects[other]))
+        parts = f"{effects[one].effect} and {effects[other].effect}"
+        state.say(f"looking for one effect instead of {parts}")
+        suspects = _screened(state, fewer)[:_FIRST]
+        found = [e for s in suspects if (e := cleaned(state.bench, s)) is not None]
+        found += _loads(state, fewer, (effects[one], effects[other]))
+        for instance in found:
+            if numbers(state.bench.scene.model, [instance]) > most:
+                continue
+            judged = _fitted(state, fewer.hypothesis.plus(instance), current)
+            if judged is None or hollowed(state, judged) or not state.pays(fewer, judged):
+                continue
+            if judged.cost < current.cost or tied(judged, current):
+                return state.renewed(state.prune(judged, newest=True))
+    return current
+
+
+def _loads(
+    state: SearchState, fewer: Judged, parts: Sequence[EffectInstance]
+) -> list[EffectInstance]:
+    """Payloads of usual sizes on the bodies that two effects act on; a regression beside what was
+    fitted does not see them."""
+    model, load = state.bench.scene.model, find(_IN_PARTS)
+    bodies: list[str] = []
+    for one in parts:
+        kind = find(one.effect).kind
+        if kind == "joint":
+            bodies.append(model.body(int(model.joint(one.target).bodyid[0])).name)
+        elif kind == "body":
+            bodies.append(one.target)
+    found: list[EffectInstance] = []
+    state.judge.start_from(fewer)
+    for body in dict.fromkeys(bodies):
+        every = [
+            EffectInstance(_IN_PARTS, body, dict(values)) for values in load.trials(model, body)
+        ]
+        every = [one for one in every if state.allowed(one)]
+        if every:
+            found.append(min(every, key=lambda one: state.judge.glance(fewer.hypothesis.plus(one))))
+    return found
 
 
 def _kindred(state: SearchState, current: Judged) -> Judged:
@@ -137,14 +194,18 @@ def _fitted(state: SearchState, start: Hypothesis, best: Judged) -> Judged | Non
 
 def _rivals(state: SearchState, current: Judged, fewer: Judged, index: int) -> list[Suspect]:
     """Suspects that a screening ranks before an effect, and some after it."""
-    own = current.hypothesis.effects[index]
-    bench, only = state.bench, state.settings.effects
-    intervals = linearize(bench.flow(fewer.hypothesis))
-    found = screen(bench, fewer.hypothesis, intervals, only, state.columns)
-    ranked = found.tuned if fewer.hypothesis.factors else found.suspects
+    own, ranked = current.hypothesis.effects[index], _screened(state, fewer)
     same = [(s.instance.effect, s.instance.target) == (own.effect, own.target) for s in ranked]
     until = (same.index(True) if any(same) else 0) + 1 + _AFTER
     return [s for s, own_one in zip(ranked[:until], same, strict=False) if not own_one][:_MOST]
+
+
+def _screened(state: SearchState, fewer: Judged) -> Sequence[Suspect]:
+    """Suspects on top of a hypothesis."""
+    bench, only = state.bench, state.settings.effects
+    intervals = linearize(bench.flow(fewer.hypothesis))
+    found = screen(bench, fewer.hypothesis, intervals, only, state.columns)
+    return found.tuned if fewer.hypothesis.factors else found.suspects
 
 
 def _better(state: SearchState, judged: Judged, best: Judged) -> bool:
@@ -165,3 +226,6 @@ def _simplicity(model: mujoco.MjModel, judged: Judged) -> tuple[int, list[int]]:
 _AFTER = 3
 _NEARLY = 100.0
 _MOST = 6
+_SEVERAL = 3
+_FIRST = 3
+_IN_PARTS = "payload"

@@ -161,7 +161,7 @@ def test_a_payload_can_begin_at_an_offset_of_the_centre_of_mass(hammer: orbisim.
     offset = EffectInstance("com_offset", "head", {"offset": 0.0229, **parts})
     moved = add_effects(hammer, [offset]).model
     found = find("payload").generalized(hammer.model, offset)
-    assert len(found) == 3
+    assert len(found) == 4
     for values in found:
         model = add_effects(hammer, [EffectInstance("payload", "head", values)]).model
         data = mujoco.MjData(model)
@@ -294,7 +294,7 @@ def searching(scene: orbisim.Scene) -> tuple[Any, list[EffectInstance]]:
         return SimpleNamespace(hypothesis=hypothesis, cost=1.0)
 
     def glance(hypothesis: Hypothesis) -> float:
-        return abs(hypothesis.effects[-1].values["mass"] - 0.2)
+        return abs(hypothesis.effects[-1].values.get("mass", 0.0) - 0.2)
 
     state = SimpleNamespace(
         iterations=4, judge=SimpleNamespace(judge=judge, glance=glance), settings=Settings(),

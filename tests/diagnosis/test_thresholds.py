@@ -37,7 +37,7 @@ def test_a_saturated_servo() -> None:
     truth = 0.4 * force
     bench = _bench(scene, EffectInstance("torque_saturation", "servo", {"limit": truth}))
     judge = Judge(bench, bench.intervals)
-    guess = EffectInstance("torque_saturation", "servo", {"limit": 0.8 * truth})
+    guess = EffectInstance("torque_saturation", "servo", {"limit": 0.2 * truth})
     first = judge.judge(Hypothesis((guess,)))
     assert first is not None and first.ratio > 5
     found = judge.closer(first)
