@@ -99,7 +99,6 @@ PLANS = (
         why="a stroke takes a few seconds; friction acts within one",
         metric=free_run(0.5, "mm", 1e3),
         reference="force residual 70 % to 3.6 % of the force",
-        settings={"patience": 30.0},
     ),
     Plan(
         "contactnets_cube",
@@ -110,7 +109,6 @@ PLANS = (
         reference="166 mm to 44 mm with the published friction",
         fit=24,
         settings={
-            "patience": 300.0,
             "most_effects": 4,
             "most_left": _REAL,
             "tolerance": 0.5,  # friction shows in windows with contact only, the later ones
@@ -135,7 +133,6 @@ PLANS = (
         metric=end_of_run(),
         reference="317 mm to 83 mm with the literature's coefficients",
         settings={
-            "patience": 400.0,
             "most_effects": 2,
             "most_left": _REAL,
             "robust": 4.0,  # stray positions of the cameras
@@ -153,7 +150,6 @@ PLANS = (
         why="balancing upright is unstable: over 1 s errors grow beyond what can be fitted",
         metric=free_run(1.0, velocities="smoothed"),
         reference="energy_shaping 0.168 to 0.065 rad, ddp 0.185 to 0.078 rad",
-        settings={"patience": 40.0},
     ),
     Plan(
         "dfki_double_pendulum_A",
@@ -164,7 +160,7 @@ PLANS = (
         only="sysid",
         metric=free_run(0.5, velocities="smoothed"),
         reference="shoulder 0.100 to 0.025 rad, elbow 0.342 to 0.081 rad",
-        settings={"patience": 60.0, "most_effects": 6},
+        settings={"most_effects": 6},
     ),
     Plan(
         "multiarm_pendulum_single",
@@ -173,7 +169,6 @@ PLANS = (
         why="the decay is slow; two swings show it",
         metric=free_run(5.0),
         reference="0.196 to 0.054 rad over 5 s",
-        settings={"patience": 30.0},
     ),
     Plan(
         "multiarm_pendulum_double",
@@ -183,7 +178,7 @@ PLANS = (
         metric=free_run(1.0),
         reference="none",
         fit=5,
-        settings={"patience": 45.0, "most_left": _REAL, "windows": 24, "effects": _BEARING},
+        settings={"most_left": _REAL, "windows": 24, "effects": _BEARING},
     ),
     Plan(
         "kuka_kr300",
@@ -215,6 +210,6 @@ PLANS = (
         why="ten samples a second: only steady states mean something",
         metric=free_run(2.0),
         reference="none published",
-        settings={"patience": 45.0, "most_left": _REAL, "windows": 24},
+        settings={"most_left": _REAL, "windows": 24},
     ),
 )
