@@ -133,7 +133,12 @@ def _finally(
     if state.bench.contacts:  # a start from nothing takes long
         judge.start_from(known, state.bench.fit)
     anew = dataclasses.replace(hypothesis, frozen=frozenset())
-    return judge.judge(anew, 8 if hypothesis.effects else 5)
+    found = judge.judge(anew, 8 if hypothesis.effects else 5)
+    if found is None or state.bench.contacts or found.ratio <= NEAR or not hypothesis.effects:
+        return found
+    judge.start_from(known, state.bench.fit)  # a start from nothing may be no good: a stop
+    warm = judge.judge(anew, 8)
+    return found if warm is None or found.cost <= warm.cost else warm
 
 
 def duel(state: SearchState, judge: Judge, after: Judged) -> Judged:

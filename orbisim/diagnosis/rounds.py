@@ -319,19 +319,40 @@ def stops(
         dof = int(model.jnt_dofadr[model.joint(target).id])
         if shares[dof] < _SHARE or (_STOP, target) in taken:
             continue
-        q = np.concatenate([one.absolute[one.usable, dof] for one in state.bench.samples])
+        every = [one.absolute[one.usable, dof] for one in state.bench.samples]
+        travel = float(np.ptp(np.concatenate(every)))
         for side in (1.0, -1.0):
-            end, travel = float((side * q).max()), float(np.ptp(q))
-            places = [side * (end - depth * travel) for depth in _DEPTHS]
-            ends = [EffectInstance(_STOP, target, {"position": p, "side": side}) for p in places]
-            left = [glance(hypothesis.plus(one)) for one in ends]
+            ends = _turns([side * q for q in every], _DEPTHS[1] * travel)
+            places = [side * (end - depth * travel) for end in ends for depth in _DEPTHS]
+            made = [EffectInstance(_STOP, target, {"position": p, "side": side}) for p in places]
+            left = [glance(hypothesis.plus(one)) for one in made]
             if state.bench.contacts and not min(left) < most:
                 continue
             most_left = _ALIKE * min(left)
-            best = [one for one, here in zip(ends, left, strict=True) if here <= most_left]
+            best = [one for one, here in zip(made, left, strict=True) if here <= most_left]
             if len(best) > 1 and not state.bench.contacts:  # no fitted window feels them
                 best.sort(key=lambda one: _checked(state, hypothesis.plus(one)))
             yield best[0]
+
+
+def _turns(every: Sequence[npt.NDArray[np.float64]], apart: float) -> list[float]:
+    """Where motion ends: its farthest place, and the farthest at which each recording turns back. A
+    recording may begin beyond a stop.
+
+    Args:
+      every: positions of each recording, growing towards the stop.
+      apart: what counts as another place.
+    """
+    found = [max(float(q.max()) for q in every)]
+    for q in every:
+        inner = q[1:-1][(q[1:-1] >= q[:-2]) & (q[1:-1] >= q[2:])]
+        if len(inner):
+            found.append(float(inner.max()))
+    kept: list[float] = []
+    for end in sorted(found, reverse=True):
+        if all(abs(end - other) > apart for other in kept):
+            kept.append(end)
+    return kept[:_ENDS]
 
 
 def _checked(state: SearchState, hypothesis: Hypothesis) -> float:
@@ -399,6 +420,7 @@ _FEW = 3
 _NEARLY = 25.0
 _SHARE = 0.08
 _STOP = "hard_stop"
+_ENDS = 4
 _ALIKE = 1 + 1e-6
 """How many times the least a stop leaves that none of the fitted windows feels either."""
 _DEPTHS = (0.0, 0.003, 0.01, 0.03, 0.08)

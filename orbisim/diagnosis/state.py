@@ -166,6 +166,10 @@ class SearchState:
         if self.bench.contacts:  # a start from nothing takes long
             self.judge.start_from(judged)
         again = self.need(judged.hypothesis)
+        if not self.bench.contacts and again.ratio > _LOST * judged.ratio:
+            self.judge.start_from(judged)  # a start from nothing was no good: a stop in the way
+            warm = self.judge.judge(judged.hypothesis)
+            again = again if warm is None or again.cost <= warm.cost else warm
         self.judge.start_from(again)
         return self.settled(again) if self.bench.contacts else again
 
@@ -242,5 +246,7 @@ class SearchState:
 
 _REPLACED = 10.0
 """Margins of the criterion by which all must get worse without an effect that is to stay."""
+_LOST = 1.2
+"""How many times the noise the same hypothesis may leave once it is known better."""
 _FURTHER = 4
 """How often a fit through contacts goes on at most."""

@@ -9,7 +9,7 @@ import pytest
 import orbisim
 from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.glances import Candidate, usual, varied
-from orbisim.diagnosis.rounds import _earlier, distinct, stops
+from orbisim.diagnosis.rounds import _earlier, _turns, distinct, stops
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.state import Rival
 from orbisim.effects import EffectInstance
@@ -102,6 +102,14 @@ def test_stops_are_tried_near_both_ends_of_the_travel() -> None:
     state.settings, bench.contacts = Settings(), True
     state.judge.glance_at_all = lambda tried: glance(tried) if tried.effects else 1.0
     assert [one.values for one in stops(state, Hypothesis(), shares)] == [upper.values]
+
+
+def test_motion_that_begins_beyond_a_stop_shows_it_where_it_turns() -> None:
+    begins = np.array([0.9, 0.6, 0.2, 0.5, 0.7, 0.3])  # at 0.9, and never again
+    swings = np.array([0.0, 0.4, 0.71, 0.2, 0.69, 0.1])
+    assert _turns([begins, swings], 0.05) == [0.9, 0.71]
+    assert _turns([begins, swings], 0.005) == [0.9, 0.71, 0.7]
+    assert _turns([np.array([0.1, 0.2])], 0.01) == [0.2]
 
 
 def test_beside_an_added_joint_the_best_of_the_first_round_are_tried() -> None:

@@ -121,6 +121,29 @@ def test_what_some_windows_did_not_determine_all_windows_do(arm: orbisim.Scene) 
     assert found.hypothesis.effects[0].values["offset"] == pytest.approx(0.2, rel=0.01)
 
 
+def test_a_start_from_nothing_that_loses_the_way_is_made_good(
+    arm: orbisim.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state = search(bench_of(arm, BIAS))
+    known = state.need(Hypothesis((BIAS,)))
+    real, calls = state.judge.judge, []
+
+    def lost_at_first(hypothesis: Hypothesis, iterations: int = 5) -> Any:
+        found = real(hypothesis, iterations)
+        calls.append(found)
+        assert found is not None
+        if len(calls) > 1:
+            return found
+        return dataclasses.replace(found, ratio=3 * found.ratio, cost=found.cost + 1e3)
+
+    monkeypatch.setattr(state.judge, "judge", lost_at_first)
+    monkeypatch.setattr(state, "renew", lambda hypothesis: None)
+    assert state.renewed(known).ratio == pytest.approx(known.ratio, rel=0.05)
+    assert len(calls) == 2
+    state.renewed(known)
+    assert len(calls) == 3  # nothing was lost
+
+
 def judged(
     checked: list[float], cost: float, effect: str, *, touching: bool = False, pooled: float = 1.0
 ) -> Any:
