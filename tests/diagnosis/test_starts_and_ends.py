@@ -13,7 +13,7 @@ import orbisim
 from orbisim.diagnosis import run
 from orbisim.diagnosis.attribution import _rivals
 from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
-from orbisim.diagnosis.conclusion import conclude
+from orbisim.diagnosis.conclusion import _finally, conclude
 from orbisim.diagnosis.confidence import confidence
 from orbisim.diagnosis.fits import Fit
 from orbisim.diagnosis.glances import Candidate
@@ -142,6 +142,29 @@ def test_a_start_from_nothing_that_loses_the_way_is_made_good(
     assert len(calls) == 2
     state.renewed(known)
     assert len(calls) == 3  # nothing was lost
+
+
+def test_the_last_fit_begins_where_the_search_ended_if_it_is_lost() -> None:
+    hypothesis = Hypothesis((BIAS,))
+    told: list[Any] = []
+
+    def last(ratio: float, contacts: bool = False) -> Any:
+        left = iter([(ratio, 900.0), (1.0, 40.0)])
+
+        def judge(which: Hypothesis, iterations: int) -> Any:
+            found, cost = next(left)
+            return SimpleNamespace(ratio=found, cost=cost)
+
+        bench = SimpleNamespace(contacts=contacts, fit=None)
+        told.clear()
+        judges: Any = SimpleNamespace(judge=judge, start_from=lambda *known: told.append(known))
+        state: Any = SimpleNamespace(bench=bench)
+        known: Any = SimpleNamespace()
+        return _finally(state, judges, known, hypothesis)
+
+    assert last(2.2).cost == 40.0 and len(told) == 1
+    assert last(1.1).cost == 900.0 and not told
+    assert last(2.2, contacts=True).cost == 900.0 and len(told) == 1  # it began there
 
 
 def judged(
