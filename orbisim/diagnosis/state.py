@@ -247,6 +247,6 @@ class SearchState:
 _REPLACED = 10.0
 """Margins of the criterion by which all must get worse without an effect that is to stay."""
 _LOST = 1.2
-"""How many times the noise the same hypothesis may leave once it is known better."""
+"""How many times what a hypothesis left before (over noise) it may leave when judged again."""
 _FURTHER = 4
 """How often a fit through contacts goes on at most."""

@@ -84,7 +84,7 @@ def _loads(
             bodies.append(one.target)
     found: list[EffectInstance] = []
     state.judge.start_from(fewer)
-    for body in dict.fromkeys(bodies):
+    for body in dict.fromkeys(b for b in bodies if b in load.targets(model)):  # named, movable
         every = [
             EffectInstance(_IN_PARTS, body, dict(values)) for values in load.trials(model, body)
         ]

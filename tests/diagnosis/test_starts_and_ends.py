@@ -23,7 +23,7 @@ from orbisim.diagnosis.run import _confirmed
 from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.state import Rival, SearchState
-from orbisim.diagnosis.swapping import united
+from orbisim.diagnosis.swapping import _loads, united
 from orbisim.effects import EffectInstance
 from orbisim.testing import inject_effect
 
@@ -213,6 +213,21 @@ def test_a_payload_stands_in_for_the_parts_it_was_found_in(arm: orbisim.Scene) -
     assert load.values["mass"] == pytest.approx(0.4, rel=0.1)
     two = state.need(Hypothesis((LOAD, LIMIT)))
     assert united(state, two) is two
+
+
+def test_a_body_without_a_name_is_no_obstacle() -> None:
+    unnamed = orbisim.load_scene(
+        '<mujoco><worldbody><body><joint name="first" axis="0 1 0"/><geom size=".1"/>'
+        '<body name="tip" pos="1 0 0"><joint name="second" axis="0 1 0"/><geom size=".1"/></body>'
+        "</body></worldbody></mujoco>"
+    )
+    judge = SimpleNamespace(start_from=lambda known: None, glance=lambda hypothesis: 1.0)
+    state: Any = SimpleNamespace(
+        bench=SimpleNamespace(scene=unnamed), judge=judge, allowed=lambda instance: True
+    )
+    fewer: Any = SimpleNamespace(hypothesis=Hypothesis())
+    parts = [EffectInstance("armature", name, {"inertia": 0.1}) for name in ("first", "second")]
+    assert [one.target for one in _loads(state, fewer, parts)] == ["tip"]
 
 
 def test_simpler_effects_with_masses_retuned_rival_a_payload(arm: orbisim.Scene) -> None:
