@@ -21,6 +21,7 @@ from orbisim.diagnosis.sensible import hollow
 from orbisim.diagnosis.state import NEAR, Rival, SearchState
 from orbisim.diagnosis.suspects import Screening, Suspect
 from orbisim.effects import EffectInstance, effect_names, find
+from orbisim.effects.base import index_of
 from orbisim.errors import OrbiSimError
 
 
@@ -296,7 +297,7 @@ def _structural(
     taken = {(e.effect, e.target) for e in hypothesis.effects}
     for name in names:
         for target in find(name).targets(model):
-            dof = int(model.jnt_dofadr[model.joint(target).id])
+            dof = int(model.jnt_dofadr[index_of(model, "joint", target)])
             if screening.shares[dof] < _SHARE or (name, target) in taken:
                 continue
             best = _best_trial(state, hypothesis, name, target)
@@ -316,7 +317,7 @@ def stops(
     most = glance(hypothesis) if state.bench.contacts else 0.0
     taken = {(e.effect, e.target) for e in hypothesis.effects}
     for target in find(_STOP).targets(model):
-        dof = int(model.jnt_dofadr[model.joint(target).id])
+        dof = int(model.jnt_dofadr[index_of(model, "joint", target)])
         if shares[dof] < _SHARE or (_STOP, target) in taken:
             continue
         every = [one.absolute[one.usable, dof] for one in state.bench.samples]

@@ -18,6 +18,7 @@ from orbisim.diagnosis.state import NEAR, Rival, SearchState
 from orbisim.diagnosis.suspects import Suspect
 from orbisim.diagnosis.twins import twins
 from orbisim.effects import EffectInstance, effect_names, find
+from orbisim.effects.base import index_of, names_of_kind
 
 
 def swapped(state: SearchState, current: Judged) -> Judged:
@@ -79,14 +80,15 @@ def _loads(
     for one in parts:
         kind = find(one.effect).kind
         if kind == "joint":
-            bodies.append(model.body(int(model.joint(one.target).bodyid[0])).name)
+            body = model.jnt_bodyid[index_of(model, "joint", one.target)]
+            bodies.append(names_of_kind(model, "body")[body])
         elif kind == "body":
             bodies.append(one.target)
     found: list[EffectInstance] = []
     state.judge.start_from(fewer)
-    for body in dict.fromkeys(b for b in bodies if b in load.targets(model)):  # named, movable
+    for name in dict.fromkeys(bodies):
         every = [
-            EffectInstance(_IN_PARTS, body, dict(values)) for values in load.trials(model, body)
+            EffectInstance(_IN_PARTS, name, dict(values)) for values in load.trials(model, name)
         ]
         every = [one for one in every if state.allowed(one)]
         if every:

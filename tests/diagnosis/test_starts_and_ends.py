@@ -18,7 +18,7 @@ from orbisim.diagnosis.confidence import confidence
 from orbisim.diagnosis.fits import Fit
 from orbisim.diagnosis.glances import Candidate
 from orbisim.diagnosis.paying import unpaid
-from orbisim.diagnosis.rounds import _tamed, stops, vague
+from orbisim.diagnosis.rounds import _structural, _tamed, stops, vague
 from orbisim.diagnosis.run import _confirmed
 from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.settings import Settings
@@ -215,19 +215,26 @@ def test_a_payload_stands_in_for_the_parts_it_was_found_in(arm: orbisim.Scene) -
     assert united(state, two) is two
 
 
-def test_a_body_without_a_name_is_no_obstacle() -> None:
+def test_joints_and_bodies_need_no_names() -> None:
     unnamed = orbisim.load_scene(
-        '<mujoco><worldbody><body><joint name="first" axis="0 1 0"/><geom size=".1"/>'
-        '<body name="tip" pos="1 0 0"><joint name="second" axis="0 1 0"/><geom size=".1"/></body>'
+        '<mujoco><worldbody><body><joint axis="0 1 0"/><geom size=".1"/>'
+        '<body name="tip" pos="1 0 0"><joint axis="0 1 0"/><geom size=".1"/></body>'
         "</body></worldbody></mujoco>"
     )
     judge = SimpleNamespace(start_from=lambda known: None, glance=lambda hypothesis: 1.0)
+    judge.score, judge.check = lambda *given: SimpleNamespace(square=1.0), None
+    samples = SimpleNamespace(absolute=np.eye(4), usable=np.ones(4, bool))
     state: Any = SimpleNamespace(
-        bench=SimpleNamespace(scene=unnamed), judge=judge, allowed=lambda instance: True
-    )
+        bench=SimpleNamespace(scene=unnamed, contacts=False, samples=[samples]),
+        judge=judge, allowed=lambda instance: True, settings=Settings(),
+    )  # fmt: skip
     fewer: Any = SimpleNamespace(hypothesis=Hypothesis())
-    parts = [EffectInstance("armature", name, {"inertia": 0.1}) for name in ("first", "second")]
-    assert [one.target for one in _loads(state, fewer, parts)] == ["tip"]
+    parts = [EffectInstance("armature", name, {"inertia": 0.1}) for name in ("joint0", "joint1")]
+    assert [one.target for one in _loads(state, fewer, parts)] == ["body1", "tip"]
+    shares = np.array([1.0, 0.0])
+    assert {one.target for one in stops(state, Hypothesis(), shares)} == {"joint0"}
+    play = _structural(state, Hypothesis(), SimpleNamespace(shares=shares))  # type: ignore[arg-type]
+    assert {one.target for one in play} == {"joint0"}
 
 
 def test_simpler_effects_with_masses_retuned_rival_a_payload(arm: orbisim.Scene) -> None:
