@@ -1,0 +1,1 @@
+"""What the machine offers: processors, OpenGL, a terminal, and where the engine logs."""

@@ -1,0 +1,32 @@
+"""MuJoCo's warnings, which would otherwise go to standard error and to a log file."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import mujoco
+
+
+@contextlib.contextmanager
+def engine_warnings(take: Callable[[str], None]) -> Iterator[None]:
+    """Hands MuJoCo's warnings to a function, as one line each, while the context lasts.
+
+    The handler is MuJoCo's own and so the process' only one: the former one comes back at the end.
+    """
+
+    def handle(message: Any) -> None:
+        text = message.decode(errors="replace") if isinstance(message, bytes) else str(message)
+        take(" ".join(text.split()))
+
+    previous = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(handle)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(previous)
+
+
+def ignore(text: str) -> None:
+    """Takes a warning and says nothing."""

@@ -1,0 +1,49 @@
+"""A progress bar on work that takes longer than two seconds, when someone is looking."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Sized
+from typing import TypeVar
+
+T = TypeVar("T")
+PATIENCE = 2.0
+"""Seconds before a bar appears."""
+
+
+def track(items: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
+    """Yields the items, with a bar on standard error if it is a terminal and the work is long."""
+    if total is None and isinstance(items, Sized):
+        total = len(items)
+    if not sys.stderr.isatty():
+        yield from items
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    started = time.monotonic()
+    with Progress(console=Console(stderr=True), transient=True, auto_refresh=False) as bar:
+        task = bar.add_task(description, total=total, visible=False)
+        for item in items:
+            yield item
+            bar.advance(task)
+            if time.monotonic() - started > PATIENCE:
+                bar.update(task, visible=True, refresh=True)
+
+
+@contextlib.contextmanager
+def status(description: str) -> Iterator[Callable[[str], None]]:
+    """Gives a function that says what is going on, with a clock, on standard error if it is a
+    terminal."""
+    if not sys.stderr.isatty():
+        yield lambda text: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(description, total=None)
+        yield lambda text: bar.update(task, description=f"{description}: {text}")

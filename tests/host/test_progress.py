@@ -1,0 +1,51 @@
+"""Progress: every item passes through; a bar only for someone who looks, and only after a while."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+
+import pytest
+
+from orbisim.host import progress
+
+
+class Terminal(io.StringIO):
+    """A terminal that keeps what was written to it."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def shown(patience: float, monkeypatch: pytest.MonkeyPatch) -> str:
+    """What a terminal shows of three pieces of work."""
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(progress, "PATIENCE", patience)
+    with contextlib.redirect_stderr(Terminal()) as terminal:
+        assert list(progress.track([1, 2, 3], "forging")) == [1, 2, 3]
+    return terminal.getvalue()
+
+
+def test_without_a_terminal_nothing_is_written(capsys: pytest.CaptureFixture[str]) -> None:
+    assert list(progress.track(iter("abc"), "work")) == ["a", "b", "c"]
+    with progress.status("work") as say:
+        say("step")
+    assert capsys.readouterr() == ("", "")
+
+
+def test_long_work_shows_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = shown(-1.0, monkeypatch)
+    assert "forging" in text
+    assert "33%" in text
+    assert "100%" in text
+
+
+def test_short_work_shows_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "forging" not in shown(1e9, monkeypatch)
+
+
+def test_a_status_says_what_is_going_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    with contextlib.redirect_stderr(Terminal()) as terminal, progress.status("search") as say:
+        say("round 2")
+    assert "search: round 2" in terminal.getvalue()
