@@ -1,9 +1,4 @@
-"""Backends and renderers by name, found through entry points.
-
-A package offers its own with
-
-    [project.entry-points."orbisim.backends"]
-    mine = "my_package:MyBackend"
+"""Backends and renderers by name: plug-ins (see `orbisim.plugins`), or registered for a process.
 
 A name may carry an argument after a colon (`learned:path/to/checkpoint`); it is passed to the
 class as `argument=`.
@@ -11,35 +6,28 @@ class as `argument=`.
 
 from __future__ import annotations
 
-import functools
-from importlib import metadata
 from typing import Any
 
+from orbisim import plugins
 from orbisim.backend import Backend
-from orbisim.errors import InputError, MissingDependencyError, UnknownNameError
+from orbisim.errors import InputError, UnknownNameError
 from orbisim.renderer import Renderer
-from orbisim.scene import Scene
+from orbisim.scene import SceneSource, load_scene
 
 BACKENDS = "orbisim.backends"
 RENDERERS = "orbisim.renderers"
 
 _registered: dict[str, dict[str, type]] = {BACKENDS: {}, RENDERERS: {}}
-_EXTRAS = {"warp": "warp", "learned": "learned", "hybrid": "learned", "diffusion": "learned"}
-
-
-@functools.cache
-def _entry_points(group: str) -> dict[str, metadata.EntryPoint]:
-    return {entry.name: entry for entry in metadata.entry_points(group=group)}
 
 
 def available_backends() -> tuple[str, ...]:
     """Names of the registered backends (their dependencies may still be missing)."""
-    return tuple(sorted({*_entry_points(BACKENDS), *_registered[BACKENDS]}))
+    return tuple(sorted({*plugins.names(BACKENDS), *_registered[BACKENDS]}))
 
 
 def available_renderers() -> tuple[str, ...]:
     """Names of the registered renderers."""
-    return tuple(sorted({*_entry_points(RENDERERS), *_registered[RENDERERS]}))
+    return tuple(sorted({*plugins.names(RENDERERS), *_registered[RENDERERS]}))
 
 
 def register_backend(name: str, cls: type[Backend]) -> None:
@@ -83,21 +71,15 @@ def renderer_class(name: str) -> type[Renderer]:
 def _find(group: str, kind: str, name: str) -> Any:
     if name in _registered[group]:
         return _registered[group][name]
-    entries = _entry_points(group)
-    if name not in entries:
-        raise UnknownNameError(kind, name, {*entries, *_registered[group]})
-    try:
-        return entries[name].load()
-    except ImportError as error:
-        missing = error.name or str(error)
-        raise MissingDependencyError(
-            f"{kind} {name!r}", _EXTRAS.get(name, "all"), f"no module {missing!r}"
-        ) from error
+    known = {*plugins.names(group), *_registered[group]}
+    if name not in known:
+        raise UnknownNameError(kind, name, known)
+    return plugins.load(group, name, kind)
 
 
 def make_backend(
     name: str,
-    scene: Scene,
+    scene: SceneSource,
     *,
     nworld: int = 1,
     device: str | None = None,
@@ -107,7 +89,7 @@ def make_backend(
 
     Args:
       name: a registered name, with an optional argument after a colon.
-      scene: the scene to simulate.
+      scene: the scene to simulate, or anything that `load_scene` makes one of.
       nworld: number of worlds to prepare for.
       device: where to compute.
       **config: passed to the backend's class.
@@ -116,29 +98,39 @@ def make_backend(
       UnknownNameError: no backend has this name.
       MissingDependencyError: the backend's packages are not installed.
       UnsupportedSceneError: the backend cannot simulate the scene.
+      SceneError: the scene cannot be read.
     """
-    short, _, argument = name.partition(":")
+    short, argument = _split(name, "backend")
     if argument:
         config["argument"] = argument
     cls = backend_class(short)
     backend = _construct(cls, "backend", short, nworld=nworld, device=device, **config)
-    backend.load(scene)
+    backend.load(load_scene(scene))
     return backend
 
 
-def make_renderer(name: str, scene: Scene, **config: Any) -> Renderer:
+def make_renderer(name: str, scene: SceneSource, **config: Any) -> Renderer:
     """Makes a renderer by name and loads a scene into it.
 
     Raises:
       UnknownNameError: no renderer has this name.
       RenderingUnavailableError: this machine cannot render.
+      SceneError: the scene cannot be read.
     """
-    short, _, argument = name.partition(":")
+    short, argument = _split(name, "renderer")
     if argument:
         config["argument"] = argument
     renderer = _construct(renderer_class(short), "renderer", short, **config)
-    renderer.load(scene)
+    renderer.load(load_scene(scene))
     return renderer
+
+
+def _split(name: str, kind: str) -> tuple[str, str]:
+    """A plug-in's name and its argument."""
+    if not isinstance(name, str):
+        raise InputError(f"a {kind} is named by a string; got {name!r}")
+    short, _, argument = name.partition(":")
+    return short, argument
 
 
 def _construct(cls: type, kind: str, name: str, **config: Any) -> Any:

@@ -20,6 +20,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.errors import UnknownNameError
 from orbisim.scene.surface import Surface, sample_geom_surface, sample_mesh_surface
 
 EntityKind = Literal["robot", "rigid_object", "articulated_object", "deformable", "static"]
@@ -279,8 +280,6 @@ class SceneDescriptor:
         for entity in self.entities:
             if entity.name == name:
                 return entity
-        from orbisim.errors import UnknownNameError
-
         raise UnknownNameError("entity", name, [e.name for e in self.entities])
 
     @functools.cached_property

@@ -10,7 +10,19 @@ from typing import Any
 import mujoco
 
 from orbisim.errors import SceneError
-from orbisim.scene.confine import resolve_inside
+from orbisim.scene.safety.confine import resolve_inside
+
+
+def contents(path: Path) -> bytes:
+    """The bytes of a file.
+
+    Raises:
+      SceneError: it cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise SceneError(str(path), f"cannot be read: {error.strerror or error}") from None
 
 
 @dataclasses.dataclass(frozen=True)

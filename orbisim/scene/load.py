@@ -2,35 +2,48 @@
 
 from __future__ import annotations
 
-import os
-import re
+import difflib
+import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from orbisim import plugins
 from orbisim.errors import InputError, SceneError
-from orbisim.scene.guard import Limits, guarded
-from orbisim.scene.reading import Reader, ReadResult
+from orbisim.files.reading import size_of
+from orbisim.scene.mjcf import MjcfReader
+from orbisim.scene.objects import SceneSource, assets_of, scene_of, text_of
+from orbisim.scene.paths import path_of, refuse_other_kinds
+from orbisim.scene.readers import reader_of_root, reader_of_suffix, suffixes
+from orbisim.scene.reading import Reader
+from orbisim.scene.safety.archive import extracted
+from orbisim.scene.safety.budget import Limits
+from orbisim.scene.safety.guard import READING, guarded
+from orbisim.scene.safety.passed import Candidate
 from orbisim.scene.scene import Scene
 
-USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 ARCHIVE_SUFFIXES = (".zip", ".mjz")
-SUFFIXES = (".xml", ".mjcf", ".urdf", *USD_SUFFIXES, *ARCHIVE_SUFFIXES)
+MOST_DOCUMENT = 256 * 2**20
+"""Bytes of an XML document; one with all its meshes written out has some tens of megabytes."""
+NAMES = "orbisim.scenes"
+"""Entry point group of functions that make a scene of a name (`cheetah-run`), by its prefix."""
 
 
 def load_scene(
-    source: str | os.PathLike[str],
+    source: SceneSource,
     *,
-    assets: Mapping[str, bytes] | None = None,
+    assets: Mapping[str, bytes | str] | None = None,
     trusted: bool = False,
     **options: Any,
 ) -> Scene:
     """Reads a scene.
 
     Args:
-      source: a path to MJCF (`.xml`), URDF, USD (`.usd`, `.usda`, `.usdc`, `.usdz`) or a zip
-        archive holding one of them; a task name (`suite:cheetah-run`, `task:push`); or MJCF or
-        URDF as a string that starts with `<`.
+      source: a path to MJCF (`.xml`), URDF, USD (`.usd`, `.usda`, `.usdc`, `.usdz`), another format
+        that a plug-in reads, or a zip archive holding one of them; a task name
+        (`suite:cheetah-run`, `task:push`); a document (MJCF, URDF) as text or bytes that start
+        with `<`; a `Scene`, which is returned as it is; an `MjSpec` or `MjModel`; or an element of
+        `dm_control.mjcf`, whose whole model is taken with its assets.
       assets: for MJCF given as a string, the contents of the files that it refers to.
       trusted: read in this process without first trying in a child with bounded time and
         memory. Faster; a file that crashes the parser takes the process down.
@@ -41,39 +54,100 @@ def load_scene(
       UnknownNameError: there is no task of that name.
       MissingDependencyError: the format needs an extra that is not installed.
     """
-    text = os.fspath(source)
-    if text.lstrip()[:1] == "<":
-        return _from_string(text, assets, options)
+    if (scene := scene_of(source)) is not None:
+        _nothing_else(source, assets, options)
+        return scene
+    text = text_of(source)
+    if text.lstrip("\ufeff \t\r\n")[:1] == "<":
+        return _from_string(text.lstrip("\ufeff"), assets_of(assets), trusted, options)
     if assets is not None:
         raise InputError("assets are for MJCF given as a string; a file finds its own")
-    prefix, _, task = text.partition(":")
-    if task and prefix in ("suite", "task"):
-        return _from_task(prefix, task)
-    return _from_path(text, trusted, options)
+    if is_scene_name(text):
+        return named_scene(text)
+    return _from_path(path_of(text), trusted, options)
 
 
-def _from_string(text: str, assets: Mapping[str, bytes] | None, options: dict[str, Any]) -> Scene:
-    from orbisim.scene.mjcf import read_mjcf_string
-
-    tag = _root_tag(text)
-    if tag == "robot":
-        from orbisim.scene.urdf import read_urdf_string
-
-        return Scene.from_read(read_urdf_string(text, **options), "URDF string")
-    _no_options(options, "MJCF")
-    return Scene.from_read(read_mjcf_string(text, assets), "XML string")
+def _nothing_else(source: object, assets: object, options: Mapping[str, Any]) -> None:
+    given = [*options, *(["assets"] if assets is not None else [])]
+    if given:
+        raise InputError(
+            f"a {type(source).__name__} is a scene already; {', '.join(sorted(given))} cannot "
+            "change how it is read"
+        )
 
 
-def _from_task(prefix: str, task: str) -> Scene:
-    if prefix == "suite":
-        from orbisim import suite
+def is_scene_name(text: str) -> bool:
+    """Whether a text names a scene (`task:push`), rather than a file or a document."""
+    prefix, _, name = text.partition(":")
+    return bool(name) and prefix in plugins.names(NAMES)
 
-        return suite.load_scene(task)
-    from orbisim import tasks
-    from orbisim.tasks.registry import split
 
-    name, subtask = split(task)
-    return tasks.make(f"{prefix}:{name}").scene(subtask)
+def named_scene(text: str, source: str = "") -> Scene:
+    """A scene by name; never a file or a document.
+
+    For names that stand in data: a path there must not have a file opened.
+
+    Args:
+      text: the name.
+      source: where it stands; named in errors.
+
+    Raises:
+      InputError: it is not the name of a scene.
+      UnknownNameError: there is no such task.
+    """
+    if not is_scene_name(text):
+        where = f"{source}: " if source else ""
+        raise InputError(
+            f"{where}expected the name of a scene, such as task:push; got {text!r:.80}"
+        )
+    prefix, _, name = text.partition(":")
+    scene: Scene = plugins.load(NAMES, prefix, "kind of scene name")(name)
+    return scene
+
+
+def _from_string(
+    text: str, assets: Mapping[str, bytes] | None, trusted: bool, options: dict[str, Any]
+) -> Scene:
+    reader = reader_of_root(_root_tag(text)) or MjcfReader()  # MuJoCo says what is wrong with it
+    source = "XML string" if reader.format == "MJCF" else f"{reader.format} string"
+    key = _content(text, assets, options)
+    if assets is not None:
+        options = {**options, "assets": assets}
+
+    def work() -> Scene:
+        return Scene.from_read(reader.read_string(text, **options), source)
+
+    if not trusted and (key is None or key not in _passed):
+        size = len(text) + sum(map(len, (assets or {}).values()))
+        guarded(work, source, Limits().for_input_of(size))
+        _remember(key)
+    with READING:
+        return work()
+
+
+_KEPT = 256
+_passed: dict[bytes, None] = {}
+"""Hashes of the strings that came through the guard last: tasks load theirs again and again."""
+
+
+def _content(
+    text: str, assets: Mapping[str, bytes] | None, options: dict[str, Any]
+) -> bytes | None:
+    """A hash of all that a string is read from; None where files on disk may be part of it."""
+    if options or (assets is None and ("file" in text or "plugin" in text)):
+        return None
+    found = hashlib.sha256(text.encode(errors="surrogatepass"))
+    for name, data in sorted((assets or {}).items()):
+        found.update(f"\0{len(name)} {name} {len(data)}\0".encode(errors="surrogatepass"))
+        found.update(data)
+    return found.digest()
+
+
+def _remember(key: bytes | None) -> None:
+    if key is not None:
+        _passed[key] = None
+    while len(_passed) > _KEPT:
+        _passed.pop(next(iter(_passed)), None)
 
 
 def _from_path(text: str, trusted: bool, options: dict[str, Any]) -> Scene:
@@ -82,53 +156,69 @@ def _from_path(text: str, trusted: bool, options: dict[str, Any]) -> Scene:
         raise SceneError(text, "is a folder", remedy="name a scene file inside it")
     if not path.exists():
         raise SceneError(text, "no such file", remedy=_similar_files(path))
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
+    suffix, known = path.suffix.lower(), (*suffixes(), *ARCHIVE_SUFFIXES)
+    if suffix not in known:
+        refuse_other_kinds(text, suffix)
         raise SceneError(
             text,
-            f"a scene has one of the suffixes {', '.join(SUFFIXES)}; got {suffix or 'none'!r}",
+            f"a scene has one of the suffixes {', '.join(known)}; got {suffix or 'none'!r}",
             remedy="rename the file if it is one of these formats",
         )
-    if path.stat().st_size == 0:
-        raise SceneError(text, "the file is empty")
+    size = _size(path)
     if suffix in ARCHIVE_SUFFIXES:
-        from orbisim.scene.archive import extracted
-
-        with extracted(path) as scene_path:
+        with extracted(path, suffixes()) as scene_path:
             scene = _from_path(str(scene_path), trusted, options)
             return scene.replace_source(text)
     reader = _reader(path, suffix)
-    if suffix in USD_SUFFIXES:  # the reader itself runs OpenUSD in a process of its own
-        return Scene.from_read(reader(text, **options), text)
+    if reader.root is not None and size > MOST_DOCUMENT:
+        raise SceneError(
+            text,
+            f"has {size} bytes; at most {MOST_DOCUMENT} of a document are read",
+            remedy="move meshes into files of their own",
+        )
 
     def work() -> Scene:
-        return Scene.from_read(reader(text, **options), text)
+        return Scene.from_read(reader.read(text, **options), text)
 
-    if not trusted:
-        guarded(work, text, Limits().for_input_of(_size_with_references(path)))
-    return work()
+    if not (trusted or reader.isolated):
+        candidate = Candidate.of(path, reader, options)
+        if not candidate.passed_before():
+            candidate.passed(guarded(work, text, Limits().for_input_of(size)))
+    with READING:
+        return work()
+
+
+def _size(path: Path) -> int:
+    """Bytes of a scene file."""
+    try:
+        size = size_of(path)
+    except InputError as error:
+        raise SceneError(str(path), str(error).removeprefix(f"{path}: ")) from None
+    if size == 0:
+        raise SceneError(str(path), "the file is empty")
+    return size
 
 
 def _reader(path: Path, suffix: str) -> Reader:
-    """The reader for a file, by suffix and root element."""
-    if suffix in USD_SUFFIXES:
-        from orbisim.scene.usd import read_usd
+    """The reader for a file, by suffix; of XML the root element must agree.
 
-        return read_usd
+    Raises:
+      SceneError: it does not.
+    """
+    reader = reader_of_suffix(suffix)
+    if reader.root is None:
+        return reader
     tag = _root_tag(_head(path))
-    if tag == "robot":
-        if suffix != ".urdf":
-            raise SceneError(str(path), "holds URDF (<robot>)", remedy="rename it to end in .urdf")
-        from orbisim.scene.urdf import read_urdf
-
-        return read_urdf
-    if suffix == ".urdf":
-        raise SceneError(
-            str(path),
-            f"URDF starts with <robot>; got <{tag}>" if tag else "holds no XML element",
-            remedy="rename it to end in .xml if it is MJCF",
-        )
-    return _read_mjcf
+    other = reader if tag == reader.root else reader_of_root(tag)
+    if other is reader or (other is None and isinstance(reader, MjcfReader)):
+        return reader  # what is wrong with other XML, MuJoCo says
+    raise SceneError(
+        str(path),
+        f"{reader.format} starts with <{reader.root}>; got <{tag}>"
+        if tag
+        else "holds no XML element",
+        remedy=f"rename it to end in {other.suffix}" if other else None,
+    )
 
 
 def _head(path: Path) -> str:
@@ -139,67 +229,24 @@ def _head(path: Path) -> str:
     return data.decode("utf-16" if marked else "utf-8", errors="replace")
 
 
-def _read_mjcf(path: str, **options: Any) -> ReadResult:
-    from orbisim.scene.mjcf import read_mjcf
-
-    _no_options(options, "MJCF")
-    return read_mjcf(path)
-
-
-def _no_options(options: dict[str, Any], what: str) -> None:
-    if options:
-        raise InputError(f"the {what} reader takes no options; got {', '.join(sorted(options))}")
-
-
 def _root_tag(text: str) -> str:
     """Name of the first element, skipping comments, declarations and the byte order mark."""
     position = 0
     while (start := text.find("<", position)) >= 0:
-        rest = text[start:]
-        if rest.startswith("<!--"):
+        if text.startswith("<!--", start):
             end = text.find("-->", start)
             if end < 0:
                 return ""
             position = end + 3
-        elif rest[1:2] in ("?", "!"):
+        elif text[start + 1 : start + 2] in ("?", "!"):
             position = start + 1
         else:
-            name = rest[1:200].replace("/", " ").replace(">", " ").split()
+            name = text[start + 1 : start + 200].replace("/", " ").replace(">", " ").split()
             return name[0] if name else ""
     return ""
 
 
-_REFERENCE = re.compile(r"""(?:file\w*|filename)\s*=\s*["']([^"']+)["']""")
-_DIRECTORY = re.compile(r"""(?:meshdir|texturedir|assetdir)\s*=\s*["']([^"']+)["']""")
-
-
-def _size_with_references(path: Path, seen: set[Path] | None = None) -> int:
-    """Bytes in an XML file and in the files that it names, included documents and theirs too."""
-    seen = set() if seen is None else seen
-    seen.add(path)
-    total = path.stat().st_size
-    text = path.read_bytes().decode(errors="replace")
-    folders = [path.parent, *(path.parent / name for name in _DIRECTORY.findall(text))]
-    for name in set(_REFERENCE.findall(text)):
-        found = next((f / name for f in folders if _is_file(f / name)), None)
-        if found is None or found in seen or len(seen) > 10_000:
-            continue
-        seen.add(found)
-        is_xml = found.suffix.lower() == ".xml"
-        total += _size_with_references(found, seen) if is_xml else found.stat().st_size
-    return total
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # a name that no file can have
-        return False
-
-
 def _similar_files(path: Path) -> str:
-    import difflib
-
     if not path.parent.is_dir():
         return f"the folder {str(path.parent)!r} does not exist either"
     names = [entry.name for entry in path.parent.iterdir()]

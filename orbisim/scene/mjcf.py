@@ -5,17 +5,21 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import mujoco
 
-from orbisim.errors import SceneError
-from orbisim.scene.confine import confinement
-from orbisim.scene.files import embed
+from orbisim.errors import InputError, SceneError
+from orbisim.scene.files import contents, embed
 from orbisim.scene.mjcf_files import check_meshes, documents
-from orbisim.scene.reading import ReadResult
+from orbisim.scene.reading import Reader, ReadResult
+from orbisim.scene.safety.confine import confinement
+from orbisim.scene.safety.xmlsafe import without_comments
+
+COMPILER_ERRORS = (ValueError, RuntimeError, mujoco.FatalError)
+"""What MuJoCo's parser and compiler raise."""
 
 _ENTITY = re.compile(rb"<!ENTITY", re.IGNORECASE)
-_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 
 
 def read_mjcf(path: str) -> ReadResult:
@@ -26,13 +30,13 @@ def read_mjcf(path: str) -> ReadResult:
     """
     found = documents(Path(path))
     for document in found:
-        data = document.read_bytes()
+        data = contents(document)
         refuse_entities(data, str(document))
         refuse_other_encodings(data, str(document))
     folders = list(dict.fromkeys(document.parent for document in found))
     try:
         spec = mujoco.MjSpec.from_file(path)
-    except (ValueError, mujoco.FatalError) as error:
+    except COMPILER_ERRORS as error:
         raise as_scene_error(error, path) from None
     notes = check_meshes(spec, folders, path)
     if confinement() is not None:  # the files are there only while the scene is read
@@ -53,14 +57,38 @@ def read_mjcf_string(
     included = {name: data for name, data in assets.items() if name.lower().endswith(".xml")}
     try:
         spec = mujoco.MjSpec.from_string(xml, include=included, assets=assets)
-    except (ValueError, mujoco.FatalError) as error:
+    except COMPILER_ERRORS as error:
         raise as_scene_error(error, source) from None
     return ReadResult(spec)
 
 
+class MjcfReader(Reader):
+    """MJCF files and strings."""
+
+    format = "MJCF"
+    suffix = ".xml"
+    root = "mujoco"
+
+    def read(self, path: str, **options: Any) -> ReadResult:
+        """See `read_mjcf`."""
+        _no_options(options)
+        return read_mjcf(path)
+
+    def read_string(self, text: str, **options: Any) -> ReadResult:
+        """See `read_mjcf_string`; `assets` is the one option."""
+        assets = options.pop("assets", None)
+        _no_options(options)
+        return read_mjcf_string(text, assets)
+
+
+def _no_options(options: Mapping[str, Any]) -> None:
+    if options:
+        raise InputError(f"the MJCF reader takes no options; got {', '.join(sorted(options))}")
+
+
 def refuse_entities(xml: bytes, source: str) -> None:
     """Raises `SceneError` if the document declares entities (MuJoCo would not expand them)."""
-    if _ENTITY.search(xml) and _ENTITY.search(_COMMENT.sub(b"", xml)):
+    if _ENTITY.search(xml) and _ENTITY.search(without_comments(xml)):
         raise SceneError(
             source,
             "the document declares entities (<!ENTITY ...>), which are not expanded",
@@ -74,7 +102,7 @@ def refuse_other_encodings(xml: bytes, source: str) -> None:
         xml.decode()
     except UnicodeDecodeError:
         try:
-            _COMMENT.sub(lambda found: b"\n" * found[0].count(b"\n"), xml).decode()
+            without_comments(xml).decode()
         except UnicodeDecodeError as error:
             line = error.object.count(b"\n", 0, error.start) + 1
             raise SceneError(

@@ -13,33 +13,37 @@ from pathlib import Path
 import mujoco
 
 from orbisim.errors import SceneError
-from orbisim.scene import xmlsafe
-from orbisim.scene.confine import confinement, resolve_inside
 from orbisim.scene.files import file_references, locate
-from orbisim.scene.meshformats import obj_has_several_objects
-from orbisim.scene.xmlsafe import Node
+from orbisim.scene.safety import xmlsafe
+from orbisim.scene.safety.confine import confinement, resolve_inside
+from orbisim.scene.safety.guard import opened
+from orbisim.scene.safety.meshcheck import check_native_mesh
+from orbisim.scene.safety.meshformats import CHECKED_WHOLE
+from orbisim.scene.safety.xmlsafe import Node
 
 _DOCUMENTS = ("include", "model")
 _OPENED_EARLY = (*_DOCUMENTS, "flexcomp")
 _MOST_DOCUMENTS = 1000
-_NATIVE = (".stl", ".obj", ".msh")
-"""Mesh formats that MuJoCo itself decodes; what else there is comes from its plugins."""
+"""Of one scene, includes counted: the largest public ones have some dozens."""
 
 
 def documents(path: Path) -> list[Path]:
     """The document, and those that it includes or attaches, theirs too.
 
-    Where references are confined (see `orbisim.scene.confine`), all of them are checked.
+    Where references are confined (see `orbisim.scene.safety.confine`), all of them are checked.
 
     Raises:
       SceneError: a confined document is not safe XML, or refers to something outside.
     """
-    found = [path]
+    found, seen = [path], {path}
     for document in found:
         for node in _nodes(document):
             for file in _references(node, document, path.parent):
-                is_document = node.tag in _DOCUMENTS
-                if is_document and file.is_file() and file not in found:
+                if file in seen or not _is_file(file):
+                    continue
+                seen.add(file)
+                opened(file)
+                if node.tag in _DOCUMENTS:
                     found.append(file)
         if len(found) > _MOST_DOCUMENTS:
             raise SceneError(str(path), f"includes more than {_MOST_DOCUMENTS} documents")
@@ -58,21 +62,28 @@ def check_meshes(spec: mujoco.MjSpec, folders: Sequence[Path], source: str) -> t
     checked: set[Path] = set()
     notes: list[str] = []
     for reference in file_references(spec):
-        if not reference.label.startswith("mesh") or reference.element.content_type:
-            continue
         path = locate(reference, folders, source)
-        if path is None or path in checked or path.suffix.lower() not in _NATIVE:
-            continue  # what is missing or of another format, MuJoCo knows best
-        from orbisim.scene.meshes import check_mesh_file  # trimesh takes most of a second
-
-        check_mesh_file(path, source=source, element=reference.label)
+        if path is None or path in checked:
+            continue  # what is missing, MuJoCo knows best
         checked.add(path)
-        if path.suffix.lower() == ".obj" and obj_has_several_objects(path.read_bytes()):
+        opened(path)
+        is_mesh = reference.label.startswith("mesh") and not reference.element.content_type
+        if not is_mesh or path.suffix.lower() not in CHECKED_WHOLE:
+            continue  # and what is of another format
+        found = check_native_mesh(path, source=source, element=reference.label)
+        if found.several_objects:
             notes.append(
                 f"{reference.label}: {path.name!r} holds several objects, of which MuJoCo reads "
                 "the first; join them to keep all"
             )
     return tuple(notes)
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name that no file can have
+        return False
 
 
 def _nodes(document: Path) -> list[Node]:

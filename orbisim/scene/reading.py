@@ -1,11 +1,14 @@
-"""What every scene reader returns: an `MjSpec`, and what it could not express."""
+"""What every scene reader is, and what it returns: an `MjSpec`, and what it could not express."""
 
 from __future__ import annotations
 
+import abc
 import dataclasses
-from typing import Any, Protocol
+from typing import Any, ClassVar
 
 import mujoco
+
+from orbisim.errors import InputError
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,12 +44,39 @@ class ReadResult:
     warnings: tuple[str, ...] = ()
 
 
-class Reader(Protocol):
-    """Reads one scene format.
+class Reader(abc.ABC):
+    """Reads one scene format: a plug-in of the entry point group `orbisim.readers`.
 
-    Raises `orbisim.errors.SceneError` on input that is broken, hostile or not of this format.
+    The entry point's name is the suffix without its dot (`urdf`); a reader of several suffixes is
+    registered under each.
+
+    Attributes:
+      format: its name, for messages ("URDF"). suffix: the one it usually has (".urdf").
+      root: name of the root element, where the format is XML: by it, documents given as strings
+        find their reader.
+      isolated: whether `read` bounds time and memory itself; otherwise files that are not trusted
+        are first read in a child process that is bounded.
     """
 
-    def __call__(self, path: str, **options: Any) -> ReadResult:
-        """Reads the file at `path`."""
-        ...
+    format: ClassVar[str]
+    suffix: ClassVar[str]
+    root: ClassVar[str | None] = None
+    isolated: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def read(self, path: str, **options: Any) -> ReadResult:
+        """Reads the file at `path`.
+
+        Raises:
+          SceneError: it is broken, hostile or not of this format; the message names the element.
+          InputError: an option is unknown or wrong.
+        """
+
+    def read_string(self, text: str, **options: Any) -> ReadResult:
+        """Reads a document.
+
+        Raises:
+          SceneError: as `read`.
+          InputError: as `read`; or the format has no text form.
+        """
+        raise InputError(f"{self.format} is read from files only; save the document and name it")

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import mujoco
 
+from orbisim.files.writing import make_folder, write_bytes, write_text
 from orbisim.scene.files import embed, file_references
 from orbisim.scene.mjcf_files import documents
+from orbisim.scene.precision import full_precision
 
 ASSETS_FOLDER = "assets"
 
@@ -19,9 +21,7 @@ def save_spec(spec: mujoco.MjSpec, folder: Path, filename: str, source: str) -> 
     Raises:
       SceneError: a file that the scene refers to is gone.
     """
-    from orbisim.scene.scene import full_precision
-
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     written: dict[str, bytes] = {}
     embed(spec, _folders(spec, source), source)
     for reference in list(file_references(spec)):
@@ -29,16 +29,34 @@ def save_spec(spec: mujoco.MjSpec, folder: Path, filename: str, source: str) -> 
         written[target] = spec.assets[target]
         reference.rename(f"{ASSETS_FOLDER}/{target}")
     if written:
-        (folder / ASSETS_FOLDER).mkdir(exist_ok=True)
+        make_folder(folder / ASSETS_FOLDER)
         for target, data in written.items():
-            (folder / ASSETS_FOLDER / target).write_bytes(data)
+            write_bytes(folder / ASSETS_FOLDER / target, data, announce=False)
     spec.modelfiledir = str(folder.resolve())
     path = folder / filename
     with full_precision(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # given when the scene was loaded
         spec.compile()
-        path.write_text(spec.to_xml())
+        write_text(path, spec.to_xml())
     return path
+
+
+def packed(spec: mujoco.MjSpec, source: str) -> tuple[str, dict[str, bytes]]:
+    """A document and the contents of the files that it refers to.
+
+    Raises:
+      SceneError: a file that the scene refers to is gone.
+    """
+    embed(spec, _folders(spec, source), source)
+    with full_precision(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # given when the scene was loaded
+        spec.compile()
+        return str(spec.to_xml()), dict(spec.assets)
+
+
+def unpacked(xml: str, assets: dict[str, bytes]) -> mujoco.MjSpec:
+    """The document that `packed` was given."""
+    return mujoco.MjSpec.from_string(xml, assets=assets)
 
 
 def _folders(spec: mujoco.MjSpec, source: str) -> list[Path]:

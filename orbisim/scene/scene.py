@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import ctypes
 import dataclasses
 import functools
 import hashlib
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from orbisim.engine_log import engine_warnings
 from orbisim.errors import InputError, SceneError
+from orbisim.host.engine_log import engine_warnings
 from orbisim.scene.descriptor import SceneDescriptor, describe
-from orbisim.scene.guard import COMPILING
-from orbisim.scene.mjcf import as_scene_error
+from orbisim.scene.mjcf import COMPILER_ERRORS, as_scene_error
+from orbisim.scene.precision import full_precision
 from orbisim.scene.reading import ReadResult, Unsupported
-
-if TYPE_CHECKING:
-    from orbisim.effects import EffectInstance
+from orbisim.scene.safety.guard import COMPILING
+from orbisim.scene.saving import packed, save_spec, unpacked
+from orbisim.scene.texts import check_texts
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -55,35 +54,33 @@ class Scene:
         *,
         source: str = "MjSpec",
         unsupported: Sequence[Unsupported] = (),
-        reader_warnings: Sequence[str] = (),
     ) -> Scene:
         """Compiles an `MjSpec`; later changes to it do not reach the scene.
 
         Raises:
           SceneError: MuJoCo cannot compile it, or the compiled model is not finite.
         """
-        with _collect_warnings() as compiler_warnings:
-            try:
-                model = spec.compile()
-            except (ValueError, mujoco.FatalError) as error:
-                raise as_scene_error(error, source) from None
-        _check_finite(model, source)
-        found = (*reader_warnings, *dict.fromkeys(compiler_warnings))
+        scene = cls.from_read(ReadResult(spec, tuple(unsupported)), source)
         kept = spec.copy()  # only now: a copy drops references to what is missing, unnoticed
-        scene = cls(spec.modelname or "scene", source, model, tuple(unsupported), found, kept)
-        if any(text.name == "orbisim:effects" for text in kept.texts):
-            _ = scene.effects  # raises if they are not readable
-        return scene
+        return dataclasses.replace(scene, _spec=kept)
 
     @classmethod
     def from_read(cls, read: ReadResult, source: str) -> Scene:
-        """Compiles what a reader returned."""
-        return cls.from_spec(
-            read.spec,
-            source=source,
-            unsupported=read.unsupported,
-            reader_warnings=read.warnings,
-        )
+        """Compiles what a reader returned, and keeps it.
+
+        Raises:
+          SceneError: as `from_spec`.
+        """
+        spec = read.spec
+        with _collect_warnings() as compiler_warnings:
+            try:
+                model = spec.compile()
+            except COMPILER_ERRORS as error:
+                raise as_scene_error(error, source) from None
+        _check_finite(model, source)
+        found = (*read.warnings, *dict.fromkeys(compiler_warnings))
+        check_texts(model, source)
+        return cls(spec.modelname or "scene", source, model, read.unsupported, found, spec)
 
     @classmethod
     def from_model(cls, model: mujoco.MjModel, *, source: str = "MjModel") -> Scene:
@@ -91,21 +88,37 @@ class Scene:
         name = model.names[: model.names.find(b"\0")].decode() or "scene"
         return cls(name, source, copy.copy(model))
 
+    def __copy__(self) -> Scene:
+        return dataclasses.replace(self)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Scene:
+        """The same scene with a model and a document of its own."""
+        spec = None if self._spec is None else self._spec.copy()
+        return dataclasses.replace(self, model=copy.deepcopy(self.model), _spec=spec)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For pickle: the model as it is, the document with the files that it refers to.
+
+        Where such a file is gone, the document is left out, and the copy is not editable.
+        """
+        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        del fields["_spec"]
+        try:
+            document = None if self._spec is None else packed(self._spec.copy(), self.source)
+        except SceneError:
+            document = None
+        return {**fields, "document": document}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        document = state.pop("document")
+        spec = None if document is None else unpacked(*document)
+        for name, value in {**state, "_spec": spec}.items():
+            object.__setattr__(self, name, value)
+
     @functools.cached_property
     def descriptor(self) -> SceneDescriptor:
         """The static descriptors of the scene (see `orbisim.scene.descriptor`)."""
         return describe(self.model, name=self.name)
-
-    @functools.cached_property
-    def effects(self) -> tuple[EffectInstance, ...]:
-        """Effects that the scene carries because MJCF cannot express them.
-
-        Raises:
-          SceneError: they are not readable or do not fit the scene.
-        """
-        from orbisim.effects.carry import carried_effects
-
-        return carried_effects(self.model, self.source)
 
     @property
     def spec(self) -> mujoco.MjSpec:
@@ -158,8 +171,6 @@ class Scene:
         Raises:
           SceneError: a file that the scene refers to is gone.
         """
-        from orbisim.scene.saving import save_spec
-
         return save_spec(self.spec, Path(folder), filename, self.source)
 
 
@@ -191,14 +202,24 @@ _FINITE_FIELDS = (
 
 
 def _check_finite(model: mujoco.MjModel, source: str) -> None:
-    """Raises `SceneError` naming the first element with a NaN or infinite number."""
+    """Raises `SceneError` naming the first element with a NaN or infinite number.
+
+    And where the timestep is none: MuJoCo compiles such a scene, and then stands still.
+    """
+    timestep = float(model.opt.timestep)
+    if not 0 < timestep < np.inf:
+        raise SceneError(
+            source,
+            f"timestep is {timestep:g}; expected seconds above 0",
+            element="<option>",
+            remedy='write <option timestep="0.002"/>',
+        )
     for kind, field in _FINITE_FIELDS:
         values: Any = getattr(model, field)
-        rows = values.reshape(len(values), -1) if len(values) else values.reshape(0, 1)
-        bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
-        if not bad.size:
+        if np.isfinite(values).all():
             continue
-        index = int(bad[0])
+        rows = values.reshape(len(values), -1) if len(values) else values.reshape(0, 1)
+        index = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
         if kind == "mesh":  # vertices of all meshes stand in one array
             index = int(np.searchsorted(model.mesh_vertadr, index, side="right") - 1)
         if kind == "dof":
@@ -224,29 +245,3 @@ def _collect_warnings() -> Iterator[list[str]]:
                 yield collected
         finally:
             collected += [" ".join(str(warning.message).split()) for warning in caught]
-
-
-_FULL_DIGITS = 17
-
-
-@contextlib.contextmanager
-def full_precision() -> Iterator[None]:
-    """Makes MuJoCo's XML writer print 17 digits instead of 6.
-
-    The setting is an exported but undocumented function of the library; `tests/scene` checks
-    that a saved scene compiles to the same model.
-    """
-    import glob
-    import os
-
-    pattern = os.path.join(os.path.dirname(mujoco.__file__), "libmujoco.so*")  # noqa: PTH118,PTH120
-    libraries = sorted(glob.glob(pattern))  # noqa: PTH207
-    library = ctypes.CDLL(libraries[0]) if libraries else ctypes.CDLL(None)
-    setter = library._mjPRIVATE__set_xml_precision
-    getter = library._mjPRIVATE__get_xml_precision
-    before = getter()
-    setter(_FULL_DIGITS)
-    try:
-        yield
-    finally:
-        setter(before)

@@ -12,14 +12,18 @@ import pytest
 
 from orbisim.backend import Backend, Capability
 from orbisim.errors import DivergedError, InputError
+from orbisim.metrics import energies
 from orbisim.physics import Physics
 from orbisim.registry import available_backends, make_backend
 from orbisim.scene import Scene, load_scene
 from orbisim.state import State
 from orbisim.testing import scenes
+from orbisim.testing.scenes import DIVERGING
 
 _WORLDS = 3
+"""The fewest with one that has neighbours on both sides."""
 _STEPS = 8
+"""Long enough to tell steps apart, short enough for backends that compile."""
 
 
 class BackendConformance:
@@ -248,6 +252,85 @@ class BackendConformance:
                 engine.rollout(state, np.zeros((_STEPS, nu + 1)))
             with pytest.raises(InputError, match="qpos"):
                 engine.step(state.replace(qpos=_like(np.zeros((_WORLDS, 99)), state.qpos)))
+            with pytest.raises(InputError, match="qacc_warmstart"):
+                engine.step(state.with_memory(qacc_warmstart=np.zeros((_WORLDS, 99))))
+
+    @pytest.mark.parametrize("nstep", [0, -1, 1.5, None, "2"])
+    def test_step_counts_that_are_none_are_refused(
+        self, engines: list[Backend], nstep: Any
+    ) -> None:
+        for engine in engines:
+            state, controls = engine.reset(), self.controls(engine)
+            with pytest.raises(InputError, match="nstep"):
+                engine.step(state, None, nstep)
+            with pytest.raises(InputError, match="nstep"):
+                engine.rollout(state, controls, nstep=nstep)
+
+    @pytest.mark.parametrize("nworld", [0, -1, 1.5, "2"])
+    def test_world_counts_that_are_none_are_refused(
+        self, engines: list[Backend], nworld: Any
+    ) -> None:
+        for engine in engines:
+            with pytest.raises(InputError, match="nworld"):
+                engine.reset(nworld)
+        with pytest.raises(InputError, match="nworld"):
+            make_backend(self.backend, engines[0].scene, nworld=nworld, **self.config)
+
+    @pytest.mark.parametrize("seed", [-1, 0.5, "a"])
+    def test_seeds_that_are_none_are_refused(self, engines: list[Backend], seed: Any) -> None:
+        for engine in engines:
+            with pytest.raises(InputError, match="seed"):
+                engine.reset(seed=seed)
+
+    @pytest.mark.parametrize("state", [None, {"qpos": [0.0]}, "state"])
+    def test_states_that_are_none_are_refused(self, engines: list[Backend], state: Any) -> None:
+        for engine in engines:
+            nothing = np.zeros((_STEPS, engine.model.nu))
+            with pytest.raises(InputError, match="must be a State"):
+                engine.step(state)
+            with pytest.raises(InputError, match="must be a State"):
+                engine.rollout(state, nothing)
+            with pytest.raises(InputError, match="must be a State"):
+                engine.linearize(state)
+
+    def test_a_state_without_worlds_is_refused(self, engines: list[Backend]) -> None:
+        for engine in engines:
+            with pytest.raises(InputError, match="no worlds"):
+                engine.step(engine.reset()[[]])
+
+    @pytest.mark.parametrize("kind", ["ragged", "complex", "text", "object"])
+    def test_controls_that_are_no_numbers_are_refused(
+        self, engines: list[Backend], kind: str
+    ) -> None:
+        for engine in engines:
+            nu = engine.model.nu
+            row: Any = {
+                "ragged": [[0.0] * (nu + 1), [0.0] * nu, [0.0] * nu],
+                "complex": np.full((_WORLDS, nu), 1j),
+                "text": [["a"] * nu] * _WORLDS,
+                "object": [[None] * nu] * _WORLDS,
+            }[kind]
+            if kind in ("text", "object") and not nu:
+                continue
+            with pytest.raises(InputError, match="control"):
+                engine.step(engine.reset(), row)
+            with pytest.raises(InputError, match="controls"):
+                engine.rollout(engine.reset(), [row] * _WORLDS if kind == "ragged" else [row])
+
+    def test_a_rollout_of_no_controls(self, engines: list[Backend]) -> None:
+        for engine in engines:
+            state = self.moved(engine)
+            trajectory = engine.rollout(state, np.zeros((_WORLDS, 0, engine.model.nu)))
+            assert tuple(trajectory.qpos.shape) == (_WORLDS, 0, engine.model.nq)
+            assert (np.asarray(trajectory.diverged_at) == -1).all()
+            self.assert_same(trajectory.final, state)
+
+    @pytest.mark.parametrize("eps", [0.0, -1.0, float("nan"), float("inf"), "small"])
+    def test_perturbations_that_are_none_are_refused(
+        self, engines: list[Backend], eps: Any
+    ) -> None:
+        with pytest.raises(InputError, match="eps"):
+            engines[0].linearize(engines[0].reset(), eps=eps)
 
     def test_controls_that_are_not_finite_are_refused(self, engines: list[Backend]) -> None:
         for engine in engines:
@@ -287,8 +370,7 @@ class BackendConformance:
         for engine in engines[:2]:
             model, state = engine.model, self.moved(engine)
             control = self.controls(engine)[:, 0]
-            eps = 1e-6 if not self.tolerance else 1e-2
-            found = engine.linearize(state, control, eps=eps)
+            found = engine.linearize(state, control)
             ndx = 2 * model.nv + model.na
             assert tuple(found.A.shape) == (_WORLDS, ndx, ndx)
             assert tuple(found.B.shape) == (_WORLDS, ndx, model.nu)
@@ -368,8 +450,6 @@ class BackendConformance:
         return self.make(load_scene(source), nworld=2)
 
     def test_energy_of_a_pendulum_is_conserved(self) -> None:
-        from orbisim.metrics import energies
-
         engine = self.classical(scenes.PENDULUM)
         state = engine.reset()
         state = state.replace(qpos=_like(np.array([[1.0], [2.0]]), state.qpos))
@@ -401,6 +481,31 @@ class BackendConformance:
         if "qfrc_constraint" in after.memory:
             force = after.memory["qfrc_constraint"][:, 2]
             np.testing.assert_allclose(force, 9.81, rtol=2e-2)
+
+    @pytest.mark.parametrize("attributes", DIVERGING)
+    def test_diverges_where_mujoco_does(self, attributes: str) -> None:
+        """A gain of 1e30, a negative damping: no finite numbers that mean nothing."""
+        engine = self.classical(scenes.diverging(attributes))
+        reference = make_backend("mujoco", engine.scene, nworld=2)
+        control = np.array([[0.5], [0.5]])
+        for backend in (reference, engine):
+            with pytest.raises(DivergedError):
+                backend.step(backend.reset(), control, 20)
+            trajectory = backend.rollout(backend.reset(), np.tile(control[:, None], (1, 20, 1)))
+            assert (np.asarray(trajectory.diverged_at) >= 0).all()
+
+    def test_runge_kutta_is_linearized(self) -> None:
+        """MuJoCo's own finite differences refuse it."""
+        engine = self.classical(scenes.RUNGE_KUTTA)
+        reference = make_backend("mujoco", engine.scene, nworld=2)
+        state, control = self.moved(reference, 2), np.array([0.3])
+        found = engine.linearize(state, control)
+        ahead, behind = (
+            reference.step(state, control + sign * 1e-4).qvel[:, 0] for sign in (1, -1)
+        )
+        slope = (ahead - behind) / 2e-4
+        nv = engine.model.nv
+        np.testing.assert_allclose(np.asarray(found.B)[:, nv, 0], slope, rtol=1e-2)
 
     def test_agrees_with_mujoco_without_contact(self) -> None:
         engine = self.classical(scenes.CARTPOLE)

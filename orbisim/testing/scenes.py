@@ -95,3 +95,32 @@ COLOURS = """
 </mujoco>
 """
 """A red ball 2 m in front of a camera; the blue wall behind it starts at 3 m."""
+
+RUNGE_KUTTA = CARTPOLE.replace('timestep="0.005"', 'timestep="0.005" integrator="RK4"')
+"""Cart and pole, integrated by Runge-Kutta."""
+
+DIVERGING = (
+    'gainprm="1e30"',
+    'gainprm="1e12"',
+    'damping="-1e6"',
+    'stiffness="-1e9"',
+)
+"""What makes a motor on a hinge diverge in C MuJoCo within 20 steps."""
+
+
+def diverging(attributes: str) -> str:
+    """An arm that diverges: attributes of its motor, its joint or the integration."""
+    marks = dict.fromkeys(("gainprm", "integrator", "joint"), "")
+    for attribute in attributes.split():
+        name = attribute.partition("=")[0]
+        marks[name if name in marks else "joint"] += attribute
+    return f"""
+<mujoco model="diverging">
+  <option {marks["integrator"]}/>
+  <worldbody>
+    <body><joint name="hinge" axis="0 1 0" ref="5" {marks["joint"]}/>
+      <geom size="0.1" pos="0.3 0 0"/></body>
+  </worldbody>
+  <actuator><general joint="hinge" {marks["gainprm"]}/></actuator>
+</mujoco>
+"""

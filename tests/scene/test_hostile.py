@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 
 from orbisim import load_scene
 from orbisim.errors import SceneError
-from orbisim.scene import xmlsafe
-
-from .clock import Stopwatch
-from .urdf_text import collision, inertial, joint, link, robot, two_links
+from orbisim.scene.safety import xmlsafe
+from tests.clock import Stopwatch
+from tests.scene.urdf.urdf_text import collision, inertial, joint, link, robot, two_links
 
 SECONDS = 5.0
 BYTES = 2 * 2**30
@@ -81,9 +80,9 @@ FILES: Mapping[str, tuple[str, bytes, str]] = {
     "NUL in urdf": ("s.urdf", b"<robot name='r'>\0</robot>", "NUL"),
     "NUL alone in urdf": ("s.urdf", b"\0\0", "NUL"),
     "html": ("s.urdf", b"<html><body>404</body></html>", "starts with <robot>; got <html>"),
-    "urdf as xml": ("s.xml", b"<robot name='r'/>", "holds URDF .*rename it"),
+    "urdf as xml": ("s.xml", b"<robot name='r'/>", "got <robot>; rename it to end in .urdf"),
     "mjcf as urdf": ("s.urdf", b"<mujoco/>", "got <mujoco>; rename it to end in .xml"),
-    "wrong suffix": ("s.txt", b"<mujoco/>", "suffixes .xml"),
+    "wrong suffix": ("s.txt", b"<mujoco/>", "one of the suffixes .*.xml"),
     "no suffix": ("scene", b"<mujoco/>", "got 'none'"),
     "cut urdf": ("s.urdf", two_links().encode()[:-9], "not well-formed XML: line 1"),
     "cut mjcf": ("s.xml", b"<mujoco><worldbody>", "MuJoCo refuses it"),
@@ -373,6 +372,20 @@ def test_any_attribute_survives_the_parser(text: str) -> None:
         )
     else:
         assert root.attrib["b"].split() == text.split()
+
+
+@pytest.mark.parametrize(
+    ("text", "rest"),
+    [
+        (b"a<!--b-->c", b"ac"),
+        (b"a<!--\n\n-->c\n<!---->d", b"a\n\nc\nd"),
+        (b"a<!--b", b"a"),
+        (b"a<!-->b-->c", b"ac"),
+        (b"a-->b", b"a-->b"),
+    ],
+)
+def test_comments_go_and_lines_stay(text: bytes, rest: bytes) -> None:
+    assert xmlsafe.without_comments(text) == rest
 
 
 def test_lines_prefixes_and_text() -> None:

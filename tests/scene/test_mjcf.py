@@ -121,7 +121,8 @@ def test_errors_name_the_line() -> None:
     ("name", "content", "message"),
     [
         ("a.xml", b"", "empty"),
-        ("a.stl", b"x", "suffix"),
+        ("a.stl", b"x", "is a mesh, not a scene"),
+        ("a.foo", b"x", "suffix"),
         ("a", b"x", "suffix"),
         ("a.urdf", b"<mujoco/>", "URDF starts with <robot>"),
         ("a.xml", b"<robot name='r'/>", "rename it to end in .urdf"),

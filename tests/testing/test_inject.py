@@ -12,6 +12,7 @@ from orbisim import Recording, Scene, load_scene, replay
 from orbisim.effects import EffectInstance
 from orbisim.effects.measured import correct, distort
 from orbisim.errors import DivergedError, InputError, UnknownNameError
+from orbisim.recording import bind
 from orbisim.testing import inject_effect
 
 ASSETS = Path(mjcf_assets.__file__).parent
@@ -267,7 +268,7 @@ def test_excitation_moves_everything_and_stays_in_range(name: str) -> None:
         for signal, values in recording.signals.items():
             if signal.startswith("qpos"):
                 assert np.ptp(values.reshape(len(values), -1), axis=0).max() > 0.05, signal
-        bound = recording.bind(scene)
+        bound = bind(recording, scene)
         for u in range(scene.model.nu):
             low, high = scene.model.actuator_ctrlrange[u]
             assert (bound.ctrl[:, u] >= low - 1e-9).all()

@@ -11,13 +11,29 @@ import os
 from pathlib import Path
 from typing import Any
 
-from orbisim.errors import SceneError
-from orbisim.scene.reading import ReadResult
+from orbisim.scene.files import contents
+from orbisim.scene.reading import Reader, ReadResult
 from orbisim.scene.urdf.build import build
 from orbisim.scene.urdf.document import read_document
 from orbisim.scene.urdf.options import UrdfOptions, urdf_options
 
-__all__ = ["UrdfOptions", "read_urdf", "read_urdf_string"]
+__all__ = ["UrdfOptions", "UrdfReader", "read_urdf", "read_urdf_string"]
+
+
+class UrdfReader(Reader):
+    """URDF files and strings."""
+
+    format = "URDF"
+    suffix = ".urdf"
+    root = "robot"
+
+    def read(self, path: str, **options: Any) -> ReadResult:
+        """See `read_urdf`."""
+        return read_urdf(path, **options)
+
+    def read_string(self, text: str, **options: Any) -> ReadResult:
+        """See `read_urdf_string`."""
+        return read_urdf_string(text, **options)
 
 
 def read_urdf(path: str, **options: Any) -> ReadResult:
@@ -33,10 +49,7 @@ def read_urdf(path: str, **options: Any) -> ReadResult:
       MissingDependencyError: yourdfpy is not installed.
     """
     chosen = urdf_options(options)
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise SceneError(str(path), f"cannot be read: {error.strerror or error}") from None
+    data = contents(Path(path))
     return build(read_document(data, str(path)), Path(path).parent, chosen, str(path))
 
 

@@ -26,6 +26,7 @@ class Actuators:
         kind = self._options.actuators
         if kind is None:
             self._list_unused(robot.transmissions)
+            self._say_that_nothing_drives(robot)
             return
         driven = [t for t in self._transmissions(robot) if self._drives(robot.joints[t.joint], t)]
         for transmission in driven:
@@ -40,6 +41,15 @@ class Actuators:
             self.warnings.append(
                 f"{len(driven)} {kind} actuators have the gain {getattr(self._options, unit):g}, "
                 f"which URDF does not give; pass {unit}=..."
+            )
+
+    def _say_that_nothing_drives(self, robot: Robot) -> None:
+        moving = [joint for joint in robot.joints.values() if joint.type in ONE_AXIS]
+        if moving:
+            self.warnings.append(
+                f"{len(moving)} joints move and nothing drives them: controls do nothing; in "
+                "Python pass actuators='motor', 'position' or 'velocity' (and actuate='all' for "
+                "joints without a transmission)"
             )
 
     def _transmissions(self, robot: Robot) -> list[Transmission]:

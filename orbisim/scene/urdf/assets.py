@@ -11,19 +11,18 @@ import numpy as np
 import trimesh
 
 from orbisim.errors import SceneError
-from orbisim.scene.guard import allow_for
-from orbisim.scene.meshes import (
+from orbisim.scene.safety.guard import opened
+from orbisim.scene.safety.meshcheck import check_native_mesh
+from orbisim.scene.safety.meshes import (
     MeshFile,
-    check_mesh_file,
     join,
     load_mesh_file,
     scaled,
     to_msh,
 )
-from orbisim.scene.meshformats import (
+from orbisim.scene.safety.meshformats import (
     STL_FACE,
     STL_HEADER,
-    obj_has_several_objects,
     stl_face_count,
 )
 from orbisim.scene.urdf.inertia import legacy
@@ -130,7 +129,7 @@ class Meshes:
 
     def _load(self, path: Path, shape: Shape) -> MeshFile:
         if path not in self._loaded:
-            allow_for(path.stat().st_size)
+            opened(path)
             loaded = load_mesh_file(path, source=self._source, element=shape.label)
             self._loaded[path] = loaded
             self.notes.update(dict.fromkeys(loaded.notes))
@@ -144,9 +143,9 @@ class Meshes:
         """Key of the file as it is, if MuJoCo reads it; None if it must be converted."""
         if path in self._keys or path.suffix.lower() not in _DECODED:
             return self._keys.get(path)
-        allow_for(path.stat().st_size)
-        check_mesh_file(path, source=self._source, element=shape.label)
-        data = _as_mujoco_reads_it(path)
+        opened(path)
+        found = check_native_mesh(path, source=self._source, element=shape.label)
+        data = None if found.several_objects else _as_mujoco_reads_it(path)
         if data is None:
             return None
         self._keys[path] = self._store(path.name, data)
@@ -189,9 +188,7 @@ def _may_have_colors(path: Path) -> bool:
 def _as_mujoco_reads_it(path: Path) -> bytes | None:
     """The bytes for MuJoCo's own decoders; None where they would not do."""
     if path.suffix.lower() != ".stl":
-        data = path.read_bytes()
-        several = path.suffix.lower() == ".obj" and obj_has_several_objects(data)
-        return None if several else data
+        return path.read_bytes()
     count = stl_face_count(path)
     if count is None or count > _STL_MOST_FACES:
         return None

@@ -18,6 +18,7 @@ from orbisim.scene.urdf.joints import Joints
 from orbisim.scene.urdf.model import WORLD, Inertial, Robot
 from orbisim.scene.urdf.options import UrdfOptions
 from orbisim.scene.urdf.packages import FileFinder
+from orbisim.scene.urdf.visuals import without_missing_visuals
 
 MAX_DEPTH = 1000
 """MuJoCo's compiler gives up at 1024 bodies below each other."""
@@ -42,11 +43,12 @@ class _Builder:
         options: UrdfOptions,
         source: str,
     ) -> None:
-        self._robot, self._extension, self._source = robot, extension, source
+        self._extension, self._source = extension, source
         self._options, self._spec = options, extension.spec
         finder = FileFinder(
             folder, options, source, meshdir=extension.meshdir, strippath=extension.strippath
         )
+        self._robot = without_missing_visuals(robot, finder)
         discard = bool(extension.discardvisual)
         self._meshes = Meshes(self._spec, finder, source)
         self._geoms = Geoms(

@@ -11,12 +11,12 @@ from xml.etree import ElementTree
 import numpy as np
 
 from orbisim.errors import MissingDependencyError, SceneError
-from orbisim.scene import xmlsafe
+from orbisim.scene.safety import xmlsafe
+from orbisim.scene.safety.xmlsafe import Node
 from orbisim.scene.urdf.grammar import Cleaner
 from orbisim.scene.urdf.model import Array, Inertial, Joint, Link, Mimic, Rgba, Robot, Shape
 from orbisim.scene.urdf.transmissions import read_transmissions
 from orbisim.scene.urdf.tree import check_joints, find_root, unique
-from orbisim.scene.xmlsafe import Node
 
 MAX_LINKS = 4000
 """More are refused: large robots have a few hundred."""

@@ -8,9 +8,9 @@ from xml.etree import ElementTree
 import mujoco
 
 from orbisim.errors import SceneError
-from orbisim.scene.mjcf import as_scene_error
+from orbisim.scene.mjcf import COMPILER_ERRORS, as_scene_error
 from orbisim.scene.reading import Unsupported
-from orbisim.scene.xmlsafe import Node
+from orbisim.scene.safety.xmlsafe import Node
 
 _SECTIONS = ("compiler", "option", "size")
 
@@ -45,7 +45,7 @@ def read_extension(node: Node | None, name: str, source: str) -> Extension:
     root.extend(section for section in sections if section.tag in _SECTIONS)
     try:
         spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
-    except (ValueError, mujoco.FatalError) as error:
+    except COMPILER_ERRORS as error:
         plain = as_scene_error(error, source)
         raise SceneError(source, plain.problem, element="the <mujoco> extension") from None
     compiler = node.child("compiler") if node is not None else None

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 from orbisim.errors import SceneError
 from orbisim.scene.reading import Unsupported
-from orbisim.scene.xmlsafe import Node
+from orbisim.scene.safety.xmlsafe import Node
 
 NAME = -1
 """An attribute that must not be empty."""

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.scene.reading import Unsupported
-from orbisim.scene.xmlsafe import Node
+from orbisim.scene.safety.xmlsafe import Node
 
 Array = npt.NDArray[np.float64]
 Rgba = tuple[float, float, float, float]

@@ -10,14 +10,20 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from orbisim.errors import SceneError
-from orbisim.scene import xmlsafe
-from orbisim.scene.confine import confinement, resolve_inside
+from orbisim.scene.safety import xmlsafe
+from orbisim.scene.safety.confine import confinement, resolve_inside
 from orbisim.scene.urdf.options import UrdfOptions
 
 _PACKAGE = re.compile(r"^(?:package|model)://([^/]*)/?(.*)$|^\$\(find ([^)]+)\)/?(.*)$")
 _SCHEME = re.compile(r"^([A-Za-z][A-Za-z0-9+.-]+):")
 _CRAWL_DEPTH = 3
+"""Folders down: where a workspace keeps its packages (workspace/src/collection/package)."""
 _CRAWL_FOLDERS = 2000
+"""Folders looked at, so that a search from a home folder ends."""
+
+
+class MissingFileError(SceneError):
+    """A file, or the package that it is said to be in, is not there."""
 
 
 class FileFinder:
@@ -26,7 +32,9 @@ class FileFinder:
     Args:
       folder: where the document is; None for a document without a place, whose relative names
         count from the working directory.
-      meshdir: folder for relative names, from MuJoCo's extension of URDF.
+      meshdir: folder for relative names, from MuJoCo's extension of URDF. Names that contain the
+        folder already, as many exporters write them, are found as well: `meshdir/name`, `name` and
+        `meshdir/` with the last part of the name are tried.
       strippath: whether only the last part of a name counts, from that extension.
     """
 
@@ -65,11 +73,24 @@ class FileFinder:
                 f"{name!r} is on the network or of an unknown kind ({scheme[1]})",
                 "name a file: package://, file:// or a path relative to the document",
             )
-        for candidate in dict.fromkeys((name, name.replace("\\", "/"))):
-            path = resolve_inside(candidate, self._base, source=self._source, element=element)
+        places = list(dict.fromkeys(self._places(name)))
+        for base, candidate in places:
+            path = resolve_inside(candidate, base, source=self._source, element=element)
             if path.exists():
                 return path
-        raise self._error(element, f"the file {name!r} does not exist", f"expected it at {path}")
+        base, candidate = places[0]
+        raise self._missing(
+            element, f"the file {name!r} does not exist", f"expected it at {base / candidate}"
+        )
+
+    def _places(self, name: str) -> Iterator[tuple[Path, str]]:
+        """Where a relative name may lead, best first: folder, and name in it."""
+        plain = name.replace("\\", "/")
+        for candidate in (name, plain):
+            yield self._base, candidate
+        if self._base != self._folder:
+            yield self._folder, plain
+            yield self._base, plain.rpartition("/")[2]
 
     def _in_package(self, package: str, name: str, element: str) -> Path:
         known: list[Path] = []
@@ -81,15 +102,16 @@ class FileFinder:
                 return path
             known.append(folder)
         if known:
-            raise self._error(
+            raise self._missing(
                 element,
                 f"package {package!r} has no file {name!r}",
                 f"looked in {', '.join(str(folder) for folder in known[:4])}",
             )
-        raise self._error(
+        raise self._missing(
             element,
             f"the package {package!r} is not found",
-            f"pass package_paths={{{package!r}: FOLDER}} or set ROS_PACKAGE_PATH",
+            "set ROS_PACKAGE_PATH to the folder that holds it, or in Python pass "
+            f"package_paths={{{package!r}: FOLDER}}",
         )
 
     def _inside(self, path: Path, folder: Path, name: str, element: str) -> Path | None:
@@ -125,6 +147,9 @@ class FileFinder:
         if confinement() is None:
             for folder in _environment("ROS_PACKAGE_PATH"):
                 yield from _crawl(folder, package)
+
+    def _missing(self, element: str, problem: str, remedy: str) -> MissingFileError:
+        return MissingFileError(self._source, problem, element=element, remedy=remedy)
 
     def _error(self, element: str, problem: str, remedy: str) -> SceneError:
         return SceneError(self._source, problem, element=element, remedy=remedy)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from orbisim.scene.reading import Unsupported
+from orbisim.scene.safety.xmlsafe import Node
 from orbisim.scene.urdf.grammar import finite_numbers
 from orbisim.scene.urdf.model import Joint, Transmission
-from orbisim.scene.xmlsafe import Node
 
 
 def read_transmissions(

@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from orbisim.errors import SceneError
+from orbisim.scene.safety.xmlsafe import Node
 from orbisim.scene.urdf.model import WORLD, Joint, Link
-from orbisim.scene.xmlsafe import Node
 
 JOINT_TYPES = (
     "revolute",

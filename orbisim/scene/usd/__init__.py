@@ -19,19 +19,36 @@ What follows from the schemas:
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from orbisim.errors import InputError, SceneError
-from orbisim.scene.guard import Limits, guarded
-from orbisim.scene.reading import ReadResult
+from orbisim.scene.reading import Reader, ReadResult
+from orbisim.scene.safety.budget import Limits
+from orbisim.scene.safety.guard import guarded
+from orbisim.scene.scene import Scene
+from orbisim.scene.usd.attributes import prims_of
+from orbisim.scene.usd.build import build
+from orbisim.scene.usd.context import Context
+from orbisim.scene.usd.flat import FlatStage
+from orbisim.scene.usd.process import dump_stage
+from orbisim.scene.usd.units import units_of
 
-if TYPE_CHECKING:
-    from orbisim.scene.usd.flat import FlatStage
-
-__all__ = ["read_usd"]
+__all__ = ["UsdReader", "read_usd"]
 
 _PRIM_SIZE = 1000  # bytes that a prim comes to in a typical file
 _OPTIONS = ("decompose", "meters_per_unit", "up_axis")
+
+
+class UsdReader(Reader):
+    """USD files; OpenUSD runs in a process of its own."""
+
+    format = "USD"
+    suffix = ".usd"
+    isolated = True
+
+    def read(self, path: str, **options: Any) -> ReadResult:
+        """See `read_usd`."""
+        return read_usd(path, **options)
 
 
 def read_usd(path: str, **options: Any) -> ReadResult:
@@ -58,8 +75,6 @@ def read_usd(path: str, **options: Any) -> ReadResult:
         )
     if not Path(path).is_file():
         raise SceneError(path, "no such file")
-    from orbisim.scene.usd.process import dump_stage
-
     stage = dump_stage(path)
     size = _PRIM_SIZE * len(stage.prims)
     size += sum(mesh.points.nbytes + mesh.triangles.nbytes for mesh in stage.meshes)
@@ -76,11 +91,6 @@ def _convert(
     up_axis: str | None = None,
 ) -> ReadResult:
     """Turns a dumped stage into a spec."""
-    from orbisim.scene.usd.attributes import prims_of
-    from orbisim.scene.usd.build import build
-    from orbisim.scene.usd.context import Context
-    from orbisim.scene.usd.units import units_of
-
     units, warnings = units_of(stage, path, meters_per_unit, up_axis)
     context = Context(path, stage, prims_of(stage, path), units, decompose)
     for warning in warnings:
@@ -89,6 +99,4 @@ def _convert(
 
 
 def _compile(stage: FlatStage, path: str, options: dict[str, Any]) -> object:
-    from orbisim.scene.scene import Scene
-
     return Scene.from_read(_convert(stage, path, **options), path)

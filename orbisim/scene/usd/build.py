@@ -20,6 +20,7 @@ from orbisim.scene.usd.joint_elements import JointBuilder
 from orbisim.scene.usd.joints import Joint, read_joints
 from orbisim.scene.usd.names import NameBook, unique_names
 from orbisim.scene.usd.options import prefer_implicit, set_options
+from orbisim.scene.usd.physx_tendons import add_physx_tendons
 from orbisim.scene.usd.registry import Registry
 from orbisim.scene.usd.report import report
 from orbisim.scene.usd.scenery import add_scenery
@@ -96,6 +97,7 @@ class _SpecBuilder:
         self._add_sites()
         add_scenery(self._context, self._registry, self._bodies)
         add_tendons(self._context, self._registry)
+        add_physx_tendons(self._context, self._registry)
         self._add_constraints()
         actuators = ActuatorBuilder(self._context, self._registry, self._forest)
         actuators.add_all()

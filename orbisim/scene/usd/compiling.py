@@ -6,9 +6,9 @@ import warnings
 
 import mujoco
 
-from orbisim.engine_log import engine_warnings, ignore
-from orbisim.scene.guard import COMPILING
-from orbisim.scene.mjcf import as_scene_error
+from orbisim.host.engine_log import engine_warnings, ignore
+from orbisim.scene.mjcf import COMPILER_ERRORS, as_scene_error
+from orbisim.scene.safety.guard import COMPILING
 
 
 def compiled(spec: mujoco.MjSpec, source: str) -> mujoco.MjModel:
@@ -22,5 +22,5 @@ def compiled(spec: mujoco.MjSpec, source: str) -> mujoco.MjModel:
         try:
             with engine_warnings(ignore):
                 return spec.copy().compile()
-        except (ValueError, mujoco.FatalError) as error:
+        except COMPILER_ERRORS as error:
             raise as_scene_error(error, source) from None

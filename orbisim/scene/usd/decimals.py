@@ -64,7 +64,9 @@ def _significant(x: float) -> int:
 
 
 _HALF_ULP = 2.0**-24
+"""Half of the last place of a float32 near one: what rounding makes of a zero."""
 _EXACT = 1e-12
+"""Difference of float64 quaternions that are the same but for rounding."""
 _ANGLE_ROUNDING = 2.5e-7  # rad: what rounding the components of a quaternion does to its angle
 
 

@@ -16,7 +16,9 @@ from orbisim.scene.usd.joints import Joint
 from orbisim.scene.usd.tree import articulation_of
 
 _BITS = 31
+"""Of MuJoCo's contype and conaffinity that can be used: they are signed 32-bit numbers."""
 _MAX_PAIRS = 200_000
+"""Filtered pairs of bodies: a file of a megabyte can name billions."""
 BodyPair = frozenset[str]
 
 

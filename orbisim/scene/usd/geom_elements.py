@@ -23,7 +23,9 @@ from orbisim.scene.usd.units import WATER
 
 _GEOM = mujoco.mjtGeom
 _VISUAL_GROUP = 2
+"""Where MuJoCo's models keep what is only looked at; viewers show it."""
 _HIDDEN_GROUP = 3
+"""Where MuJoCo's models keep collision geometry; viewers hide it."""
 _THIN = 1e-4  # m, half thickness of a plane that moves, to look at
 
 _FIELDS = (

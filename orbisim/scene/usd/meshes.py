@@ -15,6 +15,7 @@ from orbisim.scene.usd.shapes import Shape
 from orbisim.scene.usd.solids import Solid
 
 _FLAT = 1e-5
+"""Thickness over size of a mesh below which Qhull finds no volume in float32 coordinates."""
 _CONVEX = 1e-3  # relative difference between a mesh's volume and its hull's
 _GEOM = mujoco.mjtGeom
 

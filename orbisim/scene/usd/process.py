@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import json
 import os
@@ -10,17 +11,18 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import IO
 
 from orbisim.errors import MissingDependencyError, SceneError
-from orbisim.scene.confine import confinement
-from orbisim.scene.guard import Limits, starved
+from orbisim.scene.safety.budget import Budget, Limits
+from orbisim.scene.safety.confine import confinement
 from orbisim.scene.usd.flat import FlatStage
 from orbisim.scene.usd.wire import decode
 
 _MEGABYTE = 2**20
+_WATCH = 0.02
+"""Seconds between looks at the time that the process has used."""
 _MAX_DUMP, _PER_BYTE = 64 * _MEGABYTE, 32
 """Largest dump that is accepted, and by how much it may grow with each byte of input."""
 
@@ -92,16 +94,13 @@ class _Conversation:
 
     def __init__(self, path: str, limits: Limits, own_size: int) -> None:
         self._path, self._limits = path, limits
-        self._seconds = limits.seconds
         self._input = own_size
-        self._deadline = time.monotonic() + limits.seconds
         self._buffer = bytearray()
-        self._pid = 0
 
     def follow(
         self, child: subprocess.Popen[bytes], stream: IO[bytes], errors: IO[bytes]
     ) -> FlatStage:
-        self._pid = child.pid
+        self._budget = Budget(child.pid)
         while True:
             kind, payload = self._message(stream)
             if kind == b"B":
@@ -122,8 +121,8 @@ class _Conversation:
 
     def _extend(self, nbytes: int) -> None:
         self._input += nbytes
-        self._seconds += nbytes / _MEGABYTE
-        self._deadline += nbytes / _MEGABYTE
+        longer = self._limits.seconds + nbytes / _MEGABYTE
+        self._limits = dataclasses.replace(self._limits, seconds=longer)
 
     def _message(self, stream: IO[bytes]) -> tuple[bytes, bytes]:
         """The next message, or two empty strings at the end of the stream."""
@@ -142,15 +141,12 @@ class _Conversation:
 
     def _read(self, stream: IO[bytes], size: int) -> bytes:
         while len(self._buffer) < size:
-            ready, _, _ = select.select([stream], [], [], max(self._left(), 0.0))
-            if not ready and self._left() > 0:
-                continue
+            ready, _, _ = select.select([stream], [], [], _WATCH)
             if not ready:
-                raise SceneError(
-                    self._path,
-                    f"reading it took more than {self._seconds:.3g} s",
-                    remedy="split it into smaller layers",
-                )
+                if excess := self._budget.excess(self._limits):
+                    remedy = "split it into smaller layers"
+                    raise SceneError(self._path, excess, remedy=remedy)
+                continue
             chunk = os.read(stream.fileno(), _MEGABYTE)
             if not chunk:
                 break
@@ -159,20 +155,16 @@ class _Conversation:
         del self._buffer[:size]
         return taken
 
-    def _left(self) -> float:
-        """Seconds until it is over; what the child waits for a processor does not count."""
-        return self._deadline + starved(self._pid) - time.monotonic()
-
     def _crash(self, child: subprocess.Popen[bytes], errors: IO[bytes]) -> SceneError:
         """What to say about a process that ended without an answer."""
-        code = child.wait(timeout=max(self._left(), 0.1))
+        code = child.wait(timeout=self._limits.stall)
         errors.seek(0)
         said = errors.read(_MEGABYTE).decode(errors="replace")
         if "bad_alloc" in said or "MemoryError" in said or "length_error" in said:
             megabytes = self._limits.memory // _MEGABYTE
             return SceneError(self._path, f"reading it needs more than {megabytes} MB")
         if code in (-signal.SIGXCPU, -signal.SIGKILL):
-            return SceneError(self._path, f"reading it took more than {self._seconds:.3g} s")
+            return SceneError(self._path, f"reading it took more than {self._limits.seconds:.3g} s")
         if code < 0:
             name = signal.Signals(-code).name
             return SceneError(

@@ -30,6 +30,8 @@ _HANDLED_SCHEMAS = {
     "PhysxArticulationAPI", "PhysxJointAPI", "PhysxCollisionAPI", "PhysxRigidBodyAPI",
     "PhysxSceneAPI", "PhysxMaterialAPI", "PhysxMimicJointAPI", "PhysxConvexHullCollisionAPI",
     "PhysxConvexDecompositionCollisionAPI", "PhysxLimitAPI",
+    "PhysxTendonAxisRootAPI", "PhysxTendonAxisAPI", "PhysxTendonAttachmentRootAPI",
+    "PhysxTendonAttachmentAPI", "PhysxTendonAttachmentLeafAPI",
     "PhysicsJointStateAPI",
 }  # fmt: skip
 """Schemas whose attributes are read or reported one by one."""

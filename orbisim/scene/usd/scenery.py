@@ -22,6 +22,7 @@ _OTHER_LIGHTS = ("DomeLight", "DomeLight_1", "RectLight", "DiskLight", "Cylinder
                  "GeometryLight", "PortalLight")  # fmt: skip
 _FOCAL_LENGTH, _VERTICAL_APERTURE = 50.0, 15.2908  # UsdGeomCamera's fallbacks
 _BRIGHTNESS = 0.7
+"""Of a white light: MuJoCo's default for its own lights."""
 
 
 def add_scenery(context: Context, registry: Registry, bodies: Bodies) -> None:

@@ -6,6 +6,7 @@ from orbisim.scene.usd.pose import Pose
 from orbisim.scene.usd.registry import Registry
 
 _MARKER_GROUP = 4
+"""A group that viewers hide: these sites are places, not things."""
 _MARKER_SIZE = 0.005  # m
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from orbisim.scene.usd.flat import FlatMesh, FlatPrim, FlatStage, Look, Note, Value
 
 _HEADER_SIZE = 8
+"""Bytes of the number that says how long the header is."""
 
 
 def encode(stage: FlatStage) -> bytes:

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from orbisim.errors import SceneError
+from orbisim.host.children import die_with_parent
 
 _MEGABYTE = 2**20
 
@@ -91,6 +92,7 @@ def main(argv: Mapping[str, Any]) -> int:
     from orbisim.scene.usd.dump.stage import StageDumper
     from orbisim.scene.usd.wire import encode
 
+    die_with_parent()
     path, root = str(argv["path"]), argv["root"]
     channel = Channel()
     limit = Limit(int(argv["memory"]), float(argv["seconds"]))

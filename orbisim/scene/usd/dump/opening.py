@@ -18,6 +18,7 @@ Grow = Callable[[int], None]
 """Called with the bytes of each further file before it is parsed."""
 
 _MAX_LAYERS = 10_000
+"""Files of one stage: the largest public ones have some hundreds."""
 
 
 def open_stage(path: str, grow: Grow, root: str | None = None) -> Any:

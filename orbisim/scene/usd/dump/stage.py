@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -53,7 +52,6 @@ class StageDumper:
         self._looks = LookPool()
         self._places = {"/": _Place(np.eye(4), True, "default")}
         self._prims: list[FlatPrim] = []
-        self._pruned: Counter[tuple[str, str]] = Counter()
         self._notes: list[Note] = []
 
     def dump(self) -> FlatStage:

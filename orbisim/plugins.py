@@ -1,0 +1,66 @@
+"""Plug-ins: what installed packages offer under entry points, found by group and name.
+
+A package offers its own with
+
+    [project.entry-points."orbisim.backends"]
+    mine = "my_package:MyBackend"
+
+The groups are `orbisim.backends`, `orbisim.renderers`, `orbisim.readers` (scene formats, named by
+suffix), `orbisim.scenes` and `orbisim.episodes` (names such as `suite:cheetah-run`, by their
+prefix), `orbisim.texts` (what a scene carries in `<custom><text>`), `orbisim.effects` and
+`orbisim.reports`. What OrbiSim brings along is found in the same way.
+"""
+
+from __future__ import annotations
+
+import functools
+from importlib import metadata
+from typing import Any
+
+from orbisim.errors import MissingDependencyError, UnknownNameError
+
+EXTRAS = {
+    "warp": "warp",
+    "learned": "learned",
+    "hybrid": "learned",
+    "diffusion": "learned",
+    "urdf": "urdf",
+    "usd": "usd",
+    "usda": "usd",
+    "usdc": "usd",
+    "usdz": "usd",
+}
+"""The extra that installs what OrbiSim's own plug-ins need, where they need one."""
+
+
+@functools.cache
+def _entry_points(group: str) -> dict[str, metadata.EntryPoint]:
+    return {entry.name: entry for entry in metadata.entry_points(group=group)}
+
+
+def names(group: str) -> tuple[str, ...]:
+    """Names of the plug-ins of a group (their dependencies may still be missing)."""
+    return tuple(_entry_points(group))
+
+
+def load(group: str, name: str, kind: str) -> Any:
+    """The object that a plug-in's entry point names.
+
+    Args:
+      group: of the entry point. name: of the plug-in.
+      kind: what errors call it ("backend").
+
+    Raises:
+      UnknownNameError: there is none of this name.
+      MissingDependencyError: its packages are not installed.
+    """
+    entries = _entry_points(group)
+    if name not in entries:
+        raise UnknownNameError(kind, name, entries)
+    try:
+        return entries[name].load()
+    except ImportError as error:
+        missing = error.name or str(error)
+        raise MissingDependencyError(
+            f"{kind} {name!r}", EXTRAS.get(name, "all"), f"no module {missing!r}"
+        ) from error
