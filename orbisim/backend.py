@@ -12,9 +12,17 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.arguments import (
+    check_finite,
+    check_state,
+    positive_number,
+    real_array,
+    whole_number,
+)
 from orbisim.errors import DivergedError, InputError
 from orbisim.scene import Scene
 from orbisim.state import Array, State
+from orbisim.tangent import perturbed, tangent_difference
 from orbisim.trajectory import Trajectory
 
 
@@ -64,16 +72,17 @@ class Backend(abc.ABC):
       capabilities: what it can do.
       reportable: names of MjData's derived fields (accelerations, forces, `sensordata`) that it
         can put into `State.memory`; it does not know the others.
+      perturbation: of states and controls in `linearize`. Central differences are most exact near
+        the cube root of the rounding error: 1e-6 for float64, some 1e-3 for float32.
     """
 
     name: ClassVar[str] = ""
     capabilities: frozenset[Capability] = frozenset()
     reportable: frozenset[str] = frozenset()
+    perturbation: float = 1e-6
 
     def __init__(self, *, nworld: int = 1, device: str | None = None) -> None:
-        if nworld < 1:
-            raise InputError(f"nworld must be at least 1; got {nworld}")
-        self.nworld = nworld
+        self.nworld = whole_number("nworld", nworld, 1)
         self.device = device
         self._report: frozenset[str] = frozenset()
 
@@ -87,7 +96,9 @@ class Backend(abc.ABC):
 
     @report.setter
     def report(self, names: Iterable[str]) -> None:
-        unknown = sorted(set(names) - self.reportable)
+        if isinstance(names, str) or not isinstance(names, Iterable):
+            raise InputError(f"report is a set of names; got {names!r}")
+        unknown = sorted(map(str, set(names) - self.reportable))
         if unknown:
             raise InputError(
                 f"backend {self.name!r} does not report {', '.join(unknown)}; it can report "
@@ -169,7 +180,7 @@ class Backend(abc.ABC):
           DivergedError: see `raise_on_divergence`.
           InputError: shapes do not fit the scene.
         """
-        controls = self.check_controls(state, controls)
+        controls, nstep = self.check_rollout(state, controls, nstep)
         diverged_at = np.full(state.nworld, -1)
         records: list[State] = []
         current = state
@@ -230,15 +241,19 @@ class Backend(abc.ABC):
         )
 
     def linearize(
-        self, state: State, control: Array | None = None, *, eps: float = 1e-6
+        self, state: State, control: Array | None = None, *, eps: float | None = None
     ) -> Linearization:
         """Derivatives of one step by central differences in the tangent space.
 
         Args:
           state: where to linearize. control: [nu] or [nworld, nu]; None for zeros.
-          eps: size of the perturbation.
+          eps: size of the perturbation; `self.perturbation` if None.
+
+        Raises:
+          DivergedError: a step from this state, or from one beside it, diverged.
+          InputError: shapes do not fit the scene.
         """
-        control = self.check_control(state, control)
+        control, eps = self.check_linearize(state, control, eps)
         model, nworld = self.model, state.nworld
         ndx, nu = 2 * model.nv + model.na, int(control.shape[1])
         dx = np.concatenate([np.eye(ndx), np.zeros((nu, ndx))]) * eps
@@ -254,64 +269,89 @@ class Backend(abc.ABC):
         jacobian = slopes.reshape(nworld, count, ndx).transpose(0, 2, 1)
         return Linearization(A=jacobian[:, :, :ndx], B=jacobian[:, :, ndx:])
 
+    def check_reset(self, nworld: int | None, seed: int | None = None) -> int:
+        """The number of worlds that `reset` is asked for.
+
+        Raises:
+          InputError: it is no number of worlds, or the seed is none.
+        """
+        if seed is not None:
+            whole_number("seed", seed, 0)
+        return self.nworld if nworld is None else whole_number("nworld", nworld, 1)
+
+    def check_step(self, state: State, control: Array | None, nstep: int) -> tuple[Array, int]:
+        """The arguments of `step`: the control as [nworld, nu], and the number of steps.
+
+        Raises:
+          InputError: one of them is not of this scene; the message says what would be.
+        """
+        self.check_state(state)
+        return self.check_control(state, control), whole_number("nstep", nstep, 1)
+
+    def check_rollout(self, state: State, controls: Array, nstep: int) -> tuple[Array, int]:
+        """The arguments of `rollout`: controls as [nworld, T, nu], and steps for each.
+
+        Raises:
+          InputError: one of them is not of this scene; the message says what would be.
+        """
+        self.check_state(state)
+        return self.check_controls(state, controls), whole_number("nstep", nstep, 1)
+
+    def check_linearize(
+        self, state: State, control: Array | None, eps: float | None
+    ) -> tuple[Array, float]:
+        """The arguments of `linearize`: the control as [nworld, nu], and the perturbation.
+
+        Raises:
+          InputError: one of them is not of this scene; the message says what would be.
+        """
+        self.check_state(state)
+        size = self.perturbation if eps is None else positive_number("eps", eps)
+        return self.check_control(state, control), size
+
     def check_control(self, state: State, control: Array | None) -> Array:
         """The control as [nworld, nu].
 
         Raises:
-          InputError: it has another shape.
+          InputError: it has another shape, or is not made of finite real numbers.
         """
-        nu = self.model.nu
+        nu, nworld = self.model.nu, state.nworld
         if control is None:
-            return np.zeros((state.nworld, nu))
-        control = control if hasattr(control, "detach") else np.asarray(control, np.float64)
-        if tuple(control.shape) not in ((nu,), (state.nworld, nu)):
+            return np.zeros((nworld, nu))
+        expected = f"({nu},) or ({nworld}, {nu})"
+        control = real_array("control", control, expected)
+        if tuple(control.shape) not in ((nu,), (nworld, nu)):
             raise InputError(
                 f"control has shape {tuple(control.shape)}; scene {self.scene.name!r} needs "
-                f"({nu},) or ({state.nworld}, {nu})"
+                f"{expected}"
             )
         check_finite("control", control)
-        if control.ndim == 2:
-            return control
-        return (
-            control.expand(state.nworld, nu)
-            if hasattr(control, "expand")
-            else np.broadcast_to(control, (state.nworld, nu))
-        )
+        return control if control.ndim == 2 else _spread(control, (nworld, nu))
 
     def check_controls(self, state: State, controls: Array) -> Array:
         """The controls of a rollout as [nworld, T, nu].
 
         Raises:
-          InputError: they have another shape.
+          InputError: they have another shape, or are not made of finite real numbers.
         """
-        nu = self.model.nu
-        controls = controls if hasattr(controls, "detach") else np.asarray(controls, np.float64)
+        nu, nworld = self.model.nu, state.nworld
+        expected = f"(T, {nu}) or ({nworld}, T, {nu})"
+        controls = real_array("controls", controls, expected)
         shape = tuple(controls.shape)
         if (
             shape[-1:] != (nu,)
             or len(shape) not in (2, 3)
-            or (len(shape) == 3 and shape[0] not in (1, state.nworld))
+            or (len(shape) == 3 and shape[0] not in (1, nworld))
         ):
             raise InputError(
-                f"controls have shape {shape}; scene {self.scene.name!r} needs (T, {nu}) or "
-                f"({state.nworld}, T, {nu})"
+                f"controls have shape {shape}; scene {self.scene.name!r} needs {expected}"
             )
         check_finite("controls", controls)
-        target = (state.nworld, shape[-2], nu)
-        if hasattr(controls, "expand"):
-            return controls.expand(target)
-        return np.broadcast_to(controls, target)
+        return _spread(controls, (nworld, shape[-2], nu))
 
     def check_state(self, state: State) -> None:
-        """Raises `InputError` if the state does not have this scene's sizes."""
-        model = self.model
-        for name, size in (("qpos", model.nq), ("qvel", model.nv), ("act", model.na)):
-            shape = tuple(getattr(state, name).shape)
-            if shape != (state.nworld, size):
-                raise InputError(
-                    f"State.{name} has shape {shape}; scene {self.scene.name!r} needs "
-                    f"({state.nworld}, {size})"
-                )
+        """Raises `InputError` if this is no state of this scene's sizes."""
+        check_state(state, self.model, self.scene.name)
 
     def raise_diverged(self, diverged_at: npt.NDArray[np.int64]) -> None:
         """Raises `DivergedError` if any entry is not negative."""
@@ -329,39 +369,8 @@ class Backend(abc.ABC):
         """Frees what the backend holds; it cannot be used afterwards."""
 
 
-def check_finite(name: str, values: Array) -> None:
-    """Raises `InputError` naming the first entry that is NaN or infinite."""
-    on_device = hasattr(values, "detach")
-    if bool((values.isfinite() if on_device else np.isfinite(values)).all()):
-        return
-    host = values.detach().cpu().numpy() if on_device else values
-    index = tuple(int(i) for i in np.argwhere(~np.isfinite(host))[0])
-    raise InputError(f"{name}{list(index)} is {host[index]}; controls must be finite")
-
-
-def perturbed(model: mujoco.MjModel, state: State, dx: npt.NDArray[np.float64]) -> State:
-    """The state moved by tangent vectors dx [nworld, 2 nv + na]."""
-    nv = model.nv
-    qpos = np.array(state.qpos, np.float64)
-    for world in range(state.nworld):
-        mujoco.mj_integratePos(model, qpos[world], np.ascontiguousarray(dx[world, :nv]), 1.0)
-    return state.replace(
-        qpos=qpos, qvel=state.qvel + dx[:, nv : 2 * nv], act=state.act + dx[:, 2 * nv :]
-    )
-
-
-def tangent_difference(model: mujoco.MjModel, start: State, end: State) -> npt.NDArray[np.float64]:
-    """Tangent vectors [nworld, 2 nv + na] that lead from `start` to `end`."""
-    dq = np.empty((start.nworld, model.nv))
-    for world in range(start.nworld):
-        mujoco.mj_differentiatePos(
-            model,
-            dq[world],
-            1.0,
-            np.ascontiguousarray(start.qpos[world], np.float64),
-            np.ascontiguousarray(end.qpos[world], np.float64),
-        )
-    return np.concatenate([dq, end.qvel - start.qvel, end.act - start.act], axis=1)
+def _spread(array: Array, shape: tuple[int, ...]) -> Array:
+    return array.expand(shape) if hasattr(array, "expand") else np.broadcast_to(array, shape)
 
 
 def _nan_like(array: Array) -> Array:

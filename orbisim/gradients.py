@@ -45,10 +45,11 @@ def step(backend: Backend, state: State, control: Array, nstep: int = 1) -> Stat
     """
     if Capability.DIFFERENTIABLE in backend.capabilities:
         return backend.step(state, control, nstep)
+    control, nstep = backend.check_step(state, control, nstep)
     current = state.replace(
         qpos=_tensor(state.qpos), qvel=_tensor(state.qvel), act=_tensor(state.act)
     )
-    control = _tensor(control).expand(state.nworld, backend.model.nu)
+    control = _tensor(control)
     for _ in range(nstep):
         current = _linearized_step(backend, current, control)
     return current
@@ -56,8 +57,8 @@ def step(backend: Backend, state: State, control: Array, nstep: int = 1) -> Stat
 
 def rollout(backend: Backend, state: State, controls: Array, nstep: int = 1) -> list[State]:
     """Differentiable states after each of the controls [T, nu] or [nworld, T, nu]."""
+    controls, nstep = backend.check_rollout(state, controls, nstep)
     controls = _tensor(controls)
-    controls = controls.expand(state.nworld, *controls.shape[-2:])
     states: list[State] = []
     for t in range(controls.shape[1]):
         state = step(backend, state, controls[:, t], nstep)

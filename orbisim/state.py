@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -13,6 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.errors import InputError
+from orbisim.files import npz
+from orbisim.files.reading import parse_json
+from orbisim.files.writing import writing
+
+SCHEMA = "orbisim.state/1"
 
 Array: TypeAlias = Any
 """A NumPy array; a differentiable or on-device backend may use torch tensors instead."""
@@ -29,6 +33,9 @@ MEMORY = (
     "userdata",
 )
 """Fields of MjData that a step of MuJoCo reads besides time, positions, velocities and controls."""
+
+LARGEST = 1e10
+"""Positions and velocities beyond this mean that a world has diverged (MuJoCo's `mjMAXVAL`)."""
 
 _PHYSICAL = ("time", "qpos", "qvel", "act")
 
@@ -58,6 +65,10 @@ class State:
 
     def __post_init__(self) -> None:
         for name, array in self._named():
+            if not hasattr(array, "shape") or not array.shape:
+                raise InputError(
+                    f"State.{name} must be an array with a leading world axis; got {array!r}"
+                )
             if array.shape[:1] != self.time.shape[:1]:
                 raise InputError(
                     f"State.{name} has shape {tuple(array.shape)}; its leading axis must be the "
@@ -117,12 +128,24 @@ class State:
         arrays = [_to_numpy(getattr(self, name)) for name in ("qpos", "qvel", "act")]
         return np.asarray(np.stack([np.isfinite(a).all(axis=1) for a in arrays]).all(axis=0))
 
+    @property
+    def valid(self) -> npt.NDArray[np.bool_]:
+        """[nworld]: whether a world can be stepped on: finite, and nothing beyond `LARGEST`."""
+        arrays = [_to_numpy(getattr(self, name)) for name in ("qpos", "qvel")]
+        sizes = np.stack([np.abs(a).max(axis=1, initial=0.0) for a in arrays])
+        return self.finite & (sizes <= LARGEST).all(axis=0)
+
     def save(self, path: str | Path) -> None:
-        """Writes the state to a `.npz` file."""
+        """Writes the state to a `.npz` file.
+
+        Raises:
+          InputError: no file can be written there.
+          OutputError: the disk is full.
+        """
         host = self.numpy()
         arrays = dict(host._named())
-        header = json.dumps({"schema": "orbisim.state/1", "memory": sorted(host.memory)})
-        with Path(path).open("wb") as file:
+        header = json.dumps({"schema": SCHEMA, "memory": sorted(host.memory)})
+        with writing(path) as part, part.open("wb") as file:
             np.savez(file, **arrays, header=np.array(header))
 
     @staticmethod
@@ -132,17 +155,38 @@ class State:
         Raises:
           InputError: the file is not a saved state.
         """
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                header = json.loads(str(file["header"]))
-                if header.get("schema") != "orbisim.state/1":
-                    raise ValueError(f"schema {header.get('schema')!r}")
-                return State(
-                    **{name: file[name] for name in _PHYSICAL},
-                    memory={name: file[name] for name in header["memory"]},
-                )
-        except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
-            raise InputError(f"{path}: not a saved state ({error})") from None
+        with npz.opened(path) as file:
+            memory = _memory_names(path, file)
+            if missing := sorted({*_PHYSICAL, *memory} - set(file)):
+                raise InputError(f"{path}: not a saved state (it has no {missing[0]!r})")
+            arrays = {name: file[name] for name in (*_PHYSICAL, *memory)}
+        for name, array in arrays.items():
+            _check_rows(path, name, array, None if name in memory else 1 + (name != "time"))
+        return State(
+            **{name: arrays[name] for name in _PHYSICAL},
+            memory={name: arrays[name] for name in memory},
+        )
+
+
+def _memory_names(path: str | Path, file: npz.Npz) -> list[str]:
+    """Names of the memory entries, by the header of a saved state."""
+    text = file["header"] if "header" in file else np.array(0)
+    header = parse_json(str(text), f"{path}, header") if text.dtype.kind == "U" else {}
+    names = header.get("memory")
+    known = isinstance(names, list) and all(isinstance(name, str) for name in names)
+    if header.get("schema") != SCHEMA or not known:
+        raise InputError(f"{path}: not a saved state (its header is not one of {SCHEMA})")
+    return list(names or ())
+
+
+def _check_rows(path: str | Path, name: str, array: npt.NDArray[Any], axes: int | None) -> None:
+    """Raises `InputError` unless an array holds numbers and has so many axes (None: any)."""
+    fits = array.ndim == axes if axes else array.ndim
+    if array.dtype.kind not in "biuf" or not fits:
+        raise InputError(
+            f"{path}: {name!r} holds {array.dtype} of shape {array.shape}; expected numbers with "
+            "a row for each world"
+        )
 
 
 def _concatenate(arrays: Sequence[Array]) -> Array:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 import numpy as np
 import pytest
 
+from orbisim import suite
 from orbisim.registry import make_backend
 from orbisim.scene import load_scene
 from orbisim.testing import scenes
@@ -51,7 +54,7 @@ def test_gradient_of_a_rollout(source):
     loss_of(gradients.rollout(backend, start, controls), weights).backward()
 
     def value(dq=None, dv=None, du=None):
-        from orbisim.backend import perturbed
+        from orbisim.tangent import perturbed
 
         tangent = np.zeros((2, 2 * model.nv + model.na))
         if dq is not None:
@@ -95,3 +98,56 @@ def test_descent_reaches_a_target():
         loss.backward()
         optimiser.step()
     assert loss.item() < 1e-6
+
+
+DOMAINS = sorted(dict(suite.ALL_TASKS).items())
+
+
+@pytest.mark.parametrize(("domain", "task"), DOMAINS, ids=[domain for domain, _ in DOMAINS])
+def test_every_scene_of_the_suite_has_gradients(domain, task):
+    """Some are integrated by Runge-Kutta, which MuJoCo's own differences refuse."""
+    from orbisim import gradients
+
+    environment = suite.load(domain, task, {"random": 1})
+    environment.reset()
+    physics = environment.physics
+    backend = make_backend("mujoco", physics.scene)
+    state = backend.step(physics.snapshot(), None, 3)
+    control = torch.zeros((1, backend.model.nu), dtype=torch.float64, requires_grad=True)
+    qvel = torch.as_tensor(state.qvel).requires_grad_()
+    after = gradients.step(backend, state.replace(qvel=qvel), control)
+    direction = torch.as_tensor(np.random.default_rng(0).normal(size=state.qvel.shape))
+    (after.qvel * direction).sum().backward()
+    assert torch.isfinite(qvel.grad).all()
+    eps = 1e-6
+    ahead, behind = (
+        backend.step(state.replace(qvel=state.qvel + sign * eps * direction.numpy()))
+        for sign in (1, -1)
+    )
+    slope = ((ahead.qvel - behind.qvel) / (2 * eps) * direction.numpy()).sum()
+    assert float((qvel.grad * direction).sum()) == pytest.approx(slope, rel=1e-3, abs=1e-4)
+
+
+@pytest.mark.skipif(not find_spec("mujoco_warp"), reason="MuJoCo-Warp is not installed")
+def test_single_precision_is_differenced_over_longer_ways():
+    """Differences of 1e-6 in float32 are noise."""
+    scene = load_scene(scenes.CARTPOLE)
+    exact, coarse = (make_backend(name, scene) for name in ("mujoco", "warp"))
+    state = exact.reset().replace(qvel=np.array([[0.3, -0.2]]))
+    expected, found = exact.linearize(state), coarse.linearize(state)
+    np.testing.assert_allclose(found.A, expected.A, atol=1e-4)
+    np.testing.assert_allclose(found.B, expected.B, atol=1e-4)
+
+
+def test_arguments_are_checked():
+    from orbisim import gradients
+    from orbisim.errors import InputError
+
+    backend = make_backend("mujoco", load_scene(scenes.CARTPOLE))
+    state = backend.reset()
+    with pytest.raises(InputError, match="nstep"):
+        gradients.step(backend, state, torch.zeros(1), nstep=0)
+    with pytest.raises(InputError, match="control has shape"):
+        gradients.step(backend, state, torch.zeros(2))
+    with pytest.raises(InputError, match="controls have shape"):
+        gradients.rollout(backend, state, torch.zeros((2, 3, 4, 1)))

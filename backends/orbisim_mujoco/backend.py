@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.backend import Backend, Capability, Linearization
-from orbisim.cpus import usable_cpus
 from orbisim.effects.base import Hook
 from orbisim.effects.carry import hooks_of
 from orbisim.effects.stepping import step_batch
 from orbisim.errors import CapacityError, DivergedError, InputError
+from orbisim.host.cpus import usable_cpus
 from orbisim.scene import Scene
 from orbisim.state import MEMORY, State
 from orbisim.trajectory import Trajectory
@@ -83,13 +83,13 @@ class MujocoBackend(Backend):
 
     def reset(self, nworld: int | None = None, seed: int | None = None) -> State:
         """The model's reference configuration (`mj_resetData`) in every world."""
-        batch = self._batch_of(nworld or self.nworld)
+        batch = self._batch_of(self.check_reset(nworld, seed))
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         return self._read(batch, reported=False)
 
     def step(self, state: State, control: Any = None, nstep: int = 1) -> State:
         """`mj_step` in every world, `nstep` times."""
-        control = self.check_control(state, control)
+        control, nstep = self.check_step(state, control, nstep)
         batch = self._write(state)
         for name in self.report:
             batch.bind(name)
@@ -116,7 +116,9 @@ class MujocoBackend(Backend):
                 sensors=sensors,
                 raise_on_divergence=raise_on_divergence,
             )
-        controls = self.check_controls(state, controls)
+        controls, nstep = self.check_rollout(state, controls, nstep)
+        if not controls.shape[1]:
+            return self._trajectory(state, controls, [], np.full(state.nworld, -1), sensors)
         batch = self._write(state)
         held = controls if nstep == 1 else np.repeat(controls, nstep, axis=1)
         fields: list[Any] = [_TIME, "qpos", "qvel", "act"]
@@ -148,11 +150,16 @@ class MujocoBackend(Backend):
             final=self._read(batch, reported=False),
         )
 
-    def linearize(self, state: State, control: Any = None, *, eps: float = 1e-6) -> Linearization:
-        """Derivatives of one step by `mjd_transitionFD` (central differences)."""
-        if self._hooks:
+    def linearize(
+        self, state: State, control: Any = None, *, eps: float | None = None
+    ) -> Linearization:
+        """Derivatives of one step by `mjd_transitionFD` (central differences).
+
+        Scenes that it refuses (Runge-Kutta), or that hooks act on, are differenced step by step.
+        """
+        if self._hooks or self.model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
             return super().linearize(state, control, eps=eps)
-        control = self.check_control(state, control)
+        control, eps = self.check_linearize(state, control, eps)
         batch, model = self._write(state), self.model
         batch.bind("ctrl")[:] = control
         ndx = 2 * model.nv + model.na
@@ -181,7 +188,6 @@ class MujocoBackend(Backend):
         return self._batch
 
     def _write(self, state: State) -> mujoco.batch.Batch:
-        self.check_state(state)
         batch = self._batch_of(state.nworld)
         for name in _PHYSICAL:
             batch.bind(name)[:] = getattr(state, name)

@@ -10,8 +10,8 @@ from typing import Any
 import mujoco
 import numpy.typing as npt
 
-from orbisim import gl
 from orbisim.errors import InputError, RenderingUnavailableError, UnknownNameError
+from orbisim.host import gl
 from orbisim.renderer import MODES, Mode, Renderer
 from orbisim.scene import Scene
 from orbisim.state import State

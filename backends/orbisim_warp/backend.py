@@ -44,6 +44,10 @@ _TOO_SMALL = int(
 )  # larger buffers help; reaching the solver's iteration limit is no error, as in C MuJoCo
 _BROKEN = int(mjw.OverflowType.HFIELD | mjw.OverflowType.CONTACT_MATCH | mjw.OverflowType.TACTILE)
 _ATTEMPTS = 6
+"""Each doubles the buffers at least: 64 times MuJoCo-Warp's estimate before giving up."""
+_LIMIT = float(mujoco.mjMAXVAL)
+_OPPOSED = 0.01
+"""Share of the forces' power that must be negative before it is not rounding (1e-7 each)."""
 
 
 class WarpBackend(Backend):
@@ -63,6 +67,7 @@ class WarpBackend(Backend):
     """
 
     name = "warp"
+    perturbation = 3e-3  # float32: exact to 1e-5 between 1e-3 and 1e-2
     reportable = frozenset(
         {
             "act_dot",
@@ -126,12 +131,13 @@ class WarpBackend(Backend):
         self._forget()
         self._kept = None
         self._use_report()
+        self._solves_implicitly = _may_solve_indefinite(scene.model)
         defaults = mujoco.MjData(scene.model)
         self._defaults = {name: np.array(getattr(defaults, name)) for name in _MEMORY}
 
     def reset(self, nworld: int | None = None, seed: int | None = None) -> State:
         """The model's reference configuration in every world."""
-        count = nworld or self.nworld
+        count = self.check_reset(nworld, seed)
         data = mujoco.MjData(self.model)
 
         def repeat(value: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
@@ -163,8 +169,7 @@ class WarpBackend(Backend):
 
     def step(self, state: State, control: Any = None, nstep: int = 1) -> State:
         """`mujoco_warp.step` in every world, `nstep` times."""
-        control = self.check_control(state, control)
-        self.check_state(state)
+        control, nstep = self.check_step(state, control, nstep)
 
         def run() -> None:
             self._write(state, control)
@@ -172,7 +177,7 @@ class WarpBackend(Backend):
                 self._step_with_hooks(state, control, nstep)
                 return
             for _ in range(nstep):
-                self._launch("step", self._one_step)
+                self._launch("step", self._timestep)
 
         self._until_it_fits(run, state.nworld)
         return self._finish_step(state, nstep)
@@ -183,7 +188,7 @@ class WarpBackend(Backend):
         Args:
           actuation: whether actuators act, as MuJoCo's disable flag of that name.
         """
-        control = self.check_control(state, control)
+        control, _ = self.check_step(state, control, 1)
         flags = self._model.opt.disableflags
         if not actuation:
             self._model.opt.disableflags = flags | int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
@@ -217,8 +222,7 @@ class WarpBackend(Backend):
                 sensors=sensors,
                 raise_on_divergence=raise_on_divergence,
             )
-        controls = self.check_controls(state, controls)
-        self.check_state(state)
+        controls, nstep = self.check_rollout(state, controls, nstep)
         steps = int(controls.shape[1])
         with self._scope():
             buffers = self._buffers_for(controls, state.nworld, steps, sensors)
@@ -241,13 +245,26 @@ class WarpBackend(Backend):
 
     # -- running -------------------------------------------------------------------------------
 
-    def _one_step(self) -> None:
-        mjw.step(self._model, self._data)
+    def _timestep(self, cursor: wp.array | None = None) -> None:
+        """One timestep; notes the worlds that are lost in it, and where `cursor` stands then."""
+        data = self._data
+        cursor = self._no_cursor if cursor is None else cursor
+        if self._solves_implicitly:
+            wp.copy(self._before, data.qvel)
+        mjw.step(self._model, data)
+        numbers = [data.qpos, data.qvel, data.qacc, data.act, data.ctrl]
+        wp.launch(kernels.note_divergence, data.nworld, [cursor, _LIMIT, *numbers, self._lost])
+        if self._solves_implicitly:
+            wp.launch(
+                kernels.note_negative_inertia,
+                data.nworld,
+                [cursor, _OPPOSED, self._before, data.qvel, data.efc.Ma, self._lost],
+            )
 
     def _step_with_hooks(self, state: State, control: Any, nstep: int) -> None:
         """Timestep by timestep, with effects that MuJoCo cannot express applied before each."""
         data, nworld = self._data, state.nworld
-        runner = HookRunner(self.model, self._hooks, nworld)
+        runner = HookRunner(self.model, self._hooks)
         applied = {n: _host(getattr(data, n)) for n in ("qfrc_applied", "xfrc_applied")}
         base = {n: np.tile(getattr(self.model, n), (nworld, 1)) for n in runner.fields}
         control = control.detach().cpu().numpy() if hasattr(control, "detach") else control
@@ -259,13 +276,13 @@ class WarpBackend(Backend):
             for _ in range(nstep):
                 if runner.derived:
                     mjw.forward(self._model, data)
-                moment = runner.inputs(read, control, applied, base)
-                _assign(data.ctrl, moment.ctrl)
-                _assign(data.qfrc_applied, moment.qfrc)
-                _assign(data.xfrc_applied, moment.xfrc)
-                for name, values in moment.fields.items():
+                inputs = runner.inputs(read, control, applied, base)
+                _assign(data.ctrl, inputs.ctrl)
+                _assign(data.qfrc_applied, inputs.qfrc)
+                _assign(data.xfrc_applied, inputs.xfrc)
+                for name, values in inputs.fields.items():
                     _assign(getattr(self._model, name), values)
-                mjw.step(self._model, data)
+                self._timestep()
             for name, values in applied.items():
                 _assign(getattr(data, name), values)
 
@@ -277,7 +294,7 @@ class WarpBackend(Backend):
                 data.ctrl.shape,
                 [cursor, hold, buffers["controls"], data.ctrl],
             )
-        mjw.step(self._model, data)
+        self._timestep(cursor)
         for name, buffer in buffers.items():
             if name in ("qpos", "qvel", "act", "sensordata"):
                 values = getattr(data, name)
@@ -337,6 +354,9 @@ class WarpBackend(Backend):
         with self._scope():
             self._data = mjw.make_data(self.model, nworld=nworld, **self._sizes)
             self._data.overflow.zero_()
+            self._lost = wp.full(nworld, -1, dtype=int)
+            self._no_cursor = wp.zeros(1, dtype=int)
+            self._before = wp.zeros((nworld, self.model.nv), dtype=float)
         if changes_fields(self._hooks):
             self._give_worlds_their_own_fields(nworld)
 
@@ -361,6 +381,7 @@ class WarpBackend(Backend):
 
     def _write(self, state: State, control: Any) -> None:
         data = self._data
+        self._lost.fill_(-1)
         _assign(data.time, state.time)
         for name in _PHYSICAL:
             _assign(getattr(data, name), getattr(state, name))
@@ -384,7 +405,7 @@ class WarpBackend(Backend):
             act=self._array(self._data.act),
             memory={**memory, **self._reported()},
         )
-        lost = np.flatnonzero(~new.finite)
+        lost = np.flatnonzero(self._lost.numpy() >= 0)
         if lost.size:
             raise DivergedError(
                 f"backend 'warp': {lost.size} of {state.nworld} worlds diverged in scene "
@@ -415,7 +436,8 @@ class WarpBackend(Backend):
         ):
             if name not in records:
                 records[name] = self._array(wp.zeros((nworld, steps, size), dtype=float))
-        diverged_at = _first_lost(records["qpos"], records["qvel"])
+        lost = self._lost.numpy()
+        diverged_at = np.where(lost >= 0, lost // nstep, -1)
         for name in ("qpos", "qvel", "act"):
             for world in np.flatnonzero(diverged_at >= 0):
                 records[name][world, diverged_at[world] :] = np.nan
@@ -536,15 +558,13 @@ def _host(array: wp.array) -> npt.NDArray[np.float64]:
     return np.asarray(array.numpy(), np.float64)
 
 
-def _first_lost(qpos: Any, qvel: Any) -> npt.NDArray[np.int64]:
-    """[nworld] first step with a number that is not finite, -1 for none."""
-    if isinstance(qpos, np.ndarray):
-        lost = ~(np.isfinite(qpos).all(axis=2) & np.isfinite(qvel).all(axis=2))
-    else:
-        import torch
+def _may_solve_indefinite(model: mujoco.MjModel) -> bool:
+    """Whether a step solves for velocities with a matrix that need not be positive definite.
 
-        lost = ~(torch.isfinite(qpos).all(dim=2) & torch.isfinite(qvel).all(dim=2))
-        lost = lost.cpu().numpy()
-    if not lost.shape[1]:
-        return np.full(len(lost), -1)
-    return np.where(lost.any(axis=1), lost.argmax(axis=1), -1)
+    That is so where something pushes the harder the faster it goes, and is integrated implicitly.
+    """
+    driven = bool((model.dof_damping < 0).any() or model.dof_dampingpoly.any())
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER:
+        return driven
+    driven |= bool((model.actuator_biasprm[:, 2] > 0).any() or model.actuator_gainprm[:, 2].any())
+    return driven and model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
