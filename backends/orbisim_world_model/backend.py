@@ -16,10 +16,11 @@ from orbisim.scene import Scene
 from orbisim.state import Array, State
 from orbisim.trajectory import Trajectory
 from orbisim_world_model import zoo
-from orbisim_world_model.checkpoint import Checkpoint, load_checkpoint, read_manifest
+from orbisim_world_model.checkpoint import Checkpoint, load_checkpoint
 from orbisim_world_model.engine import ATTRIBUTES, MEMORY, SETTINGS, Engine, Steps
 from orbisim_world_model.fitting import Fit, fit
 from orbisim_world_model.guard import blanked
+from orbisim_world_model.manifest import read_manifest
 from orbisim_world_model.native.translate import UntranslatableError
 from orbisim_world_model.stepper import Speedups
 
@@ -48,6 +49,7 @@ class LearnedBackend(Backend):
     name = "learned"
     capabilities = frozenset({Capability.DIFFERENTIABLE, Capability.DEVICE_BATCH})
     baseline = "none"
+    perturbation = 1e-2  # the network computes in float32, on a GPU in half precision
 
     def __init__(
         self,
@@ -121,14 +123,12 @@ class LearnedBackend(Backend):
         one = State(
             np.zeros(1), data.qpos[None].copy(), data.qvel[None].copy(), data.act[None].copy()
         )
-        return one.tile(self.nworld if nworld is None else nworld)
+        return one.tile(self.check_reset(nworld, seed))
 
     def step(self, state: State, control: Array | None = None, nstep: int = 1) -> State:
         """Advances every world by `nstep` control steps under a constant control."""
+        control, nstep = self.check_step(state, control, nstep)
         self._check_start(state)
-        control = self.check_control(state, control)
-        if nstep < 1:
-            raise InputError(f"nstep must be at least 1; got {nstep}")
         seconds = nstep * self.timestep
         if state.nworld == 1 and isinstance(state.qpos, np.ndarray):
             self._compile(self.engine)
@@ -150,8 +150,8 @@ class LearnedBackend(Backend):
         raise_on_divergence: bool = False,
     ) -> Trajectory:
         """Applies a sequence of controls open-loop, without leaving the device."""
+        controls, nstep = self.check_rollout(state, controls, nstep)
         self._check_start(state)
-        controls = self.check_controls(state, controls)
         if not controls.shape[1]:
             return self._trajectory(state, controls, [], np.full(state.nworld, -1), sensors)
         path = self.engine.run(state, controls, nstep)
@@ -244,7 +244,6 @@ class LearnedBackend(Backend):
             )
 
     def _check_start(self, state: State) -> None:
-        self.check_state(state)
         if MEMORY not in state.memory:  # it comes from elsewhere
             x = self.engine.entities(state)
             self._warn(

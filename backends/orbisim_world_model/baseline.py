@@ -12,13 +12,14 @@ import torch
 
 from orbisim.errors import InputError
 from orbisim.registry import make_backend
-from orbisim.scene import Scene, load_scene
+from orbisim.scene import Scene, load_scene, named_scene
 from orbisim.state import State
 from orbisim_world_model.fitting import robot_parameters
 from orbisim_world_model.pack import Pack, hands
 from orbisim_world_model.reading import read_attributes, read_layout, read_settings
 
 _CHUNK = 4096
+"""States that MuJoCo steps at a time: enough for all cores, little memory."""
 _JITTER = 0.02
 """Worlds of one MuJoCo batch; share of the control step by which sampling may be uneven."""
 
@@ -70,9 +71,12 @@ def with_baseline(pack: Pack, scene: str | None) -> Pack:
     Args:
       pack: the data.
       scene: whose step it is; the nominal scene of the pack's task if None.
+
+    Raises:
+      InputError: the pack does not name a task, and no scene is given.
     """
-    name = scene or str(pack.notes["sources"][0].get("task", ""))
-    loaded = load_scene(name)
+    sources = [str(source.get("task", "")) for source in pack.notes["sources"]]
+    loaded = load_scene(scene) if scene else named_scene((*sources, "")[0], "the data's task")
     backend = make_backend("mujoco", loaded)
     nstep = round(pack.layout.timestep / backend.timestep)
     predicted = []

@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from orbisim_world_model.checkpoint import MANIFEST
+from orbisim.files.writing import write_text
+from orbisim_world_model.manifest import MANIFEST
 
 
 def write_card(folder: Path, manifest: dict[str, Any]) -> None:
     """Writes `card.md` from a checkpoint's manifest."""
-    (folder / "card.md").write_text(card(manifest))
+    write_text(folder / "card.md", card(manifest), announce=False)
 
 
 def card(manifest: dict[str, Any]) -> str:

@@ -4,25 +4,33 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
 from torch import Tensor
 from torch.nn import ModuleList
 
 from orbisim.errors import InputError
+from orbisim.files.reading import size_of
+from orbisim.files.writing import make_folder, writing
 from orbisim_world_model.config import ModelConfig
 from orbisim_world_model.dynamics import SHARED, Dynamics
 from orbisim_world_model.layout import Layout
+from orbisim_world_model.manifest import MANIFEST, SCHEMA, model_config, read_manifest, variants
 from orbisim_world_model.pack import Pack
 
-SCHEMA = "orbisim.dynamics/1"
-WEIGHTS, MANIFEST = "model.safetensors", "manifest.json"
+WEIGHTS = "model.safetensors"
 _VARIANT = "variant."
+_MOST_PARAMETERS = 2**28
+"""A gigabyte; what has been trained has some millions."""
+_TYPES = ("F16", "BF16", "F32", "F64")
+
+T = TypeVar("T")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -53,7 +61,7 @@ def save_checkpoint(folder: Path, models: Sequence[Dynamics], manifest: dict[str
       models: one for each robot; those after the first share all but the robot's parts with it.
       manifest: what is known of them; `variants` has an entry for each model after the first.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     model = models[0]
     tensors = {name: _stored(name, tensor) for name, tensor in model.state_dict().items()}
     for number, other in enumerate(models[1:], 1):
@@ -70,36 +78,12 @@ def save_checkpoint(folder: Path, models: Sequence[Dynamics], manifest: dict[str
     }
     for entry, other in zip(header.get("variants", []), models[1:], strict=True):
         entry.update(layout=other.layout.to_dict(), controls=other.controls)
-    save_file(tensors, str(folder / f"{WEIGHTS}.part"))
-    (folder / f"{MANIFEST}.part").write_text(json.dumps(header, indent=1))
-    for name in (WEIGHTS, MANIFEST):
-        (folder / f"{name}.part").replace(folder / name)
-
-
-def read_manifest(folder: str | Path) -> dict[str, Any]:
-    """The manifest of a checkpoint.
-
-    Raises:
-      InputError: there is none, or it is of another kind.
-    """
-    path = Path(folder) / MANIFEST
-    try:
-        manifest: dict[str, Any] = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise InputError(f"{folder}: not a checkpoint of learned dynamics ({error})") from None
-    if not isinstance(manifest, dict) or manifest.get("schema") != SCHEMA:
-        raise InputError(f"{path}: not the manifest of learned dynamics ({SCHEMA})")
-    return manifest
-
-
-def variants(manifest: dict[str, Any]) -> list[dict[str, Any]]:
-    """The manifest as it is for each robot that the checkpoint knows."""
-    views = [manifest]
-    for entry in manifest.get("variants", []):
-        data = {**manifest["data"], "robot": entry["robot"]}
-        own = {name: entry[name] for name in ("layout", "controls", "ranges")}
-        views.append({**manifest, **own, "data": data})
-    return views
+    with (
+        writing(folder / MANIFEST, announce=False) as manifest_part,
+        writing(folder / WEIGHTS, announce=False) as weights,  # the first to appear
+    ):
+        save_file(tensors, str(weights))
+        manifest_part.write_text(json.dumps(header, indent=1))
 
 
 def load_for(folder: str | Path, layout: Layout) -> Checkpoint:
@@ -111,7 +95,7 @@ def load_for(folder: str | Path, layout: Layout) -> Checkpoint:
     manifest = read_manifest(folder)
     known = []
     for number, view in enumerate(variants(manifest)):
-        theirs = Layout.from_dict(view["layout"])
+        theirs = Layout.from_dict(view["layout"], f"{folder}: layout")
         robot = (theirs.joints, theirs.nu, bool(theirs.objects)) == (
             layout.joints,
             layout.nu,
@@ -148,21 +132,64 @@ def load_checkpoint(
       InputError: a file is missing or damaged, or the weights do not fit the manifest.
     """
     manifest = read_manifest(folder)
+    views = variants(manifest)
+    if not 0 <= variant < len(views):
+        raise InputError(f"{folder}: knows {len(views)} robots; there is none of number {variant}")
+    manifest, path = views[variant], str(Path(folder) / MANIFEST)
+    config = model_config(manifest, path)
+    layout = layout or Layout.from_dict(manifest["layout"], f"{path}: layout")
     try:
-        manifest = variants(manifest)[variant]
-        config = ModelConfig(**manifest["model"])
-        layout = layout or Layout.from_dict(manifest["layout"])
+        shapes = _shapes(layout, config, manifest)
+        tensors = _weights(Path(folder) / WEIGHTS, variant, shapes)
         model = Dynamics(layout, config).build(int(manifest["controls"]))
-        tensors = _of_variant(load_file(str(Path(folder) / WEIGHTS)), variant)
         model.load_state_dict({name: tensor.float() for name, tensor in tensors.items()})
-    except (OSError, SafetensorError, KeyError, IndexError, TypeError, RuntimeError) as error:
+    except InputError:
+        raise
+    except (OSError, SafetensorError, LookupError, ValueError, TypeError, RuntimeError) as error:
         reason = " ".join(str(error).split())[:200]
         raise InputError(f"{folder}: a damaged checkpoint ({reason})") from None
     return Checkpoint(model.eval(), manifest, Path(folder))
 
 
-def _of_variant(tensors: dict[str, Tensor], variant: int) -> dict[str, Tensor]:
-    """The weights of one robot's model, by their names in it."""
+def _shapes(layout: Layout, config: ModelConfig, manifest: dict[str, Any]) -> dict[str, Any]:
+    """Shapes of the weights that a manifest calls for, without giving memory to them."""
+    with torch.device("meta"):
+        model = Dynamics(layout, config).build(int(manifest["controls"]))
+    shapes = {name: tuple(tensor.shape) for name, tensor in model.state_dict().items()}
+    count = sum(map(math.prod, shapes.values()))
+    if count > _MOST_PARAMETERS:
+        raise ValueError(f"it describes {count} parameters; at most {_MOST_PARAMETERS} are read")
+    return shapes
+
+
+def _weights(path: Path, variant: int, expected: dict[str, Any]) -> dict[str, Tensor]:
+    """The weights of one robot's model, if they are those that are expected.
+
+    Raises:
+      InputError: they have other names, shapes or types, or are not finite.
+    """
+    size_of(path)
+    with safe_open(str(path), framework="pt") as file:
+        stored = _of_variant({name: name for name in file.keys()}, variant)  # noqa: SIM118
+        for name in sorted(stored.keys() ^ expected.keys()):
+            what = "is not in the weights" if name in expected else "is not in the model"
+            raise InputError(f"{path}: {name} {what} that the manifest describes")
+        for name, key in stored.items():
+            part = file.get_slice(key)
+            if tuple(part.get_shape()) != expected[name] or part.get_dtype() not in _TYPES:
+                raise InputError(
+                    f"{path}: {name} is {part.get_dtype()} of shape {tuple(part.get_shape())}; "
+                    f"the manifest describes {expected[name]}"
+                )
+        tensors = {name: file.get_tensor(key) for name, key in stored.items()}
+    for name, tensor in tensors.items():
+        if not torch.isfinite(tensor).all():
+            raise InputError(f"{path}: {name} is not finite")
+    return tensors
+
+
+def _of_variant(tensors: dict[str, T], variant: int) -> dict[str, T]:
+    """What there is of one robot's model, by the names in it."""
     plain = {n: t for n, t in tensors.items() if not n.startswith(_VARIANT)}
     if not variant:
         return plain

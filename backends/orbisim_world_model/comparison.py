@@ -8,8 +8,9 @@ from typing import Any
 
 import torch
 
-from orbisim_world_model.checkpoint import Checkpoint, load_for, read_manifest
+from orbisim_world_model.checkpoint import Checkpoint, load_for
 from orbisim_world_model.evaluate import BURN, HORIZONS, constant_velocity, evaluate
+from orbisim_world_model.manifest import read_manifest
 from orbisim_world_model.packing import read_data
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from orbisim.files.writing import writing
+
 
 def draw_curves(metrics: Path, image: Path) -> None:
     """Draws the losses of a metrics file over the training steps."""
@@ -21,4 +23,5 @@ def draw_curves(metrics: Path, image: Path) -> None:
     other.plot(steps, [row["ratio"] for row in rows], color="0.6", lw=1, label="AR ratio")
     other.set(ylabel="autoregressive ratio", ylim=(0, 1.05))
     axes.legend(loc="lower left", frameon=False)
-    figure.savefig(image, dpi=120)
+    with writing(image, announce=False) as part:
+        figure.savefig(part, dpi=120)

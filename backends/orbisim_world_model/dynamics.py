@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from typing import Any, NamedTuple
 
 import torch
@@ -80,12 +79,11 @@ class Dynamics(nn.Module):
     Args:
       layout: of the scene.
       config: of the network.
-      precision: type in which matrix products are computed (`torch.bfloat16`: autocast).
     """
 
-    def __init__(self, layout: Layout, config: ModelConfig, precision: Any = None) -> None:
+    def __init__(self, layout: Layout, config: ModelConfig) -> None:
         super().__init__()
-        self.layout, self.config, self.precision = layout, config, precision
+        self.layout, self.config = layout, config
         self.kinematics = Kinematics(layout) if layout.hand and config.extended else None
         self.controls = layout.nu  # the number of an `action` is set by `with_controls`
         self.network: Any = None
@@ -122,8 +120,7 @@ class Dynamics(nn.Module):
         """The state with the hand's pose and velocity that follow from the joints."""
         if self.kinematics is None:
             return x
-        with self._exact():
-            return x._replace(hand=self.kinematics(x.q, x.v))
+        return x._replace(hand=self.kinematics(x.q, x.v))
 
     def forward(
         self,
@@ -139,11 +136,9 @@ class Dynamics(nn.Module):
         Args:
           base: what the classical step predicts for x_t, where the model corrects one.
         """
-        with self._exact():
-            inputs = self._cast(self.inputs(x, control, context, base))
+        inputs = self._cast(self.inputs(x, control, context, base))
         out = self.network(inputs, memory, observe)
-        with self._exact():
-            return self._advanced(x, out, context.mask, base)
+        return self._advanced(x, out, context.mask, base)
 
     def _advanced(
         self, x: Entities, out: Outputs, mask: Tensor | None, base: Entities | None
@@ -159,8 +154,7 @@ class Dynamics(nn.Module):
 
     def encode(self, x: Entities, memory: Tensor, control: Tensor, context: Context) -> Tensor:
         """z_t = f_enc(h_t, x_t)."""
-        with self._exact():
-            inputs = self._cast(self.inputs(x, control, context))
+        inputs = self._cast(self.inputs(x, control, context))
         return self.network.encode(inputs, memory)
 
     def inputs(
@@ -253,18 +247,6 @@ class Dynamics(nn.Module):
         if start is None or start.dtype == inputs.robot.dtype:
             return inputs
         return Inputs(*(None if part is None else part.to(start.dtype) for part in inputs))
-
-    def autocast(self) -> Any:
-        """Around several steps: matrix products of the network in `precision`."""
-        if self.precision is None:
-            return contextlib.nullcontext()
-        return torch.autocast("cuda", self.precision)
-
-    def _exact(self) -> Any:
-        """Around physics: float32, whatever the network uses."""
-        if self.precision is None:
-            return contextlib.nullcontext()
-        return torch.autocast("cuda", enabled=False)
 
 
 @torch.no_grad()  # type: ignore[untyped-decorator]

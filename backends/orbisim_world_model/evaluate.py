@@ -19,6 +19,7 @@ from orbisim_world_model.sampling import Windows
 from orbisim_world_model.unroll import open_loop
 
 HORIZONS = (10, 50, 100)
+"""Steps at which errors are reported: the paper's 10 and 100, and one between."""
 BURN = 8
 """Control steps of true states that every model sees before it predicts."""
 

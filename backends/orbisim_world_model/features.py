@@ -21,6 +21,7 @@ _LINEAR, _ANGULAR, _HEIGHT, _NEAR = 0.02, 0.2, 0.005, 0.05
 """Scales below which velocities (m/s, rad/s), heights and distances (m) are seen finely."""
 _CORNERS = [[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
 EDGE_FEATURES = 18
+"""Numbers that `edges` gives for two objects."""
 
 
 class Features(nn.Module):

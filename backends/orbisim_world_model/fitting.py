@@ -10,8 +10,8 @@ import numpy as np
 
 from orbisim.errors import UnsupportedSceneError
 from orbisim.scene import Scene
-from orbisim_world_model.checkpoint import variants
 from orbisim_world_model.layout import Layout
+from orbisim_world_model.manifest import variants
 from orbisim_world_model.reading import read_attributes, read_layout, read_settings
 
 _SLACK = 0.02
@@ -107,6 +107,8 @@ def _mismatch(
             f"the checkpoint was trained on {len(trained.objects)} objects; "
             f"the scene has {len(layout.objects)}"
         )
+    if (trained.attributes, trained.settings) != (layout.attributes, layout.settings):
+        return "the checkpoint was trained with other descriptors than this version reads"
     steps = trained.timestep / float(model.opt.timestep)
     if abs(steps - round(steps)) > 1e-6 * steps or round(steps) < 1:
         return (

@@ -38,8 +38,9 @@ class HybridBackend(LearnedBackend):
 
     def step(self, state: State, control: Array | None = None, nstep: int = 1) -> State:
         """Advances every world by `nstep` control steps under a constant control."""
+        control, nstep = self.check_step(state, control, nstep)
         self._check_start(state)
-        state, control = state.numpy(), _host(self.check_control(state, control))
+        state, control = state.numpy(), _host(control)
         for _ in range(nstep):
             predicted = self._classical.step(state, control, self._substeps)
             corrected = self.engine.corrected(state, predicted, control)
@@ -49,6 +50,7 @@ class HybridBackend(LearnedBackend):
 
     def rollout(self, state: State, controls: Array, **options: Any) -> Trajectory:
         """Applies a sequence of controls open-loop (see `Backend.rollout`)."""
+        self.check_state(state)
         return Backend.rollout(self, state.numpy(), _host(controls), **options)
 
     def _after(self, predicted: State, path: Steps) -> State:

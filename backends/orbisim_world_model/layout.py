@@ -11,7 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from orbisim.errors import InputError
 from orbisim_world_model.entities import Entities
+from orbisim_world_model.plain import checked
 from orbisim_world_model.rotation import normalized, rotate, rotate_back, to_matrix
 
 
@@ -107,11 +109,20 @@ class Layout:
         return dataclasses.asdict(self)
 
     @staticmethod
-    def from_dict(values: Mapping[str, Any]) -> Layout:
-        """From JSON."""
-        fields = {name: _tuples(value) for name, value in values.items() if name != "limbs"}
-        limbs = {name: _tuples(value) for name, value in values.get("limbs", {}).items()}
-        return Layout(**fields, limbs=Limbs(**limbs))
+    def from_dict(values: Mapping[str, Any], where: str = "layout") -> Layout:
+        """From JSON.
+
+        Args:
+          values: as `to_dict` gives them.
+          where: named in errors.
+
+        Raises:
+          InputError: an entry is missing, unknown, of the wrong type, or points nowhere.
+        """
+        layout = checked(Layout, values, where)
+        if problem := _problem(layout):
+            raise InputError(f"{where}: {problem}")
+        return layout
 
     # -- states --------------------------------------------------------------------------------
 
@@ -167,5 +178,71 @@ def _indices(layout: Layout, device: str) -> dict[str, Tensor]:
     return {name: torch.as_tensor(value, device=device) for name, value in found.items()}
 
 
-def _tuples(value: Any) -> Any:
-    return tuple(_tuples(item) for item in value) if isinstance(value, (list, tuple)) else value
+_MOST = 100_000
+"""Of coordinates, activations and controls, each."""
+
+
+def _problem(x: Layout) -> str:
+    """What is wrong with a layout from outside, in words; empty if nothing is."""
+    for name in ("nq", "nv", "na", "nu"):
+        if not 0 <= getattr(x, name) <= _MOST:
+            return f"{name} is {getattr(x, name)}; expected 0 to {_MOST}"
+    if not 0.0 < x.timestep < 1e6:
+        return f"timestep is {x.timestep:g} s; expected a duration above 0"
+    lengths = {n: len(getattr(x, n)) for n in ("joint_q", "joint_v", "hinge", "bounded", "ignored")}
+    lengths |= {name: len(getattr(x, name)) for name in ("object_q", "object_v")}
+    for name, count in lengths.items():
+        expected = len(x.objects if name.startswith("object") else x.joints)
+        if count != expected:
+            return f"{name} has {count} entries; expected {expected}"
+    places_q = sorted([*x.joint_q, *(q + i for q in x.object_q for i in range(7))])
+    places_v = sorted([*x.joint_v, *(v + i for v in x.object_v for i in range(6))])
+    if places_q != list(range(x.nq)) or places_v != list(range(x.nv)):
+        return "the addresses of joints and objects do not make up nq and nv"
+    return _chain_problem(x) or _limbs_problem(x.limbs, len(x.joints))
+
+
+def _chain_problem(x: Layout) -> str:
+    joints = range(len(x.joints))
+    if not set(x.chain_joints) <= set(joints) or not set(x.servo) <= {-1, *joints}:
+        return "chain_joints or servo name a joint that is not there"
+    if len(x.servo) not in (0, x.nu):
+        return f"servo has {len(x.servo)} entries; expected {x.nu}"
+    if not x.hand:
+        return ""
+    if not x.chain_joints:
+        return "a hand needs a chain of joints"
+    chain = _has_shape(x.chain, (len(x.chain_joints), 4, 4, 4))
+    return "" if chain and _has_shape(x.tip, (4, 4)) else "chain or tip have the wrong shape"
+
+
+def _limbs_problem(limbs: Limbs, joints: int) -> str:
+    count, capsules = len(limbs.parents), len(limbs.joints)
+    if not count and not capsules:
+        return ""
+    shapes = (
+        (limbs.bases, (joints, 4, 4, 4)),
+        (limbs.ends, (capsules, 2, 3)),
+        (limbs.limits, (joints, 2)),
+    )
+    if count != joints or len(limbs.radii) != capsules:
+        return "limbs have the wrong number of parents or radii"
+    if not all(_has_shape(values, shape) for values, shape in shapes):
+        return "bases, ends or limits of the limbs have the wrong shape"
+    known = set(range(capsules))
+    if not (
+        all(-1 <= parent < number for number, parent in enumerate(limbs.parents))
+        and set(limbs.joints) <= set(range(joints))
+        and {*limbs.grounded, *(one for pair in limbs.pairs for one in pair)} <= known
+    ):
+        return "limbs name a joint or a capsule that is not there"
+    return ""
+
+
+def _has_shape(values: Any, shape: tuple[int, ...]) -> bool:
+    """Whether nested tuples hold finite numbers in this shape."""
+    try:
+        array = np.asarray(values, np.float64)
+    except (ValueError, TypeError, OverflowError):
+        return False
+    return array.shape == shape and bool(np.isfinite(array).all())

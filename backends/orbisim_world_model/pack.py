@@ -18,10 +18,13 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from orbisim.errors import InputError
+from orbisim.files.reading import parse_json, size_of
+from orbisim.files.writing import writing
 from orbisim_world_model.config import ModelConfig
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.kinematics import Kinematics
 from orbisim_world_model.layout import Layout
+from orbisim_world_model.pack_shapes import check_tensors
 
 SCHEMA = "orbisim.pack/1"
 _TENSORS = ("qpos", "qvel", "act", "ctrl", "action", "start", "length", "base")
@@ -132,15 +135,17 @@ class Pack:
             "layout": json.dumps(self.layout.to_dict()),
             "notes": json.dumps(self.notes),
         }
-        save_file(tensors, str(path), metadata=header)
+        with writing(path) as part:
+            save_file(tensors, str(part), metadata=header)
 
     @staticmethod
     def load(path: str | Path) -> Pack:
         """Reads a pack.
 
         Raises:
-          InputError: the file is not a pack.
+          InputError: the file is not a pack, or what it holds does not fit together.
         """
+        size_of(path)
         try:
             with safe_open(str(path), framework="pt") as file:
                 header = file.metadata() or {}
@@ -150,9 +155,13 @@ class Pack:
             tensors.setdefault("action", tensors["ctrl"])
         except Exception as error:  # safetensors has an error type of its own
             raise InputError(f"{path}: not a pack of episodes ({error})") from None
-        layout = Layout.from_dict(json.loads(header["layout"]))
+        values, notes = (
+            parse_json(header.get(name, ""), f"{path}, {name}") for name in ("layout", "notes")
+        )
+        layout = Layout.from_dict(values, f"{path}, layout")
+        check_tensors(layout, tensors, notes, str(path))
         hand = hands(layout, tensors["qpos"], tensors["qvel"])
-        return Pack(layout=layout, hand=hand, **tensors, notes=json.loads(header["notes"]))
+        return Pack(layout=layout, hand=hand, **tensors, notes=notes)
 
 
 def hands(layout: Layout, qpos: Tensor, qvel: Tensor) -> Tensor:

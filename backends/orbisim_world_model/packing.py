@@ -10,16 +10,18 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from orbisim.errors import InputError
+from orbisim.scene import named_scene
 from orbisim.tasks.dataset import EpisodeFile
 from orbisim_world_model.baseline import pack_recordings, with_baseline
+from orbisim_world_model.episode_rows import RUNNING, STATIC, EpisodeRows, read_rows
 from orbisim_world_model.fitting import robot_parameters
 from orbisim_world_model.layout import Layout
 from orbisim_world_model.pack import Pack, grouped, hands, joined
-from orbisim_world_model.reading import ATTRIBUTES, read_layout
+from orbisim_world_model.reading import read_layout
+from orbisim_world_model.usable import check_numbers
 
 
 def read_data(
@@ -61,16 +63,16 @@ def _read(
         raise InputError("no data: give the files that `orbisim collect` wrote, or packs of them")
     packs, recordings = [], []
     for path in map(Path, paths):
-        if path.suffix == ".pack":
-            packs.append(Pack.load(path))
-        elif path.suffix in (".h5", ".hdf5"):
-            packs.append(pack_file(path))
-        else:
+        if path.suffix not in _READERS:
             recordings.append(path)
+            continue
+        packs.append(_READERS[path.suffix](path))
+        check_numbers(packs[-1], str(path))
     if recordings:
         if scene is None:
             raise InputError("recordings need a scene to be read with: give --scene")
         packs.append(pack_recordings(recordings, scene, timestep))
+        check_numbers(packs[-1], ", ".join(map(str, recordings)))
     if baseline == "mujoco":
         packs = [p if p.base.shape[1] else with_baseline(p, scene) for p in packs]
     return packs
@@ -82,65 +84,72 @@ def pack_file(path: str | Path, layout: Layout | None = None) -> Pack:
     Args:
       path: the file.
       layout: of its scene; read from the task's model if None.
+
+    Raises:
+      InputError: the file is no collection, or an episode does not fit the task's scene.
     """
     with EpisodeFile(path) as file:
-        nominal = layout or task_layout(file.task, file.control_timestep)
-        entities = [_entities(file, index) if nominal.objects else [] for index in range(len(file))]
+        if not len(file):
+            raise InputError(f"{path}: holds no episodes")
+        nominal = layout or task_layout(file.task, file.control_timestep, str(path))
+        indices = range(len(file))
+        entities = [_entities(file, index) if nominal.objects else [] for index in indices]
         layout = _with_all_objects(nominal, entities)
-        names = ("qpos", "qvel", "act", "ctrl", "action")
-        read: tuple[str, ...] = (*names, "descriptor/world")
-        chosen: list[int] = []
-        if layout.objects:
-            read = (*read, "descriptor/objects")
-            described = file.columns("descriptor/objects")
-            chosen = [described.index(name) for name in ATTRIBUTES]
-        columns: dict[str, list[Any]] = {name: [] for name in names}
-        static: dict[str, list[Any]] = {"attributes": [], "world": [], "mask": []}
-        groups: list[str] = []
-        group, lengths = [], []
-        for index in range(len(file)):
-            data = file.episode(index, read)
-            lengths.append(len(data["ctrl"]))
-            present = np.array([name in entities[index] for name in layout.objects], bool)
-            data["qpos"], data["qvel"] = _spread(file, data, index, layout, present)
-            for name in names:
-                columns[name].append(_with_last(data[name], lengths[-1] + 1))
-            static["attributes"].append(_attributes(data, entities[index], layout, chosen))
-            static["world"].append(data["descriptor/world"].reshape(-1))
-            static["mask"].append(present.astype(float))
-            subtask = file.attributes(index)["subtask"]
-            groups += [subtask] if subtask not in groups else []
-            group.append(groups.index(subtask))
+        allowance = file.allowance()
+        rows = [read_rows(file, index, layout, entities[index], allowance) for index in indices]
+        subtasks = [str(file.attributes(index)["subtask"]) for index in indices]
         source = {"file": Path(path).name, "task": file.task, "seed": file.seed}
-    rows = np.asarray(lengths) + 1
-    tensors = {name: _float(np.concatenate(parts)) for name, parts in columns.items()}
+    notes = {
+        "groups": list(dict.fromkeys(subtasks)),
+        "sources": [{**source, "episodes": len(rows)}],
+        "robot": robot_parameters(_nominal(source["task"], str(path)), nominal),
+    }
+    return _packed(layout, rows, subtasks, notes, str(path))
+
+
+def _packed(
+    layout: Layout,
+    rows: Sequence[EpisodeRows],
+    subtasks: Sequence[str],
+    notes: dict[str, Any],
+    path: str,
+) -> Pack:
+    """Episodes after one another."""
+    if len({one.running["action"].shape[1] for one in rows}) > 1:
+        raise InputError(f"{path}: its episodes have actions of different widths")
+    running = {n: _float(np.concatenate([one.running[n] for one in rows])) for n in RUNNING}
+    static = {n: _float(np.array([one.static[n] for one in rows])) for n in STATIC}
+    lengths = np.array([one.steps for one in rows])
+    ends = np.cumsum(lengths + 1)
     return Pack(
         layout=layout,
-        **tensors,
-        hand=hands(layout, tensors["qpos"], tensors["qvel"]),
-        base=torch.zeros(int(rows.sum()), 0),
-        start=torch.as_tensor(np.cumsum(rows) - rows),
+        **running,
+        **static,
+        hand=hands(layout, running["qpos"], running["qvel"]),
+        base=torch.zeros(int(ends[-1]), 0),
+        start=torch.as_tensor(ends - lengths - 1),
         length=torch.as_tensor(lengths),
-        **{name: _float(np.array(parts)) for name, parts in static.items()},
-        group=torch.as_tensor(group),
-        notes={
-            "groups": groups,
-            "sources": [{**source, "episodes": len(lengths)}],
-            "robot": robot_parameters(_nominal(source["task"]), nominal),
-        },
+        group=torch.as_tensor([notes["groups"].index(name) for name in subtasks]),
+        notes=notes,
     )
 
 
-def task_layout(task: str, control_timestep: float) -> Layout:
-    """The layout of a task's nominal scene."""
-    return read_layout(_nominal(task), control_timestep, source=task)
+_READERS = {".pack": Pack.load, ".h5": pack_file, ".hdf5": pack_file}
+
+
+def task_layout(task: str, control_timestep: float, path: str = "") -> Layout:
+    """The layout of a task's nominal scene.
+
+    Raises:
+      InputError: that is no name of a task, but a file or a document: data say which task they are
+        of, and must not have other files opened.
+    """
+    return read_layout(_nominal(task, path), control_timestep, source=task)
 
 
 @functools.lru_cache(maxsize=8)
-def _nominal(task: str) -> mujoco.MjModel:
-    from orbisim.scene import load_scene
-
-    return load_scene(task).model
+def _nominal(task: str, path: str) -> mujoco.MjModel:
+    return named_scene(task, path).model
 
 
 def _with_all_objects(layout: Layout, entities: list[list[str]]) -> Layout:
@@ -162,56 +171,6 @@ def _with_all_objects(layout: Layout, entities: list[list[str]]) -> Layout:
 
 def _entities(file: EpisodeFile, index: int) -> list[str]:
     return [name for name in file.entities(index) if name != "robot"]
-
-
-def _spread(
-    file: EpisodeFile,
-    data: dict[str, Any],
-    index: int,
-    layout: Layout,
-    present: npt.NDArray[np.bool_],
-) -> tuple[Any, Any]:
-    """qpos [T+1, nq] and qvel [T+1, nv] of an episode, with objects at rest where it has none.
-
-    The episode's scene has its bodies in the layout's order.
-    """
-    missing = np.flatnonzero(~present)
-    qpos, qvel = data["qpos"], data["qvel"]
-    sizes = (qpos.shape[1] + 7 * len(missing), qvel.shape[1] + 6 * len(missing))
-    if sizes != (layout.nq, layout.nv):
-        raise InputError(
-            f"{file.path}: episode {index} has {qpos.shape[1]} coordinates and "
-            f"{int(present.sum())} of the {len(layout.objects)} objects {layout.objects}; "
-            f"expected {layout.nq - 7 * len(missing)} coordinates"
-        )
-    if not len(missing):
-        return qpos, qvel
-    absent_q = (np.asarray(layout.object_q)[missing, None] + np.arange(7)).ravel()
-    absent_v = (np.asarray(layout.object_v)[missing, None] + np.arange(6)).ravel()
-    whole_q, whole_v = np.zeros((len(qpos), layout.nq)), np.zeros((len(qvel), layout.nv))
-    whole_q[:, np.setdiff1d(np.arange(layout.nq), absent_q)] = qpos
-    whole_v[:, np.setdiff1d(np.arange(layout.nv), absent_v)] = qvel
-    whole_q[:, absent_q[3::7]] = 1.0  # w of the quaternion
-    return whole_q, whole_v
-
-
-def _attributes(
-    data: dict[str, Any], entities: list[str], layout: Layout, columns: list[int]
-) -> Any:
-    """[N, D]: rows of the layout's objects among an episode's entities; zeros for absent ones."""
-    if not layout.objects:
-        return np.zeros((0, 0))
-    rows = np.zeros((len(layout.objects), len(ATTRIBUTES)))
-    for number, name in enumerate(layout.objects):
-        if name in entities:
-            rows[number] = data["descriptor/objects"][entities.index(name)][columns]
-    return rows
-
-
-def _with_last(array: Any, rows: int) -> Any:
-    """With zeros for the controls after the last state."""
-    missing = rows - len(array)
-    return np.concatenate([array, np.zeros((missing, *array.shape[1:]))]) if missing else array
 
 
 def _float(array: Any) -> Any:

@@ -6,22 +6,23 @@ import json
 from pathlib import Path
 from typing import Any
 
+import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
 from orbisim.errors import InputError
+from orbisim.files.reading import parse_json
+from orbisim.files.writing import make_folder, writing
 
 NAME = "training.safetensors"
 
 
 def save_progress(folder: Path, tensors: dict[str, Tensor], notes: dict[str, Any]) -> None:
     """Writes the optimiser's tensors and notes; a reader never sees half of them."""
-    folder.mkdir(parents=True, exist_ok=True)
-    part = folder / f"{NAME}.part"
     host = {name: tensor.detach().cpu().clone() for name, tensor in tensors.items()}
-    save_file(host, str(part), metadata={"notes": json.dumps(notes)})
-    part.replace(folder / NAME)
+    with writing(make_folder(folder) / NAME, announce=False) as part:
+        save_file(host, str(part), metadata={"notes": json.dumps(notes)})
 
 
 def load_progress(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
@@ -35,7 +36,15 @@ def load_progress(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]] | No
         return None
     try:
         with safe_open(str(path), framework="pt") as file:
-            notes = json.loads(file.metadata()["notes"])
-            return {name: file.get_tensor(name) for name in file.keys()}, notes  # noqa: SIM118
-    except (OSError, SafetensorError, ValueError, KeyError, TypeError) as error:
+            notes = parse_json((file.metadata() or {}).get("notes", ""), f"{path}, notes")
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        kinds: dict[str, Any] = {"seed": int, "step": int, "seconds": (int, float), "config": dict}
+        for name, kind in kinds.items():
+            if not isinstance(notes.get(name), kind):
+                raise ValueError(f"its notes have no {name}")
+        for name, tensor in tensors.items():
+            if tensor.dtype != torch.float32 or not torch.isfinite(tensor).all():
+                raise ValueError(f"{name} is not finite numbers in float32")
+    except (OSError, SafetensorError, ValueError, RuntimeError) as error:
         raise InputError(f"{path}: damaged; delete it to start afresh ({error})") from None
+    return tensors, notes

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.errors import UnsupportedSceneError
-from orbisim.tasks import descriptors
+from orbisim.scene import matrices
 from orbisim_world_model.frames import axis_frame, motion, nested, transform
 from orbisim_world_model.layout import Layout
 from orbisim_world_model.reading_limbs import read_limbs
@@ -17,9 +17,9 @@ from orbisim_world_model.reading_limbs import read_limbs
 Floats = npt.NDArray[np.float64]
 
 _UNUSED = ("red", "green", "blue", "inertia_q", "geom_")
-ATTRIBUTES = tuple(c for c in descriptors.OBJECT_COLUMNS if not c.startswith(_UNUSED))
+ATTRIBUTES = tuple(c for c in matrices.OBJECT_COLUMNS if not c.startswith(_UNUSED))
 """Columns of object attributes that the model is conditioned on."""
-SETTINGS = descriptors.WORLD_COLUMNS
+SETTINGS = matrices.WORLD_COLUMNS
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
 _HANDS = ("tcp", "grip_site", "attachment_site", "end_effector", "ee_site")
 _SURFACES = ("table", "board", "ground", "floor")
@@ -86,16 +86,16 @@ def read_layout(
 
 def read_attributes(model: mujoco.MjModel, layout: Layout) -> Floats:
     """[N, D]: `layout.attributes` of each object."""
-    columns = [descriptors.OBJECT_COLUMNS.index(name) for name in layout.attributes]
-    rows = [descriptors.object_row(model, model.body(name).id)[columns] for name in layout.objects]
+    columns = [matrices.OBJECT_COLUMNS.index(name) for name in layout.attributes]
+    rows = [matrices.object_row(model, model.body(name).id)[columns] for name in layout.objects]
     return np.array(rows).reshape(len(rows), len(columns))
 
 
 def read_settings(model: mujoco.MjModel, layout: Layout) -> Floats:
     """[W]: `layout.settings`."""
     surface = layout.surface if _has(model, mujoco.mjtObj.mjOBJ_GEOM, layout.surface) else None
-    row = descriptors.world_row(model, surface or None, layout.timestep)
-    return row[[descriptors.WORLD_COLUMNS.index(name) for name in layout.settings]]
+    row = matrices.world_row(model, surface or None, layout.timestep)
+    return row[[matrices.WORLD_COLUMNS.index(name) for name in layout.settings]]
 
 
 def _refuse(model: mujoco.MjModel, source: str) -> None:

@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
+import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from orbisim.errors import InputError
+from orbisim.errors import InputError, OrbiSimError
+from orbisim.files.locking import claimed
+from orbisim.files.reading import parse_json
+from orbisim.files.writing import check_folder, make_folder, output_errors, write_bytes
+from orbisim.version import VERSION
 from orbisim_world_model import parallel
 from orbisim_world_model.card import write_card
-from orbisim_world_model.checkpoint import load_for, ranges, save_checkpoint
+from orbisim_world_model.checkpoint import WEIGHTS, load_for, ranges, save_checkpoint
 from orbisim_world_model.config import Config
 from orbisim_world_model.curves import draw_curves
 from orbisim_world_model.evaluate import BURN, HORIZONS, constant_velocity, evaluate
+from orbisim_world_model.manifest import MANIFEST
 from orbisim_world_model.pack import Pack
+from orbisim_world_model.progress_file import NAME as PROGRESS
 from orbisim_world_model.progress_file import load_progress, save_progress
 from orbisim_world_model.schedule import Clock
 from orbisim_world_model.trainer import Trainer
@@ -77,12 +85,55 @@ def train(
       held: episodes to evaluate on, in the same order; a part of each pack if None.
 
     Raises:
-      InputError: no budget, or nothing to resume, or `out` holds another training.
+      InputError: no budget, or `out` cannot be written to or holds another training.
+      OrbiSimError: the losses are no longer finite; what was saved before stays.
+    """
+    check_run(run)
+    device = parallel.start(run.device)
+    with _claimed(run.out):
+        return _train(_listed(packs), config, run, report, _listed(held), device)
+
+
+def check_run(run: Run) -> None:
+    """Checks what can be checked before data are read.
+
+    Raises:
+      InputError: no budget, or `out` cannot be written to or holds another training.
     """
     if run.steps is None and run.limit is None:
         raise InputError("a training needs a budget: give --steps, --time-limit or both")
-    device = parallel.start(run.device)
-    kept, spare = _kept_and_held(_listed(packs), _listed(held), run, device)
+    if not 0 <= run.held_out < 1:
+        raise InputError(
+            f"held_out is a share of the episodes, from 0 to below 1; got {run.held_out}"
+        )
+    check_folder(run.out)
+    known = [name for name in (PROGRESS, WEIGHTS, MANIFEST) if (run.out / name).exists()]
+    if known and not run.resume:
+        raise InputError(
+            f"{run.out}: holds a training already ({known[0]}); go on with it by --resume, or "
+            "choose another --out"
+        )
+
+
+@contextlib.contextmanager
+def _claimed(folder: Path) -> Iterator[None]:
+    """Keeps other trainings out of a folder; among processes of one training, the first does."""
+    if parallel.rank():
+        yield
+        return
+    with claimed(make_folder(folder), "another training", "wait for it, or choose another --out"):
+        yield
+
+
+def _train(
+    packs: list[Pack],
+    config: Config,
+    run: Run,
+    report: Callable[[dict[str, Any]], None],
+    held: list[Pack],
+    device: Any,
+) -> dict[str, Any]:
+    kept, spare = _kept_and_held(packs, held, run, device)
     clock = Clock(run.steps, run.limit)
     models = [load_for(run.start, p.layout).model for p in kept] if run.start else None
     trainer = Trainer(
@@ -97,8 +148,7 @@ def train(
     _resume(trainer, run)
     leads = parallel.rank() == 0
     if leads:
-        run.out.mkdir(parents=True, exist_ok=True)
-        (run.out / METRICS).touch() if run.resume else (run.out / METRICS).write_text("")
+        _begin_metrics(run.out / METRICS, clock.done)
     saved = time.monotonic()
     while parallel.agreed(clock.progress, device) < 1.0:
         trainer.step()
@@ -137,10 +187,18 @@ def _kept_and_held(
     return packs, [pack.to(device) for pack in held]
 
 
+def _begin_metrics(path: Path, done: int) -> None:
+    """Leaves the lines of the steps that are done: later ones are written again."""
+    kept = []
+    for line in path.read_bytes().splitlines(keepends=True) if path.exists() else ():
+        with contextlib.suppress(InputError):  # the last line, if the training was killed in it
+            if line.endswith(b"\n") and parse_json(line, str(path)).get("step", 0) <= done:
+                kept.append(line)
+    write_bytes(path, b"".join(kept if done else ()), announce=False)
+
+
 def _resume(trainer: Trainer, run: Run) -> None:
-    found = load_progress(run.out)
-    if not run.resume:
-        return
+    found = load_progress(run.out) if run.resume else None
     if found is None:
         return  # killed before the first save: the same as a fresh start
     tensors, notes = found
@@ -148,12 +206,21 @@ def _resume(trainer: Trainer, run: Run) -> None:
         raise InputError(f"{run.out}: was trained with another configuration; use another --out")
     if notes["seed"] != run.seed:
         raise InputError(f"{run.out}: was trained with --seed {notes['seed']}, not {run.seed}")
+    shapes = {name: tensor.shape for name, tensor in trainer.optimizer.state().items()}
+    if shapes != {name: tensor.shape for name, tensor in tensors.items()}:
+        raise InputError(f"{run.out}: was trained on other data; use another --out")
     trainer.optimizer.restore(tensors)
     trainer.clock.done, trainer.clock.spent = notes["step"], notes["seconds"]
 
 
 def _log(trainer: Trainer, run: Run, leads: bool, report: Callable[[dict[str, Any]], None]) -> None:
     losses = trainer.losses()
+    if losses and not math.isfinite(losses["loss"]):
+        raise OrbiSimError(
+            f"training diverged: of the steps up to {trainer.clock.done} since the last line of "
+            "metrics, none had a finite loss; lower train.rate, or look for numbers in the data "
+            "that are out of all proportion"
+        )
     if not (leads and losses):
         return
     line = {
@@ -163,7 +230,7 @@ def _log(trainer: Trainer, run: Run, leads: bool, report: Callable[[dict[str, An
         "ratio": float(trainer.ratio),
         **losses,
     }
-    with (run.out / METRICS).open("a") as file:
+    with output_errors(run.out / METRICS), (run.out / METRICS).open("a") as file:
         file.write(json.dumps(line) + "\n")
     report(line)
 
@@ -201,7 +268,7 @@ def _save(trainer: Trainer, run: Run, held: list[Pack] | None) -> dict[str, Any]
             "processes": parallel.size(),
             "finished": clock.progress >= 1.0,
         },
-        "versions": {"torch": torch.__version__, "orbisim": _version()},
+        "versions": {"torch": torch.__version__, "orbisim": VERSION},
         "metrics": {},
     }
     save_checkpoint(run.out, trainer.models, manifest)
@@ -227,9 +294,3 @@ def _metrics(run: Run, held: Pack, config: Config) -> dict[str, Any]:
 def _device_name(device: Any) -> str:
     device = torch.device(device)
     return torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu"
-
-
-def _version() -> str:
-    import orbisim
-
-    return orbisim.__version__

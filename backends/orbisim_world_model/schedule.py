@@ -6,7 +6,7 @@ import dataclasses
 import math
 import time
 
-from orbisim_world_model.config import Stage, TrainConfig
+from orbisim_world_model.config import TrainConfig
 
 
 @dataclasses.dataclass
@@ -68,8 +68,3 @@ def learning_rate(config: TrainConfig, progress: float) -> float:
     through = (progress - config.warmup) / (1.0 - config.warmup)
     low = config.final_rate
     return low + 0.5 * (config.rate - low) * (1.0 + math.cos(math.pi * through))
-
-
-def largest_length(stages: tuple[Stage, ...]) -> int:
-    """Steps of the longest training sequence."""
-    return max(stage.length for stage in stages)

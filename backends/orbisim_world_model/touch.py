@@ -13,6 +13,7 @@ _HEIGHT, _SPEED, _ANGLE, _NEAR = 0.005, 0.05, 0.02, 0.03
 """Scales below which distances (m), speeds (m/s) and joint limits (rad) are seen finely; distance
 over which what two limbs do to each other fades out (m)."""
 _TINY = 1e-9
+"""Keeps distances differentiable at zero; its root is 0.03 mm."""
 
 
 class Touch(nn.Module):

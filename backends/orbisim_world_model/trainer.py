@@ -31,8 +31,6 @@ from orbisim_world_model.unroll import (
     noise_size,
 )
 
-_PRECISION = {"bf16": torch.bfloat16}
-
 
 @dataclasses.dataclass(eq=False)
 class Part:
@@ -80,10 +78,8 @@ class Trainer:
         self.graph = graph and on_gpu
         if on_gpu:
             torch.backends.cuda.matmul.allow_tf32 = config.train.precision != "fp32"
-        precision = _PRECISION.get(config.train.precision) if on_gpu else None
         models = models or new_models(packs, config, seed)
         for model in models:
-            model.precision = precision
             model.to(self.device).train()
             if model is not models[0]:
                 model.share(models[0])
@@ -121,10 +117,14 @@ class Trainer:
             torch.cuda.synchronize()  # so that the clock tells how far the GPU is
 
     def losses(self) -> dict[str, float]:
-        """Mean losses since the last call."""
+        """Mean losses of the steps since the last call whose losses were finite; NaN if none was.
+
+        What is not finite changes nothing in the model (see `FlatAdamW`), and is counted.
+        """
         if not self._losses:
             return {}
-        total, state = torch.stack(self._losses).mean(0).tolist()
+        rows = torch.stack(self._losses)
+        total, state = rows[rows.isfinite().all(1)].mean(0).tolist()
         self._losses = []
         return {"loss": total, "state_loss": state, "skipped": float(self.optimizer.skipped)}
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from orbisim.errors import UnsupportedSceneError
 from orbisim.scene import Scene
-from orbisim_world_model.checkpoint import MANIFEST, read_manifest
 from orbisim_world_model.fitting import Fit, fit
+from orbisim_world_model.manifest import MANIFEST, read_manifest
 
 FOLDER = Path(__file__).parent / "zoo"
 

@@ -7,11 +7,11 @@ import hashlib
 import os
 import shutil
 import subprocess
-import tempfile
 from pathlib import Path
 from typing import Any
 
 from orbisim.errors import MissingDependencyError, OrbiSimError
+from orbisim.files.temporary import temporary_folder
 
 _FLAGS = ("-O3", "-march=native", "-ffast-math", "-fPIC", "-std=gnu11")
 
@@ -37,8 +37,8 @@ def compiled(source: str) -> Any:
 
 def _build(compiler: str, source: str, library: Path) -> None:
     library.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
-        code, part, built = (Path(folder) / name for name in ("step.c", "step.o", "step.so"))
+    with temporary_folder(library.parent, "build-") as folder:
+        code, part, built = (folder / name for name in ("step.c", "step.o", "step.so"))
         code.write_text(source)
         # linked without -ffast-math, which would switch off denormal numbers in the whole process
         for command in (

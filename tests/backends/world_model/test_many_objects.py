@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from orbisim_world_model.checkpoint import load_checkpoint, load_for, read_manifest, variants
+from orbisim_world_model.checkpoint import load_checkpoint, load_for
 from orbisim_world_model.config import Config
+from orbisim_world_model.manifest import read_manifest, variants
 from orbisim_world_model.pack import Pack, grouped, joined
 from orbisim_world_model.packing import pack_file, read_groups
 from orbisim_world_model.run import Run, train

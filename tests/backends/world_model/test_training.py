@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -18,9 +19,9 @@ from orbisim_world_model.presets import PRESETS, preset
 from orbisim_world_model.run import Run, train
 from orbisim_world_model.schedule import Clock, learning_rate, stage_at
 from orbisim_world_model.trainer import Trainer
-from safetensors.torch import load_file
+from safetensors.torch import load_file, save_file
 
-from orbisim.errors import InputError
+from orbisim.errors import InputError, OrbiSimError
 from tests.backends.world_model.conftest import toy
 from tests.backends.world_model.synthetic import BOX, PENDULUM, TABLE, simulate
 
@@ -202,3 +203,66 @@ def test_packs_of_scenes_with_fewer_objects_are_joined(tmp_path: Path) -> None:
     again = Pack.load(tmp_path / "both.pack")
     torch.testing.assert_close(again.hand, both.hand, atol=1e-6, rtol=0)
     assert again.layout == both.layout
+
+
+def test_a_training_is_not_written_over(tmp_path: Path) -> None:
+    pack = simulate(PENDULUM, 4, 20, 2)
+    train(pack, toy(), Run(out=tmp_path, steps=2))
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(InputError, match="holds a training already"):
+        train(pack, toy(), Run(out=tmp_path, steps=2, seed=5))
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="is not a folder"):
+        train(pack, toy(), Run(out=tmp_path / "file", steps=2))
+
+
+def test_two_trainings_do_not_share_a_folder(tmp_path: Path) -> None:
+    pack = simulate(PENDULUM, 4, 20, 2)
+
+    def second(_: dict[str, float]) -> None:
+        with pytest.raises(InputError, match="another training is at work"):
+            train(pack, toy(), Run(out=tmp_path, steps=2, resume=True))
+
+    train(pack, toy(), Run(out=tmp_path, steps=2, log_every=1), second)
+
+
+def test_a_training_whose_losses_are_not_finite_fails(tmp_path: Path) -> None:
+    pack = simulate(PENDULUM, 4, 20, 2)
+    pack.qvel[pack.qvel.shape[0] // 2 :] = torch.nan
+    with pytest.raises(OrbiSimError, match="diverged"):
+        train(pack, toy(), Run(out=tmp_path, steps=4, log_every=2))
+    assert not (tmp_path / "model.safetensors").exists()
+
+
+def test_metrics_of_a_killed_training_go_on_without_gaps_or_repeats(tmp_path: Path) -> None:
+    pack = simulate(PENDULUM, 4, 20, 2)
+    train(pack, toy(), Run(out=tmp_path, steps=4, log_every=1))
+    path = tmp_path / "metrics.jsonl"
+    path.write_text(path.read_text() + '{"step": 5, "seconds": 1.0}\n{"step": 6, "sec')
+    train(pack, toy(), Run(out=tmp_path, steps=8, log_every=1, resume=True))
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    assert [line["step"] for line in lines] == list(range(1, 9))
+    assert all("loss" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda path: path.write_bytes(path.read_bytes()[:-100]),
+        lambda path: path.write_bytes(b""),
+        lambda path: save_file({"values": torch.zeros(3)}, str(path)),
+        lambda path: save_file({"values": torch.zeros(3)}, str(path), {"notes": "[" * 100_000}),
+        lambda path: save_file(
+            {"values": torch.full((3,), torch.nan)},
+            str(path),
+            {"notes": '{"seed": 0, "step": 1, "seconds": 0.0, "config": {}}'},
+        ),
+    ],
+)
+def test_damaged_progress_is_not_gone_on_with(tmp_path: Path, damage: Any) -> None:
+    pack = simulate(PENDULUM, 4, 20, 2)
+    train(pack, toy(), Run(out=tmp_path, steps=2))
+    damage(tmp_path / "training.safetensors")
+    with pytest.raises(InputError, match=r"training\.safetensors"):
+        train(pack, toy(), Run(out=tmp_path, steps=4, resume=True))

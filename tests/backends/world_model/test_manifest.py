@@ -1,0 +1,157 @@
+"""Manifests that ask for more than there is, or are not what they must be."""
+
+from __future__ import annotations
+
+import copy
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from orbisim_world_model import zoo
+from orbisim_world_model.checkpoint import load_checkpoint
+from orbisim_world_model.manifest import read_manifest
+from safetensors.torch import load_file, save_file
+
+from orbisim.errors import InputError
+from tests.clock import Stopwatch
+
+ZOO = Path(zoo.__file__).parent / "zoo"
+Change = Callable[[dict[str, Any]], None]
+
+
+def _set(value: Any, *place: Any) -> Change:
+    def change(manifest: dict[str, Any]) -> None:
+        for name in place[:-1]:
+            manifest = manifest[name]
+        manifest[place[-1]] = value
+
+    return change
+
+
+def _drop(*place: Any) -> Change:
+    def change(manifest: dict[str, Any]) -> None:
+        for name in place[:-1]:
+            manifest = manifest[name]
+        del manifest[place[-1]]
+
+    return change
+
+
+def _many_variants(manifest: dict[str, Any]) -> None:
+    robot = {n: manifest[n] for n in ("layout", "controls", "ranges")} | {"robot": {}}
+    manifest["variants"] = [robot] * 1_000
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A copy of a checkpoint to damage."""
+    return Path(shutil.copytree(ZOO / "cartpole", tmp_path / "checkpoint"))
+
+
+def _rewrite(folder: Path, change: Change) -> None:
+    path = folder / "manifest.json"
+    manifest = json.loads(path.read_text())
+    change(manifest)
+    path.write_text(json.dumps(manifest))
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in ZOO.iterdir() if path.is_dir()))
+def test_the_zoo_is_sound(name: str) -> None:
+    assert read_manifest(ZOO / name)["schema"] == "orbisim.dynamics/1"
+
+
+REFUSED: dict[str, tuple[Change, str]] = {
+    "controls": (_set(10**9, "controls"), "controls is 1000000000"),
+    "controls, plausible": (_set(9_999, "controls"), "the manifest describes"),
+    "width": (_set(16_384, "model", "width"), "width is 16384"),
+    "width, plausible": (_set(8_192, "model", "width"), "parameters|the manifest describes"),
+    "layers": (_set(100_000, "model", "layers"), "layers is 100000"),
+    "layers, plausible": (_set(100, "model", "layers"), "not in the weights"),
+    "heads": (_set(3, "model", "heads"), "a multiple of heads"),
+    "variants": (_many_variants, "at most 100 robots"),
+    "expansion": (_set(0, "model", "expansion"), "expansion is 0"),
+    "type": (_set("128", "model", "width"), "model.width: expected int; got '128'"),
+    "truth": (_set(1, "model", "skip"), "model.skip: expected bool"),
+    "kind": (_set("other", "model", "kind"), "expected one of 'objects'"),
+    "unknown": (_set(1, "model", "new"), "unknown entry 'new'"),
+    "model": (_set([], "model"), "model: expected an object"),
+    "no model": (_drop("model"), "no entry 'model'"),
+    "layout": (_set(3, "layout"), "layout: expected an object"),
+    "nq": (_set(10**9, "layout", "nq"), "nq is 1000000000"),
+    "address": (_set([7, 8], "layout", "joint_q"), "addresses"),
+    "names": (_set([1, 2], "layout", "joints"), r"layout.joints\[0\]: expected str"),
+    "timestep": (_set(0, "layout", "timestep"), "timestep is 0"),
+    "infinity": (_set(float("inf"), "layout", "timestep"), "expected float"),
+    "large": (_set(10**400, "layout", "timestep"), "expected float"),
+    "servo": (_set([99], "layout", "servo"), "servo"),
+    "no ranges": (_drop("ranges"), "no entry 'ranges'"),
+    "no joints": (_set({}, "ranges", "joints"), "ranges.joints has no entry"),
+    "range": (_set([1], "ranges", "joints", "slider"), "expected 2 entries"),
+    "speed": (_set(None, "ranges", "joint_speed"), "expected float"),
+    "sources": (_set("x", "data", "sources"), "data.sources"),
+    "robot": (_set({"mass": "x"}, "data", "robot"), "data.robot.mass"),
+    "config": (_drop("config"), "no entry 'config'"),
+    "variant": (_set([{}], "variants"), "no entry"),
+    "schema": (_set("other", "schema"), "not the manifest"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_refused(folder: Path, name: str) -> None:
+    change, says = REFUSED[name]
+    _rewrite(folder, change)
+    watch = Stopwatch()
+    with pytest.raises(InputError, match=says) as caught:
+        load_checkpoint(folder)
+    assert str(folder) in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert watch.seconds < 20
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"schema": ' + "[" * 100_000, "null"])
+def test_what_is_no_manifest(folder: Path, text: str) -> None:
+    (folder / "manifest.json").write_text(text)
+    with pytest.raises(InputError, match="not a checkpoint of learned dynamics"):
+        load_checkpoint(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda t: t * torch.nan, "is not finite"),
+        (lambda t: torch.zeros(3), "of shape"),
+        (lambda t: t.to(torch.int32), "is I32"),
+        (lambda t: None, "is not in the weights"),
+    ],
+)
+def test_weights_are_what_the_manifest_says(folder: Path, change: Any, says: str) -> None:
+    path = str(folder / "model.safetensors")
+    tensors = load_file(path)
+    name = next(n for n, t in tensors.items() if t.dim() == 2)
+    changed = change(tensors.pop(name))
+    save_file(tensors if changed is None else {**tensors, name: changed}, path)
+    with pytest.raises(InputError, match=says):
+        load_checkpoint(folder)
+
+
+def test_damaged_weights(folder: Path) -> None:
+    path = folder / "model.safetensors"
+    data = path.read_bytes()
+    for damaged in (b"", data[:100], (2**60).to_bytes(8, "little") + data[8:]):
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match="damaged"):
+            load_checkpoint(folder)
+    path.unlink()
+    with pytest.raises(InputError, match="no such file"):
+        load_checkpoint(folder)
+
+
+def test_the_manifest_stays_as_it_is() -> None:
+    manifest = read_manifest(ZOO / "push")
+    before = copy.deepcopy(manifest)
+    load_checkpoint(ZOO / "push")
+    assert manifest == before
