@@ -15,8 +15,9 @@ neither MuJoCo nor torch.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from orbisim.host.lazy import lazy
 
 if TYPE_CHECKING:
     from orbisim.tasks.base import Task as Task
@@ -40,7 +41,4 @@ _HOMES = {
 __all__ = [*_HOMES]
 
 
-def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        return getattr(importlib.import_module(_HOMES[name]), name)
-    raise AttributeError(f"module 'orbisim.tasks' has no attribute {name!r}")
+__getattr__, __dir__ = lazy(__name__, _HOMES)

@@ -13,6 +13,7 @@ import dataclasses
 import mujoco
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from orbisim.tasks import assets
 
@@ -134,22 +135,13 @@ def pointing_down(yaw: float) -> Floats:
 
 
 def rotation_matrix(vector: Floats) -> Floats:
-    """Of a rotation vector [3]; Rodrigues' formula."""
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-12:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
+    """Of a rotation vector [3]."""
+    return np.asarray(Rotation.from_rotvec(vector).as_matrix())
 
 
 def rotation_vector(matrix: Floats) -> Floats:
     """Of a rotation matrix [3, 3]."""
-    quat = np.empty(4)
-    mujoco.mju_mat2Quat(quat, matrix.ravel())
-    vector = np.empty(3)
-    mujoco.mju_quat2Vel(vector, quat, 1.0)
-    return vector
+    return np.asarray(Rotation.from_matrix(matrix).as_rotvec())
 
 
 def _shorten(vector: Floats, longest: float) -> Floats:

@@ -16,13 +16,16 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from orbisim.cpus import usable_cpus
-from orbisim.errors import InputError
-from orbisim.progress import track
-from orbisim.tasks import storage
+from orbisim.errors import InputError, OrbiSimError
+from orbisim.files.locking import claimed
+from orbisim.files.writing import make_folder
+from orbisim.host.cpus import usable_cpus
+from orbisim.host.progress import track
+from orbisim.tasks import chunks, pool, ray_pool, storage
 from orbisim.tasks.base import Task
+from orbisim.tasks.dataset import EpisodeFile
 from orbisim.tasks.frames import Camera, check_camera
-from orbisim.tasks.orders import Order, make_chunk
+from orbisim.tasks.orders import Order
 from orbisim.tasks.registry import make
 
 
@@ -93,16 +96,33 @@ def collect(
     if camera is not None:
         check_camera(made.scene(), camera)
     order = Order(made.label, dict(changes or {}), seed, camera, entries)
-    folder = _folder(path, order)
-    missing = [chunk for chunk in order.chunks() if not _chunk_path(folder, chunk).exists()]
-    spread = _with_ray if ray else _with_processes
-    for _ in track(spread(order, folder, missing, count), f"collecting {made.label}", len(missing)):
+    folder = path.with_name(path.name + ".partial")
+    with claimed(make_folder(folder), "another collection", "wait for it, or choose another name"):
+        missing = _make_missing(order, folder, _with_ray if ray else _with_processes, count)
+        parts = [_whole(folder, chunk) for chunk in order.chunks()]
+        storage.assemble(path, parts, _attributes(made, order))
+        shutil.rmtree(folder)
+    return _summary(path, time.monotonic() - started, len(entries) - missing)
+
+
+Spread = Callable[[Order, Path, Sequence[range], int], Iterable[None]]
+
+
+def _make_missing(order: Order, folder: Path, spread: Spread, workers: int) -> int:
+    """Makes the chunks that are not there yet; returns how many episodes that were."""
+    chunks.prepare(folder, order)
+    missing = [chunk for chunk in order.chunks() if chunks.finished(folder, chunk) is None]
+    made = spread(order, folder, missing, workers)
+    for _ in track(made, f"collecting {order.task}", len(missing)):
         pass
-    chunks = [_chunk_path(folder, chunk) for chunk in order.chunks()]
-    storage.assemble(path, chunks, _attributes(made, order))
-    shutil.rmtree(folder)
-    resumed = len(entries) - sum(map(len, missing))
-    return _summary(path, time.monotonic() - started, resumed)
+    return sum(map(len, missing))
+
+
+def _whole(folder: Path, chunk: range) -> Path:
+    path = chunks.finished(folder, chunk)
+    if path is None:
+        raise OrbiSimError(f"{folder}: a chunk was lost while it was written; run it again")
+    return path
 
 
 def _workers(workers: int | None) -> int:
@@ -123,54 +143,23 @@ def _attributes(task: Task, order: Order) -> dict[str, Any]:
     }
 
 
-def _folder(path: Path, order: Order) -> Path:
-    """The folder of the chunks, new or left by an earlier run of the same order."""
-    folder = path.with_name(path.name + ".partial")
-    folder.mkdir(exist_ok=True)
-    label = folder / "order"
-    if not label.exists():
-        if any(folder.iterdir()):
-            raise InputError(f"{folder}: is not an unfinished collection; move it out of the way")
-        label.write_text(order.key)
-    elif label.read_text() != order.key:
-        raise InputError(
-            f"{folder}: holds an unfinished collection of something else; finish it by the same "
-            "command as before, or remove it"
-        )
-    return folder
-
-
-def _chunk_path(folder: Path, chunk: range) -> Path:
-    return folder / f"chunk-{chunk.start:06d}.h5"
-
-
-Spread = Callable[[Order, Path, Sequence[range], int], Iterable[None]]
-
-
 def _with_processes(
-    order: Order, folder: Path, chunks: Sequence[range], workers: int
+    order: Order, folder: Path, missing: Sequence[range], workers: int
 ) -> Iterator[None]:
-    if workers == 1 or len(chunks) < 2:
-        for chunk in chunks:
-            make_chunk(order, chunk, _chunk_path(folder, chunk))
+    if workers == 1 or len(missing) < 2:
+        for chunk in missing:
+            chunks.make_chunk(order, chunk, folder)
             yield
         return
-    from orbisim.tasks.pool import run
-
-    jobs = [(order, list(chunk), _chunk_path(folder, chunk)) for chunk in chunks]
-    yield from run(make_chunk, jobs, min(workers, len(jobs)))
+    jobs = [(order, list(chunk), folder) for chunk in missing]
+    yield from pool.run(chunks.make_chunk, jobs, min(workers, len(jobs)))
 
 
-def _with_ray(order: Order, folder: Path, chunks: Sequence[range], workers: int) -> Iterator[None]:
-    from orbisim.tasks.ray_pool import run
-
-    paths = [_chunk_path(folder, chunk) for chunk in chunks]
-    yield from run(order, [list(chunk) for chunk in chunks], paths, workers)
+def _with_ray(order: Order, folder: Path, missing: Sequence[range], workers: int) -> Iterator[None]:
+    yield from ray_pool.run(order, [list(chunk) for chunk in missing], folder, workers)
 
 
 def _summary(path: Path, seconds: float, resumed: int) -> Collection:
-    from orbisim.tasks.dataset import EpisodeFile
-
     subtasks: dict[str, int] = {}
     successes: dict[str, list[bool]] = {}
     with EpisodeFile(path) as file:

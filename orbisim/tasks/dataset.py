@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.errors import InputError, MissingDependencyError
-from orbisim.tasks.schema import SCHEMA
-
-if TYPE_CHECKING:
-    import h5py
-else:
-    try:
-        import h5py
-    except ImportError as error:
-        raise MissingDependencyError("episode files", "learned", "no module 'h5py'") from error
+from orbisim.errors import InputError
+from orbisim.files.hdf5 import Reader
+from orbisim.files.reading import Allowance
+from orbisim.tasks.schema import PER_STEP, SCHEMA, is_static
 
 Array = npt.NDArray[Any]
 
@@ -52,39 +45,40 @@ class EpisodeFile:
       versions: of the software that made it.
 
     Raises:
-      InputError: there is no such file, it is not one of episodes, or it is not complete.
+      InputError: there is no such file, it is not one of episodes, it is not complete, or it is
+        damaged. So do all methods.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        if not self.path.exists():
-            raise InputError(f"{path}: no such file")
-        try:
-            self._file = h5py.File(self.path, "r")
-        except OSError as error:
-            raise InputError(f"{path}: not an HDF5 file ({error})") from None
+        self._file = Reader(self.path)
         try:
             self._check()
+            self.task = self._file.text("", "task")
+            self.seed = self._file.integer("", "seed")
+            self.control_timestep = self._file.number("", "control_timestep")
+            self.timestep = self._file.number("", "timestep")
+            self.versions: dict[str, str] = self._object("versions")
+            self.config: dict[str, Any] = self._object("config")
+            self._keys = self._file.keys("episodes")
         except InputError:
             self._file.close()
             raise
-        attributes = self._file.attrs
-        self.task = str(attributes["task"])
-        self.seed = int(attributes["seed"])
-        self.control_timestep = float(attributes["control_timestep"])
-        self.timestep = float(attributes["timestep"])
-        self.versions: dict[str, str] = json.loads(attributes["versions"])
-        self.config: dict[str, Any] = json.loads(attributes["config"])
-        self._keys = sorted(self._file["episodes"])
 
     def _check(self) -> None:
-        schema = self._file.attrs.get("schema")
+        schema = self._file.attribute("", "schema")
         if schema != SCHEMA:
             raise InputError(f"{self.path}: schema is {schema!r}; expected {SCHEMA!r}")
-        if not self._file.attrs.get("complete", False):
+        if not self._file.attribute("", "complete"):
             raise InputError(
                 f"{self.path}: the collection was not finished; run the same command again"
             )
+
+    def _object(self, name: str) -> dict[str, Any]:
+        value = self._file.parsed("", name)
+        if not isinstance(value, dict):
+            raise InputError(f"{self.path}: attribute {name!r} is not a JSON object")
+        return value
 
     def __len__(self) -> int:
         return len(self._keys)
@@ -101,47 +95,63 @@ class EpisodeFile:
 
     def names(self, index: int = 0) -> tuple[str, ...]:
         """Names of the datasets of an episode."""
-        found: list[str] = []
-        self._group(index).visititems(
-            lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) else None
-        )
-        return tuple(sorted(found))
+        return tuple(self._file.datasets(self._place(index)))
 
     def attributes(self, index: int) -> dict[str, Any]:
         """`subtask`, `seed`, `scene_hash` and `success` (None where there is no measure)."""
-        values = dict(self._group(index).attrs)
-        success = int(values.pop("success", -1))
+        place = self._place(index)
+        known = self._file.attribute(place, "success") is not None
+        success = self._file.integer(place, "success") if known else -1
         return {
-            "subtask": str(values["subtask"]),
-            "seed": int(values["seed"]),
-            "scene_hash": str(values["scene_hash"]),
+            "subtask": self._file.text(place, "subtask"),
+            "seed": self._file.integer(place, "seed"),
+            "scene_hash": self._file.text(place, "scene_hash"),
             "success": None if success < 0 else bool(success),
         }
 
-    def episode(self, index: int, names: Iterable[str] | None = None) -> dict[str, Array]:
+    def allowance(self) -> Allowance:
+        """What a reader may unpack from this file, if it keeps it (see `episode`)."""
+        return self._file.allowance()
+
+    def episode(
+        self, index: int, names: Iterable[str] | None = None, allowance: Allowance | None = None
+    ) -> dict[str, Array]:
         """Datasets of one episode by name; all of them unless some are asked for.
 
+        Args:
+          index: which episode.
+          names: of the datasets.
+          allowance: what they are counted against, for readers that keep many episodes.
+
         Raises:
-          InputError: the episode has no dataset of a name.
+          InputError: the episode has no dataset of a name, or one that runs over time has another
+            number of rows than the episode has steps.
         """
-        group = self._group(index)
+        place = self._place(index)
         wanted = self.names(index) if names is None else names
-        return {name: self._read(group, name) for name in wanted}
+        steps, allowance = self._steps(index), allowance or self.allowance()
+        return {name: self._read(place, name, steps, allowance) for name in wanted}
 
     def columns(self, name: str, index: int = 0) -> tuple[str, ...]:
         """Names of the columns of a descriptor dataset (`descriptor/objects`)."""
-        text = self._group(index)[name].attrs["columns"]
-        return tuple(json.loads(text))
+        place = f"{self._place(index)}/{name}"
+        columns = self._file.parsed(place, "columns")
+        if not (isinstance(columns, list) and all(isinstance(one, str) for one in columns)):
+            raise InputError(f"{self.path}: columns of {place} are not a list of names")
+        return tuple(columns)
 
     def entities(self, index: int) -> tuple[str, ...]:
         """Names of the entities; the robot first, if there is one."""
-        return tuple(name.decode() for name in self._group(index)["entities/names"][()])
+        place = f"{self._place(index)}/entities/names"
+        names = self._file.array(place)
+        if names.ndim != 1 or names.dtype.kind != "S":
+            raise InputError(f"{self.path}: {place} is not a list of names")
+        return tuple(name.decode(errors="replace") for name in names.tolist())
 
     def select(self, subtask: str) -> list[int]:
         """Indices of the episodes of a subtask."""
-        return [
-            i for i, key in enumerate(self._keys) if self._episodes[key].attrs["subtask"] == subtask
-        ]
+        places = (self._place(index) for index in range(len(self)))
+        return [i for i, place in enumerate(places) if self._file.text(place, "subtask") == subtask]
 
     def __iter__(self) -> Iterator[dict[str, Array]]:
         for index in range(len(self)):
@@ -155,7 +165,8 @@ class EpisodeFile:
           indices: which episodes; all of them if None.
         """
         chosen = range(len(self)) if indices is None else indices
-        rows = [self.episode(index, names) for index in chosen]
+        allowance = self.allowance()
+        rows = [self.episode(index, names, allowance) for index in chosen]
         lengths = np.array([self._steps(index) for index in chosen], np.int64)
         arrays, masks = {}, {}
         for name in names:
@@ -166,22 +177,27 @@ class EpisodeFile:
         """Number of control steps T of every episode."""
         return [self._steps(index) for index in range(len(self))]
 
-    @property
-    def _episodes(self) -> Any:
-        return self._file["episodes"]
-
     def _steps(self, index: int) -> int:
-        return int(self._group(index)["time"].shape[0]) - 1
+        place = f"{self._place(index)}/time"
+        shape = self._file.shape(place)
+        if len(shape) != 1 or not shape[0]:
+            raise InputError(f"{self.path}: {place} has shape {shape}; expected one axis, [T+1]")
+        return shape[0] - 1
 
-    def _group(self, index: int) -> Any:
+    def _place(self, index: int) -> str:
         if not -len(self) <= index < len(self):
             raise InputError(f"{self.path}: has {len(self)} episodes; there is none of {index}")
-        return self._episodes[self._keys[index]]
+        return f"episodes/{self._keys[index]}"
 
-    def _read(self, group: Any, name: str) -> Array:
-        if name not in group:
-            raise InputError(f"{self.path}: {group.name} has no dataset {name!r}")
-        return np.asarray(group[name][()])
+    def _read(self, place: str, name: str, steps: int, allowance: Allowance) -> Array:
+        array = self._file.array(f"{place}/{name}", allowance)
+        expected = steps if name in PER_STEP else steps + 1
+        if not is_static(name) and array.shape[:1] != (expected,):
+            raise InputError(
+                f"{self.path}: {place}/{name} has shape {array.shape}; an episode of {steps} steps "
+                f"has {expected} rows of it"
+            )
+        return array
 
 
 def _pad(arrays: Sequence[Array]) -> tuple[Array, npt.NDArray[np.bool_]]:

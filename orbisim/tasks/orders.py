@@ -18,7 +18,9 @@ from orbisim.tasks.registry import make
 from orbisim.tasks.sampling import episode_seed
 
 _CHUNK = 16
+"""Episodes that a process makes before it writes: little is lost when it is killed."""
 _ATTEMPTS = 5
+"""Draws of an episode whose simulation is unstable; five in a row mean that the task is."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +51,7 @@ class Order:
         return [range(i, min(i + _CHUNK, count)) for i in range(0, count, _CHUNK)]
 
 
-def make_chunk(order: Order, numbers: Sequence[int], path: Path) -> None:
+def write_episodes(order: Order, numbers: Sequence[int], path: Path) -> None:
     """Makes the episodes of those numbers and writes them to a file."""
     task = make(order.task, **order.changes)
 
@@ -61,7 +63,7 @@ def make_chunk(order: Order, numbers: Sequence[int], path: Path) -> None:
                 episode = with_frames(episode, scene, order.camera)
             yield number, episode
 
-    storage.write_chunk(path, produce())
+    storage.write_episodes(path, produce())
 
 
 def _episode(task: Task, order: Order, subtask: str, index: int) -> Episode:

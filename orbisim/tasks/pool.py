@@ -9,17 +9,21 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from orbisim.errors import OrbiSimError
+from orbisim.host.children import begin_work
 
 
 def run(work: Callable[..., None], jobs: Sequence[tuple[Any, ...]], workers: int) -> Iterator[None]:
     """Runs `work(*job)` for every job; yields once for each that is done, in any order.
+
+    The processes end with this one, and when the work is interrupted or fails.
 
     Raises:
       OrbiSimError: a process was killed (for memory, say); whatever a job raises.
     """
     # a fork of a process with torch in it may hang in torch's threads
     context = multiprocessing.get_context("spawn" if "torch" in sys.modules else "fork")
-    with concurrent.futures.ProcessPoolExecutor(workers, context) as pool:
+    others = set(multiprocessing.active_children())
+    with concurrent.futures.ProcessPoolExecutor(workers, context, begin_work) as pool:
         futures = [pool.submit(work, *job) for job in jobs]
         try:
             for future in concurrent.futures.as_completed(futures):
@@ -30,6 +34,7 @@ def run(work: Callable[..., None], jobs: Sequence[tuple[Any, ...]], workers: int
                 "a worker process was killed (out of memory?); what is done is kept, run the same "
                 "command again, with fewer workers"
             ) from error
-        finally:
-            for future in futures:
-                future.cancel()
+        except BaseException:  # what runs is not waited for, what waits is not begun
+            for process in set(multiprocessing.active_children()) - others:
+                process.terminate()
+            raise

@@ -5,7 +5,9 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
+from orbisim.episodes import Episodes
 from orbisim.errors import InputError, UnknownNameError
+from orbisim.scene import Scene
 from orbisim.tasks.base import Task
 
 _TASKS: dict[str, str | type[Task]] = {
@@ -15,6 +17,9 @@ _TASKS: dict[str, str | type[Task]] = {
     "ball": "orbisim.tasks.ball:Ball",
     "toss": "orbisim.tasks.toss:Toss",
 }
+
+
+_SUITE = "orbisim.tasks.suite:SuiteTask"
 
 
 def available() -> tuple[str, ...]:
@@ -47,19 +52,39 @@ def make(name: str, **changes: Any) -> Task:
     """
     prefix, _, rest = name.partition(":")
     if prefix == "suite" and rest:
-        from orbisim.tasks.suite import SuiteTask
-
-        return SuiteTask(rest, **changes)
+        return _imported(_SUITE)(rest, **changes)
     short = rest if prefix == "task" and rest else name
     if short not in _TASKS:
         known = [f"task:{n}" for n in _TASKS] if prefix == "task" else list(_TASKS)
         raise UnknownNameError("task", name, [*known, "suite:cheetah-run"])
     found = _TASKS[short]
-    if isinstance(found, str):
-        module, _, attribute = found.partition(":")
-        found = getattr(importlib.import_module(module), attribute)
-    assert not isinstance(found, str)
-    return found(**changes)
+    task: Task = (_imported(found) if isinstance(found, str) else found)(**changes)
+    return task
+
+
+def _imported(place: str) -> Any:
+    module, _, attribute = place.partition(":")
+    return getattr(importlib.import_module(module), attribute)
+
+
+def load_scene(name: str) -> Scene:
+    """The nominal scene of a task, by `push` or `push-to_hit`.
+
+    Raises:
+      UnknownNameError: there is no such task or subtask.
+    """
+    task, subtask = split(name)
+    return make(f"task:{task}").scene(subtask)
+
+
+def episodes(name: str, count: int, seed: int) -> Episodes:
+    """Episodes on a scene drawn from a task's distribution, with the controls of its policy.
+
+    Raises:
+      UnknownNameError: there is no such task or subtask.
+    """
+    task, subtask = split(name)
+    return make(f"task:{task}").trials(count, seed, subtask)
 
 
 def split(name: str) -> tuple[str, str | None]:

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 SCHEMA = "orbisim.episodes/1"
 
-ROLLOUT = ("time", "qpos", "qvel", "act", "ctrl", "action")
-"""Datasets in the scene's own coordinates, float64."""
-
 PER_STEP = frozenset({"ctrl", "action"})
 """Datasets with T rows; all others that run over time have T + 1."""
 

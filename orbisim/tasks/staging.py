@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.physics import read_state
+from orbisim.physics.mjdata import read_state
 from orbisim.state import State
 from orbisim.tasks.arm import ArmController
 from orbisim.tasks.episode import Rollout, check_stable, clock
@@ -78,7 +78,7 @@ def perform(
     """Runs a script for `steps` control steps; also returns the initial state."""
     stage = Stage(model)
     stage.data.qpos[:], stage.data.ctrl[:] = opening_pose(script, arm)
-    initial = read_state(model, stage.data)
+    initial = read_state(stage.data)
     director = Director(script.plan(stage), arm, script.yaw, control_timestep, script.grip)
     substeps = round(control_timestep / model.opt.timestep)
     data = stage.data

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
-import os
+import shutil
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from orbisim.errors import InputError, MissingDependencyError
+from orbisim.errors import InputError, MissingDependencyError, OutputError
+from orbisim.files.writing import check_place, writing
 from orbisim.tasks.episode import Episode
 from orbisim.tasks.schema import SCHEMA
 
@@ -30,10 +31,19 @@ def check_destination(path: Path) -> None:
     _h5py()
     if path.suffix not in (".h5", ".hdf5"):
         raise InputError(f"{path}: a file of episodes ends in .h5 or .hdf5")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: there is no folder {str(path.parent)!r}")
     if path.exists():
         raise InputError(f"{path}: already exists; remove it or choose another name")
+    check_place(path)
+
+
+def _check_room(path: Path, nbytes: int) -> None:
+    """Raises `OutputError` if a file of that size has no room on the disk."""
+    room = shutil.disk_usage(path.parent).free
+    if room < nbytes:
+        raise OutputError(
+            f"{path}: needs {nbytes} bytes and the disk has {room} left; make room and run the "
+            "same command again"
+        )
 
 
 def versions() -> dict[str, str]:
@@ -47,13 +57,18 @@ def versions() -> dict[str, str]:
     return found
 
 
-def write_chunk(path: Path, episodes: Iterable[tuple[int, Episode]]) -> None:
-    """Writes episodes with their numbers to a file that appears only when it is whole."""
-    partial = path.with_suffix(f".{os.getpid()}.tmp")
-    with _h5py().File(partial, "w", libver=_LIBVER) as file:
+def write_episodes(path: Path, episodes: Iterable[tuple[int, Episode]]) -> None:
+    """Writes episodes with their numbers to a file.
+
+    It is made in memory: where a disk is full, HDF5 cannot even close a file without complaint.
+    """
+    memory: dict[str, Any] = {"driver": "core", "backing_store": False}
+    with _h5py().File(path, "w", libver=_LIBVER, **memory) as file:
         for number, episode in episodes:
             write_episode(file.create_group(f"{number:06d}"), episode)
-    partial.replace(path)
+        file.flush()
+        image = file.id.get_file_image()
+    path.write_bytes(image)
 
 
 def write_episode(group: Any, episode: Episode) -> None:
@@ -75,8 +90,9 @@ def write_episode(group: Any, episode: Episode) -> None:
 def assemble(path: Path, chunks: Iterable[Path], attributes: Mapping[str, Any]) -> None:
     """Joins chunks into one file, which appears only when it is whole."""
     h5py = _h5py()
-    partial = path.with_name(path.name + ".tmp")
-    with h5py.File(partial, "w", libver=_LIBVER) as file:
+    chunks = list(chunks)
+    _check_room(path, sum(chunk.stat().st_size for chunk in chunks))
+    with writing(path) as part, h5py.File(part, "w", libver=_LIBVER) as file:
         file.attrs["schema"] = SCHEMA
         for name, value in attributes.items():
             file.attrs[name] = value
@@ -86,6 +102,3 @@ def assemble(path: Path, chunks: Iterable[Path], attributes: Mapping[str, Any]) 
                 for key in source:
                     source.copy(source[key], into, name=key)
         file.attrs["complete"] = True
-    with partial.open("rb") as written:
-        os.fsync(written.fileno())
-    partial.replace(path)

@@ -11,9 +11,11 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from orbisim import suite
 from orbisim.episodes import Episodes
 from orbisim.errors import InputError
 from orbisim.scene import Scene
+from orbisim.state import State
 from orbisim.tasks.base import Scripted, Task
 from orbisim.tasks.episode import Episode, Rollout, check_stable, clock
 from orbisim.tasks.sampling import stream
@@ -67,8 +69,6 @@ class SuiteTask(Task):
     config: SuiteConfig = SuiteConfig()
 
     def __init__(self, task: str, **changes: Any) -> None:
-        from orbisim import suite
-
         super().__init__(**changes)
         self.domain, self.task = suite.split_name(task)
         model, self._held = _nominal(self.domain, self.task)
@@ -111,8 +111,6 @@ class SuiteTask(Task):
 
     def trials(self, count: int, seed: int, subtask: str | None = None) -> Episodes:
         """Episodes with the controls of a policy, on the model of the first one's task."""
-        from orbisim.state import State
-
         name = self.check_subtask(subtask)
         physics, _ = start(self.domain, self.task, seed)
         scene = Scene.from_model(physics.model.ptr, source=self.label)

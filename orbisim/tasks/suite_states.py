@@ -7,7 +7,9 @@ import numpy as np
 
 _HINGE_SPEED, _SLIDE_SPEED = 3.0, 1.0
 _DEEPEST = -0.002
+"""Penetration in m with which an episode may start: MuJoCo's soft contacts rest about so deep."""
 _TRIES = 30
+"""Draws of a start; after them the episode starts where the task does."""
 
 
 def spread_out(model: mujoco.MjModel, data: mujoco.MjData, rng: np.random.Generator) -> None:

@@ -10,7 +10,8 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.tasks import descriptors
+from orbisim.recording.quaternions import continuous
+from orbisim.scene import matrices
 from orbisim.tasks.episode import Episode, Rollout
 
 Floats = npt.NDArray[np.float64]
@@ -59,7 +60,7 @@ def make_episode(
     control_timestep: float,
     success: bool | None = None,
 ) -> Episode:
-    """The episode as it is stored: the rollout, its views and the scene's descriptors."""
+    """The episode as it is stored: the rollout, its views and the scene's rows."""
     bodies = [int(model.body(name).id) for name in cast.objects]
     arrays: dict[str, npt.NDArray[Any]] = {
         field.name: getattr(rollout, field.name) for field in dataclasses.fields(rollout)
@@ -69,10 +70,10 @@ def make_episode(
     arrays["entities/names"] = np.array(names, dtype="S32")
     arrays.update(_static(model, cast, bodies, control_timestep))
     columns = {
-        "descriptor/objects": descriptors.OBJECT_COLUMNS,
-        "descriptor/world": descriptors.WORLD_COLUMNS,
-        "descriptor/joints": descriptors.JOINT_COLUMNS,
-        "descriptor/actuators": descriptors.ACTUATOR_COLUMNS,
+        "descriptor/objects": matrices.OBJECT_COLUMNS,
+        "descriptor/world": matrices.WORLD_COLUMNS,
+        "descriptor/joints": matrices.JOINT_COLUMNS,
+        "descriptor/actuators": matrices.ACTUATOR_COLUMNS,
     }
     return Episode(subtask, seed, scene_hash, arrays, columns, success)
 
@@ -80,7 +81,7 @@ def make_episode(
 def _static(
     model: mujoco.MjModel, cast: Cast, bodies: Sequence[int], control_timestep: float
 ) -> dict[str, Floats]:
-    rows = [descriptors.object_row(model, body) for body in bodies]
+    rows = [matrices.object_row(model, body) for body in bodies]
     place = {body: index for index, body in enumerate(bodies)}
     return {
         "descriptor/objects": np.array(rows).reshape(len(bodies), -1),
@@ -88,9 +89,9 @@ def _static(
             [place.get(int(model.body_weldid[model.body_parentid[body]]), -1) for body in bodies],
             np.float64,
         ),
-        "descriptor/world": descriptors.world_row(model, cast.surface, control_timestep),
-        "descriptor/joints": descriptors.joint_rows(model, bodies),
-        "descriptor/actuators": descriptors.actuator_rows(model),
+        "descriptor/world": matrices.world_row(model, cast.surface, control_timestep),
+        "descriptor/joints": matrices.joint_rows(model, bodies),
+        "descriptor/actuators": matrices.actuator_rows(model),
     }
 
 
@@ -114,7 +115,8 @@ def _entity_views(
             poses[t, n, :3] = data.site_xpos[site]
             mujoco.mju_mat2Quat(poses[t, n, 3:], data.site_xmat[site])
             _velocity(model, data, mujoco.mjtObj.mjOBJ_SITE, site, velocities[t, n])
-    poses[:, :, 3:] = continuous(poses[:, :, 3:])
+    for body in range(poses.shape[1]):
+        poses[:, body, 3:] = continuous(poses[:, body, 3:])
     views = _named("objects", poses[:, :n], velocities[:, :n])
     if site >= 0:
         views.update(_named("robot", poses[:, n], velocities[:, n]))
@@ -146,12 +148,3 @@ def _robot_joints(model: mujoco.MjModel, cast: Cast, rollout: Rollout) -> dict[s
         "robot/qvel": rollout.qvel[:, model.jnt_dofadr[scalar]],
         "robot/gripper": np.asarray(opening).reshape(-1, 1),
     }
-
-
-def continuous(quats: Floats) -> Floats:
-    """Quaternions [T, N, 4] with signs such that consecutive ones are close."""
-    dots = np.sum(quats[1:] * quats[:-1], axis=-1)
-    flips = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)
-    result = quats.copy()
-    result[1:] *= flips[..., None]
-    return result

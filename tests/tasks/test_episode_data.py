@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from orbisim import make_backend, tasks
+from orbisim.scene import matrices
 from orbisim.state import State
-from orbisim.tasks import descriptors
 from orbisim.tasks.episode import Episode
 from orbisim.tasks.sampling import episode_seed
 
@@ -68,18 +68,18 @@ def test_descriptors_equal_the_compiled_model(case: tuple[tasks.Task, Episode]) 
     model = task.scene(episode.subtask, 3).model
     names = [n.decode() for n in episode.arrays["entities/names"] if n != b"robot"]
     rows = episode.arrays["descriptor/objects"]
-    column = {name: i for i, name in enumerate(descriptors.OBJECT_COLUMNS)}
+    column = {name: i for i, name in enumerate(matrices.OBJECT_COLUMNS)}
     assert rows.shape == (len(names), len(column))
     for name, row in zip(names, rows, strict=True):
         body = model.body(name)
         assert row[column["mass"]] == body.mass[0]
         np.testing.assert_array_equal(row[4:7], body.inertia)
-        geom = descriptors.main_geom(model, body.id)
+        geom = matrices.main_geom(model, body.id)
         if geom is not None and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
             np.testing.assert_allclose(row[:3], model.geom_size[geom])
             assert row[column["type_box"]] == 1.0
             assert row[column["friction_slide"]] == model.geom_friction[geom, 0]
-    world = dict(zip(descriptors.WORLD_COLUMNS, episode.arrays["descriptor/world"], strict=True))
+    world = dict(zip(matrices.WORLD_COLUMNS, episode.arrays["descriptor/world"], strict=True))
     assert world["gravity_z"] == model.opt.gravity[2]
     assert world["control_timestep"] == task.control_timestep
 

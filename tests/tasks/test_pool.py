@@ -1,0 +1,64 @@
+"""Workers: they end with the process that made them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+_PARENT = """
+import sys, time
+from pathlib import Path
+from orbisim.tasks import pool
+{before}
+def work(folder):
+    import os
+    (folder / str(os.getpid())).touch()
+    time.sleep(60)
+
+if __name__ == "__main__":
+    for _ in pool.run(work, [(Path(sys.argv[1]),)] * 4, 2):
+        pass
+"""
+
+
+def gone(pid: int) -> bool:
+    """Whether a process has ended; a zombie has."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
+
+
+def wait_until(condition, seconds: float = 60.0) -> bool:
+    deadline = time.monotonic() + seconds
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return bool(condition())
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+@pytest.mark.parametrize("start", ["fork", "spawn"])
+@pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGKILL, signal.SIGINT])
+def test_workers_end_with_their_parent(tmp_path: Path, kind: signal.Signals, start: str) -> None:
+    script = tmp_path / "parent.py"
+    before = "import types; sys.modules['torch'] = types.ModuleType('torch')"
+    script.write_text(_PARENT.format(before=before if start == "spawn" else ""))
+    folder = tmp_path / "workers"
+    folder.mkdir()
+    parent = subprocess.Popen([sys.executable, str(script), str(folder)], stderr=subprocess.DEVNULL)
+    try:
+        assert wait_until(lambda: len(list(folder.iterdir())) == 2)
+        workers = [int(path.name) for path in folder.iterdir()]
+        assert not any(map(gone, workers))
+        os.kill(parent.pid, kind)
+        parent.wait(60)
+        assert wait_until(lambda: all(map(gone, workers)))
+    finally:
+        parent.kill()
+        parent.wait()
