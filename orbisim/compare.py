@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import time
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from orbisim import metrics
+from orbisim import metrics, plugins
+from orbisim.agreement import PERSISTS, EngineWarning, faults_of_rollout
 from orbisim.backend import Backend
-from orbisim.episodes import Episodes, episodes
+from orbisim.episodes import Episodes, episodes, random_initial_states
 from orbisim.errors import InputError
+from orbisim.files.writing import make_folder, write_json
+from orbisim.host.progress import track
 from orbisim.metrics import Energies
-from orbisim.progress import track
 from orbisim.registry import make_backend
 from orbisim.scene import Scene
 from orbisim.state import State
@@ -26,7 +28,9 @@ from orbisim.trajectory import Trajectory
 Floats = npt.NDArray[np.float64]
 SCHEMA = "orbisim.compare/1"
 _POINTS = 200
+"""Times at which errors are reported: more than a curve of the report has pixels for."""
 _CHUNKS = 20
+"""Parts of a rollout, between which the progress bar moves."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,6 +44,7 @@ class Side:
       steps_per_s: control steps of all worlds together for each second of wall-clock time.
       latency_s: wall-clock time of one step of a single world.
       control_step_s: duration of a control step.
+      faults: what is wrong with the backend in the first steps, in words (`orbisim.agreement`).
     """
 
     backend: str
@@ -48,6 +53,7 @@ class Side:
     steps_per_s: float
     latency_s: float
     control_step_s: float
+    faults: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,6 +91,11 @@ class Comparison:
         return int(lost.sum())
 
     @property
+    def faults(self) -> tuple[str, ...]:
+        """What is wrong with either backend in the first steps, in words."""
+        return (*self.a.faults, *self.b.faults)
+
+    @property
     def worst_episode(self) -> int:
         """The episode with the largest error relative to the median of its group."""
         score = np.zeros(self.episodes)
@@ -119,16 +130,16 @@ class Comparison:
             },
             "diverged": self.diverged,
             "worst_episode": self.worst_episode,
+            "faults": list(self.faults),
         }
 
     def report(self, folder: str | Path, *, video: bool = True) -> Path:
         """Writes `report.html` and `report.json` into a folder; returns the path of the page."""
-        from orbisim.report.compare import write_report
-
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "report.json").write_text(json.dumps(self.to_json(), indent=1, allow_nan=False))
-        return write_report(self, folder / "report.html", video=video)
+        folder = make_folder(folder)
+        write_json(folder / "report.json", self.to_json())
+        write_report = plugins.load("orbisim.reports", "compare", "report")
+        page: Path = write_report(self, folder / "report.html", video=video)
+        return page
 
 
 def compare(
@@ -153,6 +164,10 @@ def compare(
       device: where backends given by name compute.
       rounding: whether to compute `Comparison.rounding`.
 
+    Warns:
+      EngineWarning: a classical backend stands still, or does not move as C MuJoCo does from the
+        same states, in the first steps (`Comparison.faults`).
+
     Raises:
       InputError: no episodes, no horizon, or control steps that do not fit together.
     """
@@ -168,6 +183,8 @@ def compare(
     ra, rb = (
         _side(backend, run, step, setup, every) for backend, run in zip(sides, runs, strict=True)
     )
+    for fault in (*ra.faults, *rb.faults):
+        warnings.warn(fault, EngineWarning, stacklevel=2)
     error = _errors(setup.scene, ra.trajectory, rb.trajectory, every)
     rounded = _rounding(setup, controls, step, every) if rounding else None
     times: Floats = np.arange(1.0, controls.shape[1] + 1)[every] * step
@@ -179,8 +196,6 @@ def _source(scene: Scene | Episodes) -> str:
 
 
 def _setup(scene: str | Scene | Episodes, count: int, seed: int) -> Episodes:
-    from orbisim.episodes import random_initial_states
-
     if isinstance(scene, Episodes):
         return scene
     if isinstance(scene, str):
@@ -214,12 +229,18 @@ def _common_step(a: Backend, b: Backend) -> float:
     return step
 
 
-def _run(
-    backend: Backend, initial: State, controls: Floats, step: float
-) -> tuple[Trajectory, float, float]:
-    """The trajectory, wall-clock time, and latency of one step of one world."""
+class _Run(NamedTuple):
+    """A trajectory, its wall-clock time, the latency of one step of one world, and faults."""
+
+    trajectory: Trajectory
+    elapsed: float
+    latency: float
+    faults: tuple[str, ...]
+
+
+def _run(backend: Backend, initial: State, controls: Floats, step: float) -> _Run:
     nstep = round(step / backend.timestep)
-    backend.rollout(initial, controls[:, :1], nstep=nstep, sensors=False)  # loads, compiles
+    first = backend.rollout(initial, controls[:, :PERSISTS], nstep=nstep, sensors=False)  # compiles
     started = time.perf_counter()
     pieces: list[Trajectory] = []
     state = initial
@@ -229,7 +250,13 @@ def _run(
         pieces.append(piece)
         state = piece.final
     elapsed = time.perf_counter() - started
-    return join(initial, controls, pieces), elapsed, _latency(backend, initial, controls, nstep)
+    timesteps = round(step / float(backend.model.opt.timestep))
+    return _Run(
+        join(initial, controls, pieces),
+        elapsed,
+        _latency(backend, initial, controls, nstep),
+        faults_of_rollout(backend, first, timesteps),
+    )
 
 
 def _latency(backend: Backend, initial: State, controls: Floats, nstep: int) -> float:
@@ -279,17 +306,17 @@ def _thin(steps: int) -> npt.NDArray[np.int64]:
 
 def _side(
     backend: Backend,
-    run: tuple[Trajectory, float, float],
+    run: _Run,
     step: float,
     setup: Episodes,
     every: npt.NDArray[np.int64],
 ) -> Side:
-    trajectory, elapsed, latency = run
+    trajectory = run.trajectory
     energies = metrics.energies(
         setup.scene.model, trajectory.qpos[:, every], trajectory.qvel[:, every]
     )
-    speed = trajectory.nworld * trajectory.nstep / elapsed
-    return Side(backend.name, trajectory, energies, speed, latency, step)
+    speed = trajectory.nworld * trajectory.nstep / run.elapsed
+    return Side(backend.name, trajectory, energies, speed, run.latency, step, run.faults)
 
 
 def _errors(

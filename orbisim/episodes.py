@@ -9,9 +9,13 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.physics import read_state
+from orbisim import plugins
+from orbisim.physics.mjdata import read_state
 from orbisim.scene import Scene, load_scene
 from orbisim.state import State
+
+NAMES = "orbisim.episodes"
+"""Entry point group of functions (task, count, seed) that make episodes, by a name's prefix."""
 
 HORIZON = 2.0
 """Duration of an episode, s."""
@@ -54,38 +58,12 @@ def episodes(name: str, count: int, seed: int, **options: Any) -> Episodes:
       seed: of the random initial states.
       **options: passed to `load_scene`.
     """
-    if name.startswith("suite:"):
-        return _suite_episodes(name.removeprefix("suite:"), count, seed)
-    if name.startswith("task:"):
-        return _task_episodes(name.removeprefix("task:"), count, seed)
+    prefix, _, task = name.partition(":")
+    if task and prefix in plugins.names(NAMES):
+        made: Episodes = plugins.load(NAMES, prefix, "kind of task")(task, count, seed)
+        return made
     scene = load_scene(name, **options)
     return Episodes(scene, random_initial_states(scene.model, count, seed))
-
-
-def _suite_episodes(task: str, count: int, seed: int) -> Episodes:
-    """Initial states that the task itself draws, on the model of its first episode."""
-    from orbisim import suite
-
-    environment = suite.load(*suite.split_name(task), task_kwargs={"random": seed})
-    physics = environment.physics
-    states: list[State] = []
-    scene = None
-    for _ in range(count):
-        environment.reset()
-        scene = scene or Scene.from_model(physics.model.ptr, source=f"suite:{task}")
-        state: State = physics.snapshot()
-        states.append(state.replace(time=np.zeros(1)))
-    assert scene is not None
-    return Episodes(dataclasses.replace(scene, name=task), State.stack(states))
-
-
-def _task_episodes(name: str, count: int, seed: int) -> Episodes:
-    """A scene drawn from the task's distribution, with the controls of its policy."""
-    from orbisim import tasks
-    from orbisim.tasks.registry import split
-
-    task, subtask = split(name)
-    return tasks.make(f"task:{task}").trials(count, seed, subtask)
 
 
 def random_initial_states(
@@ -110,7 +88,7 @@ def random_initial_states(
         data.qpos[:] = base
         for joint in range(model.njnt):
             _move(model, data.qpos, joint, rng.uniform(-spread, spread))
-        states.append(read_state(model, data))
+        states.append(read_state(data))
     return State.stack(states)
 
 

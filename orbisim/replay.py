@@ -7,7 +7,6 @@ the recorded controls to its end. The error of a signal is taken over all sample
 from __future__ import annotations
 
 import dataclasses
-import json
 import sys
 import types
 from collections.abc import Mapping, Sequence
@@ -16,11 +15,13 @@ from typing import Any
 
 import numpy as np
 
+from orbisim import plugins
 from orbisim.backend import Backend
 from orbisim.errors import InputError, RecordingError
+from orbisim.files.writing import make_folder, write_json
 from orbisim.freerun import WORLDS, Prepared, free_run
-from orbisim.recording import Recording
-from orbisim.recording.binding import Bound
+from orbisim.recording import Recording, bind
+from orbisim.recording.bound import Bound
 from orbisim.recording.initial import Velocities, starts
 from orbisim.recording.windows import cut
 from orbisim.registry import make_backend
@@ -93,12 +94,11 @@ class Replay:
 
     def report(self, folder: str | Path) -> Path:
         """Writes `report.html` and `report.json` into a folder; returns the path of the page."""
-        from orbisim.report.replay import write_report
-
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "report.json").write_text(json.dumps(self.to_json(), indent=1, allow_nan=False))
-        return write_report(self, folder / "report.html")
+        folder = make_folder(folder)
+        write_json(folder / "report.json", self.to_json())
+        write_report = plugins.load("orbisim.reports", "replay", "report")
+        page: Path = write_report(self, folder / "report.html")
+        return page
 
 
 def replay(
@@ -130,7 +130,7 @@ def replay(
         raise InputError(f"velocities are 'recorded' or 'smoothed'; got {velocities!r}")
     loaded = scene if isinstance(scene, Scene) else load_scene(scene)
     named = loaded.source if isinstance(scene, Scene) else str(scene)
-    prepared = [prepare(one.bind(loaded), window, velocities) for one in _load_all(recordings)]
+    prepared = [prepare(bind(one, loaded), window, velocities) for one in _load_all(recordings)]
     engine = _backend(backend, loaded, sum(len(one.windows) for one in prepared), device)
     runs = free_run(engine, loaded, prepared)
     scores = score(prepared, runs)

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.freerun import Prepared, Run
-from orbisim.recording.binding import Bound
-from orbisim.recording.observed import Signal, observed, predict
+from orbisim.freerun.predict import predict
+from orbisim.recording.bound import Bound
+from orbisim.recording.observed import Signal, observed
 
 Floats = npt.NDArray[np.float64]
 

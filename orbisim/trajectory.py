@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.errors import InputError
+from orbisim.files.writing import writing
 from orbisim.state import Array, State
 
 _SCHEMA = "orbisim.trajectory/1"
@@ -80,7 +81,7 @@ class Trajectory:
         if self.sensordata is not None:
             arrays["sensordata"] = np.asarray(self.sensordata)
         header = json.dumps({"schema": _SCHEMA, **notes})
-        with Path(path).open("wb") as file:
+        with writing(path) as part, part.open("wb") as file:
             np.savez_compressed(file, **arrays, header=np.array(header))
 
     @staticmethod

@@ -8,16 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from orbisim import load_scene, metrics
 from orbisim.compare import Comparison, compare
-from orbisim.episodes import random_controls, random_initial_states
 from orbisim.errors import InputError
-from orbisim.testing import scenes
-
-from .test_physics import Drift
+from tests.physics.test_switching import Drift
 
 MIXED = """
 <mujoco model="mixed">
@@ -127,48 +122,3 @@ def test_backends_that_do_not_fit() -> None:
 
     with pytest.raises(InputError, match="cannot be compared"):
         compare(load_scene(MIXED), "mujoco", Odd())
-
-
-def test_controls_and_initial_states_are_within_limits() -> None:
-    model = load_scene(MIXED).model
-    controls = random_controls(model, 4, 500, 0.01, 0)
-    assert controls[..., 0].min() >= -2
-    assert controls[..., 0].max() <= 4
-    assert abs(controls[..., 0].mean() - 1) < 0.3
-    assert np.abs(controls[..., 1]).max() <= 1
-    jumps = np.abs(np.diff(controls[..., 0], axis=1)).mean()
-    assert jumps < 0.6  # smooth
-    states = random_initial_states(model, 50, 0)
-    assert np.abs(states.qpos[:, 7]).max() <= 0.02
-    assert states.qpos[:, 7].std() > 0.005
-    np.testing.assert_array_equal(random_initial_states(model, 50, 0).qpos, states.qpos)
-
-
-quaternions = st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(
-    lambda q: np.linalg.norm(q) > 0.1
-)
-
-
-@given(quaternions, quaternions, quaternions)
-def test_rotation_angle_is_a_metric(p: list[float], q: list[float], r: list[float]) -> None:
-    a, b, c = (np.array(x) / np.linalg.norm(x) for x in (p, q, r))
-    ab, bc, ac = (metrics.rotation_angle(x, y) for x, y in ((a, b), (b, c), (a, c)))
-    assert metrics.rotation_angle(a, a) == pytest.approx(0, abs=1e-7)
-    assert metrics.rotation_angle(a, -a) == pytest.approx(0, abs=1e-7)
-    assert ab == pytest.approx(metrics.rotation_angle(b, a), abs=1e-7)
-    assert 0 <= ab <= np.pi + 1e-9
-    assert ac <= ab + bc + 1e-6
-
-
-def test_rotation_angle_of_known_rotations() -> None:
-    for angle in (1e-9, 0.3, 3.0):
-        turned = np.array([np.cos(angle / 2), 0, np.sin(angle / 2), 0])
-        assert metrics.rotation_angle(np.array([1.0, 0, 0, 0]), turned) == pytest.approx(
-            angle, rel=1e-6
-        )
-
-
-def test_energy_of_a_pendulum() -> None:
-    model = load_scene(scenes.PENDULUM).model
-    found = metrics.energies(model, np.array([[[0.0], [np.pi / 2]]]), np.zeros((1, 2, 1)))
-    assert found.total[0, 1] - found.total[0, 0] == pytest.approx(9.81 * 0.25, rel=1e-6)

@@ -20,7 +20,7 @@ from click.testing import CliRunner
 
 import orbisim
 from orbisim import Recording, load_scene
-from orbisim.recording import smooth
+from orbisim.recording import bind, smooth
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 DATA = Path(
@@ -87,7 +87,7 @@ def test_every_recording_fits_its_scene(imported):
         assert content["held_out"]
         assert sorted(names) == sorted(p.name for p in split.parent.glob("*.npz"))
         for name in names[:: max(1, len(names) // 5)]:
-            bound = Recording.load(split.parent / name).bind(scene)
+            bound = bind(Recording.load(split.parent / name), scene)
             assert np.isfinite(bound.qpos).all(), name
 
 

@@ -14,6 +14,7 @@ import orbisim
 from orbisim import Recording, Replay, load_scene
 from orbisim.backend import Backend, Capability
 from orbisim.errors import DivergedError, InputError, RecordingError
+from orbisim.recording import capture
 from orbisim.state import State
 
 from .recording.scenes import EVERYTHING, PENDULUM, simulate
@@ -31,7 +32,7 @@ def trajectory(scene):
 
 @pytest.fixture(scope="module")
 def recording(scene, trajectory):
-    return Recording.from_trajectory(scene, trajectory)
+    return capture(scene, trajectory)
 
 
 # -- the scene against itself ----------------------------------------------------------------------
@@ -59,7 +60,7 @@ def test_the_sampling_interval_need_not_be_the_timestep(scene, rate):
     controls = np.repeat(0.3 * rng.standard_normal((50, 2)), 10, axis=0)
     state = backend.reset(1).replace(qvel=rng.standard_normal((1, scene.model.nv)))
     trajectory = backend.rollout(state, controls)
-    recording = Recording.from_trajectory(scene, trajectory, rate=rate)
+    recording = capture(scene, trajectory, rate=rate)
     result = orbisim.replay(scene, recording.without("sensor/imu"), window=0.4)
     assert result.rms < 1e-9
 
@@ -76,7 +77,7 @@ def test_nonuniform_samples(scene, recording):
         qvel=np.concatenate([np.atleast_1d(recording[f"qvel/{n}"][0])
                              for n in ("shoulder", "elbow", "cube", "socket", "rail")])[None]
     )  # fmt: skip
-    free = Recording.from_trajectory(scene, backend.rollout(start, np.zeros((1000, 2))))
+    free = capture(scene, backend.rollout(start, np.zeros((1000, 2))))
     assert constant.signals.keys() == free.signals.keys()
     assert orbisim.replay(scene, free.rows(rows), window=0.3).rms < 1e-11
 
@@ -93,7 +94,7 @@ def test_without_velocities(scene, recording):
 
 
 def test_noise_reaches_the_result_but_not_the_start(scene, trajectory):
-    noisy = Recording.from_trajectory(scene, trajectory, noise=1e-3, velocities=False, seed=1)
+    noisy = capture(scene, trajectory, noise=1e-3, velocities=False, seed=1)
     result = orbisim.replay(scene, noisy, window=0.3)
     assert result.signals["qpos/elbow"].noise == pytest.approx(1e-3, rel=0.15)
     assert result.signals["xquat/cube"].noise == pytest.approx(1e-3, rel=0.15)
@@ -202,7 +203,7 @@ def test_servos_are_switched_off_for_recorded_torques():
     t = np.arange(500)
     torque = 0.3 * np.sin(0.02 * t)[:, None]
     trajectory = backend.rollout(backend.reset(1).replace(qpos=np.array([[0.8]])), torque)
-    recording = Recording.from_trajectory(free, trajectory)
+    recording = capture(free, trajectory)
     signals = dict(recording.signals)
     signals["torque/hinge"] = signals.pop("ctrl/motor")
     assert orbisim.replay(scene, recording.replace(signals=signals), window=0.4).rms < 1e-9
@@ -322,7 +323,7 @@ def test_delays_start_in_the_middle():
     controls = rng.standard_normal((1000, 1))
     controls[0] = 0  # before the first sample, the first control is taken to have acted
     trajectory = backend.rollout(backend.reset(1), controls)
-    recording = Recording.from_trajectory(scene, trajectory)
+    recording = capture(scene, trajectory)
     torque = {"torque/j": np.zeros(len(recording))}
     recording = recording.replace(signals={**recording.signals, **torque})
     result = orbisim.replay(scene, recording, window=0.5)

@@ -1,6 +1,7 @@
 """Closing the loop: the residual, the effect behind it, and the scene with that effect."""
 
-from orbisim.diagnosis.result import Alternative, Diagnosis, Estimate, FoundEffect, Retuned
+from orbisim.diagnosis.found import Alternative, Estimate, FoundEffect, Retuned
+from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.run import diagnose
 from orbisim.diagnosis.settings import Settings
 

@@ -14,8 +14,8 @@ from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.confidence import confidence
 from orbisim.diagnosis.confounds import advice, standing
 from orbisim.diagnosis.fits import Fit
+from orbisim.diagnosis.found import Alternative, Candidate, Estimate, FoundEffect, Retuned, Verdict
 from orbisim.diagnosis.paying import enough
-from orbisim.diagnosis.result import Alternative, Candidate, Estimate, FoundEffect, Retuned, Verdict
 from orbisim.diagnosis.scoring import Score, score
 from orbisim.diagnosis.sensing import Sensed
 from orbisim.diagnosis.settings import Settings

@@ -91,7 +91,7 @@ class Hooked:
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model, hooks = model, hooks_of(model)
-        self._runner = HookRunner(model, hooks, 1) if hooks else None
+        self._runner = HookRunner(model, hooks) if hooks else None
         self._base = {
             name: getattr(model, name).copy()[None]
             for name in (self._runner.fields if self._runner else ())
@@ -114,7 +114,7 @@ class Hooked:
             "qfrc_applied": np.zeros((1, model.nv)),
             "xfrc_applied": np.zeros((1, model.nbody, 6)),
         }
-        moment = self._runner.inputs(
+        inputs = self._runner.inputs(
             lambda name: (
                 np.atleast_1d(getattr(data, name))[None]
                 if name != "time"
@@ -124,10 +124,10 @@ class Hooked:
             none,
             self._base,
         )
-        data.ctrl[:] = moment.ctrl[0]
-        for name, values in moment.fields.items():
+        data.ctrl[:] = inputs.ctrl[0]
+        for name, values in inputs.fields.items():
             getattr(model, name)[:] = values[0]
-        for body in np.flatnonzero(moment.xfrc[0].any(axis=1)):
-            push = moment.xfrc[0, body]
+        for body in np.flatnonzero(inputs.xfrc[0].any(axis=1)):
+            push = inputs.xfrc[0, body]
             mujoco.mj_applyFT(model, data, push[:3], push[3:], data.xipos[body], int(body), found)
-        return np.asarray(found + moment.qfrc[0])
+        return np.asarray(found + inputs.qfrc[0])

@@ -15,7 +15,8 @@ from orbisim.diagnosis.confounds import standing
 from orbisim.diagnosis.findings import effects_of, noise_of
 from orbisim.diagnosis.force import force_residual
 from orbisim.diagnosis.force_search import ForceAttribution, attribute_forces
-from orbisim.diagnosis.result import Alternative, Diagnosis, Verdict
+from orbisim.diagnosis.found import Alternative, Verdict
+from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.samples import Samples, prepare_all
 from orbisim.diagnosis.settings import Settings
 from orbisim.recording import Recording

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.samples import Samples, substeps
-from orbisim.recording.held import Held
 from orbisim.recording.joints import joints
+from orbisim.recording.zero_order_hold import Held
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

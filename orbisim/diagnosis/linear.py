@@ -21,11 +21,11 @@ import mujoco.batch
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.cpus import usable_cpus
 from orbisim.diagnosis.hidden import Layout, carried_along
 from orbisim.diagnosis.samples import Samples, substeps
 from orbisim.effects.carry import hooks_of
 from orbisim.effects.stepping import step_batch
+from orbisim.host.cpus import usable_cpus
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]

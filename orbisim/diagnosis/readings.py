@@ -21,7 +21,7 @@ from orbisim.diagnosis.hidden import Layout, carried_along
 from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.shooting import Shooter
 from orbisim.diagnosis.windows import Windows
-from orbisim.effects.measured import AXES
+from orbisim.effects.base import AXES
 from orbisim.recording import estimate_motion
 from orbisim.recording.sensors import Sensor, reads_state, sensors
 from orbisim.scene import Scene

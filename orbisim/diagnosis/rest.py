@@ -25,7 +25,7 @@ from orbisim.diagnosis.rest_training import Trained, own_inputs, speed_inputs, t
 from orbisim.diagnosis.scoring import score
 from orbisim.diagnosis.screening import missing_force
 from orbisim.effects import find
-from orbisim.effects.rest import Network, with_rest
+from orbisim.effects.residual_network import Network, with_rest
 from orbisim.effects.screening import Column
 from orbisim.recording import Recording
 from orbisim.recording.joints import Joint, joints

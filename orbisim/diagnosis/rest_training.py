@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.linear import IntervalMap
 from orbisim.diagnosis.response import Responses
-from orbisim.effects.rest import Input, Network, features
+from orbisim.effects.residual_network import Input, Network, features
 from orbisim.errors import MissingDependencyError
 from orbisim.recording.actuators import actuators
 from orbisim.recording.joints import Joint, Kind, joints

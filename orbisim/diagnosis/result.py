@@ -3,98 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any
 
 import numpy as np
 
+from orbisim import plugins
+from orbisim.diagnosis.conclusion import Attribution
+from orbisim.diagnosis.force_search import ForceAttribution
+from orbisim.diagnosis.found import Alternative, Candidate, FoundEffect, Retuned, Verdict
+from orbisim.diagnosis.rest import Rest
+from orbisim.diagnosis.sensing import Sensed
+from orbisim.diagnosis.wording import sentence
+from orbisim.files.writing import make_folder, write_json
+from orbisim.recording import Recording
 from orbisim.recording.joints import Kind, joints
 from orbisim.recording.sensors import sensors
 from orbisim.scene import Scene
 
-if TYPE_CHECKING:
-    from orbisim.diagnosis.conclusion import Attribution
-    from orbisim.diagnosis.force_search import ForceAttribution
-    from orbisim.diagnosis.rest import Rest
-    from orbisim.diagnosis.sensing import Sensed
-    from orbisim.recording import Recording
-
 SCHEMA = "orbisim.diagnosis/1"
-
-Verdict = Literal["no_residual", "explained", "partly_explained", "unexplained"]
-
-
-@dataclasses.dataclass(frozen=True)
-class Estimate:
-    """A parameter. value: SI. unit: its unit. ci95: its 95 % interval."""
-
-    value: float
-    unit: str
-    ci95: tuple[float, float]
-
-
-@dataclasses.dataclass(frozen=True)
-class FoundEffect:
-    """An effect that the scene lacks.
-
-    Attributes:
-      effect, target: as in the catalogue. parameters: the first is the one to quote.
-      native: whether it is native MJCF in the augmented scene.
-      evidence: `held_out_error_without`, `held_out_error_with`, `delta_bic`.
-      options: choices that are not numbers.
-      error_unit: unit of the errors in `evidence` where they are of a sensor's own readings (root
-        mean square); empty where they are the free-running error.
-    """
-
-    effect: str
-    target: str
-    parameters: Mapping[str, Estimate]
-    native: bool
-    evidence: Mapping[str, float]
-    options: Mapping[str, str]
-    error_unit: str = ""
-
-
-@dataclasses.dataclass(frozen=True)
-class Alternative:
-    """Another explanation. delta_bic: how much worse it is. reason: why it was not chosen, and what
-    to record to be sure."""
-
-    effect: str
-    target: str
-    delta_bic: float | None
-    reason: str
-
-
-@dataclasses.dataclass(frozen=True)
-class Candidate:
-    """An effect that was tried.
-
-    Attributes:
-      effect, target: as in the catalogue.
-      round: of the search; None if it could not be judged.
-      ratio: residual over noise that it leaves.
-      delta_bic: how much worse than the best of its round.
-      reason: why it was not taken; empty if it was.
-    """
-
-    effect: str
-    target: str
-    round: int | None
-    ratio: float | None
-    delta_bic: float | None
-    reason: str
-
-
-@dataclasses.dataclass(frozen=True)
-class Retuned:
-    """A declared parameter that is off. factor: true over declared. ci95: of the factor."""
-
-    label: str
-    factor: float
-    ci95: tuple[float, float]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -139,9 +67,14 @@ class Diagnosis:
     @property
     def sentence(self) -> str:
         """The verdict in one sentence."""
-        from orbisim.diagnosis.wording import sentence
-
-        return sentence(self)
+        return sentence(
+            verdict=self.verdict,
+            effects=self.effects,
+            retuned=self.retuned,
+            error=self.error,
+            residual=self.residual,
+            of_sensors=self.error_is_of_sensors,
+        )
 
     @property
     def error_is_of_sensors(self) -> bool:
@@ -188,20 +121,17 @@ class Diagnosis:
 
     def report(self, path: str | Path) -> Path:
         """Writes the HTML page to `path`; returns it."""
-        from orbisim.report.diagnosis import write_report
-
-        return write_report(self, Path(path))
+        page: Path = plugins.load("orbisim.reports", "diagnosis", "report")(self, Path(path))
+        return page
 
     def save(self, folder: str | Path) -> Path:
         """Writes `report.json`, `report.html` and `augmented/scene.xml` with its files; and, where
         a residual force was learned, `augmented_with_rest/scene.xml`."""
-        out = Path(folder)
-        out.mkdir(parents=True, exist_ok=True)
+        out = make_folder(folder)
         self.augmented_scene.save(out / "augmented")
         if self.rest is not None and self.rest.scene is not None:
             self.rest.scene.save(out / "augmented_with_rest")
-        text = json.dumps(self.to_json(), indent=1, allow_nan=False)
-        (out / "report.json").write_text(text + "\n", encoding="utf-8")
+        write_json(out / "report.json", self.to_json())
         self.report(out / "report.html")
         return out
 

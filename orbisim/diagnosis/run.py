@@ -40,9 +40,9 @@ from orbisim.diagnosis.split import bounded, split
 from orbisim.diagnosis.suspicious import refuse
 from orbisim.diagnosis.thinning import thinned
 from orbisim.effects import add_effects, find
-from orbisim.engine_log import engine_warnings, ignore
 from orbisim.errors import InputError
-from orbisim.progress import status
+from orbisim.host.engine_log import engine_warnings, ignore
+from orbisim.host.progress import status
 from orbisim.recording import Recording
 from orbisim.recording.actuators import actuators
 from orbisim.scene import Scene, load_scene

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.errors import RecordingError
-from orbisim.recording import Bound, Recording, estimate_motion, noise_std
+from orbisim.recording import Bound, Recording, bind, estimate_motion, noise_std
 from orbisim.recording.initial import activations, histories, starts
 from orbisim.recording.joints import Kind, joints
 from orbisim.scene import Scene
@@ -93,7 +93,7 @@ def prepare(recording: Recording, scene: Scene) -> Samples:
     Raises:
       RecordingError: it does not fit the scene, or the state is nowhere known.
     """
-    bound = recording.bind(scene)
+    bound = bind(recording, scene)
     motion = estimate_motion(bound)
     first = starts(bound, "smoothed")
     qpos = np.where(np.isfinite(motion.qpos), motion.qpos, first.qpos)

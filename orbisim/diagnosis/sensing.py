@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench
 from orbisim.diagnosis.conclusion import Attribution
+from orbisim.diagnosis.found import Estimate, FoundEffect, Verdict
 from orbisim.diagnosis.readings import (
     Readings,
     simulated_readings,
@@ -17,11 +18,10 @@ from orbisim.diagnosis.readings import (
     usable_sensors,
 )
 from orbisim.diagnosis.refine import Judge, is_structural
-from orbisim.diagnosis.result import Estimate, FoundEffect, Verdict
 from orbisim.diagnosis.sensor_fit import Fitted, Form, SensorData, fit_form, left_over
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
-from orbisim.effects.measured import AXES
+from orbisim.effects.base import AXES
 from orbisim.recording.sensors import Sensor
 
 Floats = npt.NDArray[np.float64]

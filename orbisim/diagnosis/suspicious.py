@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.errors import RecordingError
-from orbisim.recording import Recording
+from orbisim.recording import Recording, bind
 from orbisim.recording.actuators import actuators
-from orbisim.recording.binding import Bound
+from orbisim.recording.bound import Bound
 from orbisim.recording.joints import Joint, joints
 from orbisim.scene import Scene
 
@@ -21,7 +21,7 @@ def refuse(recording: Recording, scene: Scene) -> list[str]:
     Raises:
       RecordingError: it does not fit the scene, or a signal is clearly not what its name says.
     """
-    bound = recording.bind(scene)
+    bound = bind(recording, scene)
     for one in bound.suspicions:
         if one.wrong:
             raise RecordingError(

@@ -1,4 +1,4 @@
-"""The measured motion with quantities of the model along it (`orbisim.effects.screening.View`)."""
+"""The measured motion with quantities of the model along it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy.typing as npt
 from orbisim.diagnosis.linear import IntervalMap
 from orbisim.diagnosis.samples import Samples
 from orbisim.effects.screening import BodyMotion
-from orbisim.recording.held import Held
+from orbisim.recording.zero_order_hold import Held
 
 Floats = npt.NDArray[np.float64]
 

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import Any
 
+from orbisim.diagnosis.found import FoundEffect, Retuned, Verdict
 from orbisim.effects import find
 
-if TYPE_CHECKING:
-    from orbisim.diagnosis.result import Diagnosis, FoundEffect
 
+def sentence(
+    *,
+    verdict: Verdict,
+    effects: Sequence[FoundEffect],
+    retuned: Sequence[Retuned],
+    error: Mapping[str, Any],
+    residual: Mapping[str, Any],
+    of_sensors: bool,
+) -> str:
+    """The verdict in one sentence.
 
-def sentence(diagnosis: Diagnosis) -> str:
-    """The verdict in one sentence."""
-    error, verdict = diagnosis.error, diagnosis.verdict
+    Args:
+      verdict, effects, retuned, error, residual: as in `Diagnosis`.
+      of_sensors: whether what is wrong are readings of sensors, and the motion is not.
+    """
     unit = error["unit"]
     before, after = error["held_out"]["before"], error["held_out"]["after"]
     what_error = error.get("name", "free-running error")
@@ -23,21 +33,21 @@ def sentence(diagnosis: Diagnosis) -> str:
             f"The scene as declared predicts the recordings to within the noise: {what_error} "
             f"on held-out data {number(before)} {unit}, {floor}; no effect is added."
         )
-    if verdict == "unexplained" and diagnosis.error_is_of_sensors:
-        return _unexplained_sensors(diagnosis, floor)
+    if verdict == "unexplained" and of_sensors:
+        return _unexplained_sensors(error, residual, floor)
     if verdict == "unexplained":
-        times = number(diagnosis.residual["ratio_to_noise"])
+        times = number(residual["ratio_to_noise"])
         return (
             f"The recordings deviate from the scene ({times} times the noise), and no effect of "
             f"the catalogue explains it: {what_error} on held-out data {number(before)} "
             f"{unit}, {floor}."
         )
-    moving = [e for e in diagnosis.effects if not e.error_unit]
-    if diagnosis.effects and not moving and not diagnosis.retuned:
-        return _of_sensors(diagnosis, floor)
-    what = " and ".join(described(effect) for effect in diagnosis.effects)
+    moving = [e for e in effects if not e.error_unit]
+    if effects and not moving and not retuned:
+        return _of_sensors(verdict, effects, error, floor)
+    what = " and ".join(described(effect) for effect in effects)
     if not what:
-        named = ", ".join(f"{t.label} by {100 * (t.factor - 1):+.1f} %" for t in diagnosis.retuned)
+        named = ", ".join(f"{t.label} by {100 * (t.factor - 1):+.1f} %" for t in retuned)
         named = named or "several together, none of them clearly"
         what = f"no effect is missing, but declared parameters are off ({named})"
     rest = "" if verdict == "explained" else "; something structured remains"
@@ -48,22 +58,24 @@ def sentence(diagnosis: Diagnosis) -> str:
     )
 
 
-def _unexplained_sensors(diagnosis: Diagnosis, floor: str) -> str:
+def _unexplained_sensors(error: Mapping[str, Any], residual: Mapping[str, Any], floor: str) -> str:
     """The motion is right, and readings are not."""
-    worst = max(diagnosis.residual["sensors"], key=lambda s: s["ratio_to_noise"])
-    before = number(diagnosis.error["held_out"]["before"])
+    worst = max(residual["sensors"], key=lambda s: s["ratio_to_noise"])
+    before = number(error["held_out"]["before"])
     return (
         f"The motion is predicted to within the noise (free-running error {before} "
-        f"{diagnosis.error['unit']}, {floor}), but sensor {worst['target']!r} deviates by "
+        f"{error['unit']}, {floor}), but sensor {worst['target']!r} deviates by "
         f"{number(worst['ratio_to_noise'])} times its noise, and neither an offset, a scale nor a "
         "delay explains it."
     )
 
 
-def _of_sensors(diagnosis: Diagnosis, floor: str) -> str:
+def _of_sensors(
+    verdict: Verdict, effects: Sequence[FoundEffect], error: Mapping[str, Any], floor: str
+) -> str:
     """The verdict where only readings of sensors beside the joints are wrong."""
     parts = []
-    for effect in diagnosis.effects:
+    for effect in effects:
         without, with_it = (effect.evidence[f"held_out_error_{k}"] for k in ("without", "with"))
         parts.append(
             f"{described(effect)}: its error on held-out data falls from {number(without)} to "
@@ -71,14 +83,14 @@ def _of_sensors(diagnosis: Diagnosis, floor: str) -> str:
         )
     motion = (
         "the motion is predicted to within the noise"
-        if diagnosis.verdict == "explained"
+        if verdict == "explained"
         else "something structured remains"
     )
-    before = number(diagnosis.error["held_out"]["before"])
+    before = number(error["held_out"]["before"])
     text = "; ".join(parts)
     return (
         f"{text[0].upper()}{text[1:]}; {motion} (free-running error {before} "
-        f"{diagnosis.error['unit']}, {floor})."
+        f"{error['unit']}, {floor})."
     )
 
 

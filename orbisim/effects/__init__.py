@@ -1,6 +1,6 @@
 """Physical effects that a scene may lack: a catalogue, their MJCF form, their simulation."""
 
-from orbisim.effects.base import Effect, EffectInstance, Hook, Moment, Parameter
+from orbisim.effects.base import Effect, EffectInstance, Hook, Parameter, StepInputs
 from orbisim.effects.carry import add_effects, carried_effects
 from orbisim.effects.catalogue import effect_names, find, register
 
@@ -8,7 +8,7 @@ __all__ = [
     "Effect",
     "EffectInstance",
     "Hook",
-    "Moment",
+    "StepInputs",
     "Parameter",
     "add_effects",
     "carried_effects",

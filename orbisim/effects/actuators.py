@@ -9,13 +9,13 @@ from orbisim.effects.base import (
     Effect,
     EffectInstance,
     Hook,
-    Moment,
     Parameter,
+    StepInputs,
     actuator_unit,
     index_of,
     spec_element,
 )
-from orbisim.effects.screening import Candidate, Column, Floats, View, keyed
+from orbisim.effects.screening import Candidate, Column, Floats, MotionRegressors, keyed
 from orbisim.errors import InputError
 
 _LARGE = 1e6
@@ -54,7 +54,7 @@ class TorqueGain(ActuatorEffect):
         actuator.gainprm[:3] = np.asarray(actuator.gainprm[:3]) * gain
         actuator.biasprm[:3] = np.asarray(actuator.biasprm[:3]) * gain
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         index = index_of(view.model, "actuator", target)
         force = _force(view, index, view.actuator_force[:, index])
         return [Candidate(self.name, target, (force,), lambda c: {"gain": 1.0 + float(c[0])})]
@@ -74,7 +74,7 @@ class TorqueBias(ActuatorEffect):
         actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         actuator.biasprm[0] += instance.values["offset"]
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         index = index_of(view.model, "actuator", target)
         force = _force(view, index, np.ones(len(view.time)))
         return [Candidate(self.name, target, (force,), keyed("offset"))]
@@ -101,7 +101,7 @@ class TorqueSaturation(ActuatorEffect):
         actuator.forcerange = [low, high]
         actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         index = index_of(view.model, "actuator", target)
         force = view.actuator_force[:, index]
         levels = np.quantile(np.abs(force), [0.15, 0.3, 0.5, 0.65, 0.8, 0.9, 0.96])
@@ -135,7 +135,7 @@ class ActuatorLag(ActuatorEffect):
         actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
         actuator.dynprm[0] = instance.values["time_constant"]
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         index = index_of(view.model, "actuator", target)
         control = int(view.model.actuator_ctrladr[index])
         gain, now = view.control_gain(index), view.ctrl[:, control]
@@ -180,7 +180,7 @@ class ActuatorDelay(ActuatorEffect):
         actuator.nsample = max(2, int(np.ceil(delay / spec.option.timestep)) + 2)
         actuator.interp = 0
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         index = index_of(view.model, "actuator", target)
         control = int(view.model.actuator_ctrladr[index])
         gain, now = view.control_gain(index), view.ctrl[:, control]
@@ -215,7 +215,7 @@ class Deadband(ActuatorEffect):
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Deadband(model, instance)
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         index = index_of(view.model, "actuator", target)
         u = view.ctrl[:, int(view.model.actuator_ctrladr[index])]
         gain, found = view.control_gain(index), []
@@ -237,7 +237,7 @@ _BEFORE = 1e-3
 """Timesteps by which a control is read early."""
 
 
-def _force(view: View, actuator: int, force: Floats) -> Column:
+def _force(view: MotionRegressors, actuator: int, force: Floats) -> Column:
     """A scalar actuator force [M] as a generalized force."""
     return Column("force", view.moment(actuator) * force[:, None])
 
@@ -265,8 +265,8 @@ class _Deadband(Hook):
             raise InputError(f"deadband: kind is shift or gate; got {kind!r}")
         self._gate = kind == "gate"
 
-    def control(self, moment: Moment) -> None:
-        control, half = moment.ctrl[:, self._control], self.value("width") / 2
+    def control(self, inputs: StepInputs) -> None:
+        control, half = inputs.ctrl[:, self._control], self.value("width") / 2
         beyond = np.abs(control) > half
         kept = control if self._gate else control - np.sign(control) * half
-        moment.ctrl[:, self._control] = np.where(beyond, kept, 0.0)
+        inputs.ctrl[:, self._control] = np.where(beyond, kept, 0.0)

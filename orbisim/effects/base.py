@@ -11,20 +11,21 @@ from __future__ import annotations
 import abc
 import dataclasses
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.effects.screening import Candidate, MotionRegressors
 from orbisim.errors import InputError, UnknownNameError
 from orbisim.scene.descriptor import name_of
 
-if TYPE_CHECKING:
-    from orbisim.effects.screening import Candidate, View
-
 Floats = npt.NDArray[np.float64]
 Values = Mapping[str, float]
+AXES = ("x", "y", "z")
+"""Components of a vector, as parameters and options name them."""
+
 TargetKind = Literal["joint", "actuator", "body", "geom", "sensor", "world", "recording"]
 
 
@@ -156,7 +157,7 @@ class Effect(abc.ABC):
         """What applies an effect that is not native."""
         raise InputError(f"{self.name} needs no hook")
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         """Candidates for a regression along a measured motion; none if there is no such form."""
         return []
 
@@ -242,18 +243,18 @@ class Hook:
         array = self.values[name]
         return array.reshape(array.shape + (1,) * extra)
 
-    def control(self, moment: Moment) -> None:
-        """Changes `moment.ctrl` in place."""
+    def control(self, inputs: StepInputs) -> None:
+        """Changes `inputs.ctrl` in place."""
 
-    def force(self, moment: Moment) -> None:
-        """Adds to `moment.qfrc` and `moment.xfrc` in place."""
+    def force(self, inputs: StepInputs) -> None:
+        """Adds to `inputs.qfrc` and `inputs.xfrc` in place."""
 
-    def fields(self, moment: Moment) -> None:
-        """Changes per-world model fields in `moment.fields` in place."""
+    def fields(self, inputs: StepInputs) -> None:
+        """Changes per-world model fields in `inputs.fields` in place."""
 
 
 @dataclasses.dataclass
-class Moment:
+class StepInputs:
     """What hooks see and change before a timestep.
 
     Attributes:
@@ -289,7 +290,7 @@ class Moment:
 
 
 BODY_MOTION = frozenset({"cvel", "xipos", "subtree_com"})
-"""What `Moment.body_velocity` needs."""
+"""What `StepInputs.body_velocity` needs."""
 
 
 _KINDS = {

@@ -8,12 +8,13 @@ import mujoco
 import numpy as np
 
 from orbisim.effects.base import (
+    AXES,
     BODY_MOTION,
     Effect,
     EffectInstance,
     Hook,
-    Moment,
     Parameter,
+    StepInputs,
     Values,
     index_of,
     is_scalar_joint,
@@ -21,10 +22,17 @@ from orbisim.effects.base import (
     names_of_kind,
     spec_element,
 )
-from orbisim.effects.screening import Candidate, Column, Floats, Solve, View, keyed, positive
+from orbisim.effects.screening import (
+    Candidate,
+    Column,
+    Floats,
+    MotionRegressors,
+    Solve,
+    keyed,
+    positive,
+)
 
 _LARGE = 1e6
-_AXES = ("x", "y", "z")
 
 
 class BodyEffect(Effect):
@@ -46,15 +54,15 @@ class Payload(BodyEffect):
     family = "mass"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        reach = [Parameter(f"com_{axis}", "m", -10.0, 10.0, 0.1) for axis in _AXES]
+        reach = [Parameter(f"com_{axis}", "m", -10.0, 10.0, 0.1) for axis in AXES]
         return (Parameter("mass", "kg", -_LARGE, _LARGE, 0.2), *reach)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         body = spec_element(spec, "body", instance.target)
-        position = np.array([instance.values[f"com_{axis}"] for axis in _AXES])
+        position = np.array([instance.values[f"com_{axis}"] for axis in AXES])
         add_point_mass(spec, body, instance.values["mass"], position)
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         """1 kg at the frame's origin, and its first and second moments about it."""
         columns = (
             _inertia(view, target, np.zeros(3)),
@@ -94,7 +102,7 @@ class Payload(BodyEffect):
         if special.effect != ComOffset.name:
             return []
         body = index_of(model, "body", special.target)
-        offset = np.array([special.values[axis] for axis in _AXES])
+        offset = np.array([special.values[axis] for axis in AXES])
         found: list[Values] = []
         for share in (*_SHARES, 1.0, 2.0):
             place = model.body_ipos[body] + offset * (1 + 1 / share)
@@ -102,7 +110,7 @@ class Payload(BodyEffect):
             found.append({"mass": share * float(model.body_mass[body]), **parts})
         return found
 
-    def _at(self, view: View, target: str, place: np.ndarray) -> Candidate:
+    def _at(self, view: MotionRegressors, target: str, place: np.ndarray) -> Candidate:
         """A point mass at a known place."""
         parts = dict(zip(("com_x", "com_y", "com_z"), map(float, place), strict=True))
 
@@ -137,20 +145,20 @@ class ComOffset(BodyEffect):
     family = "mass"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        parts = [Parameter(axis, "m", -10.0, 10.0, 0.02) for axis in _AXES]
+        parts = [Parameter(axis, "m", -10.0, 10.0, 0.02) for axis in AXES]
         return (Parameter("offset", "m", 0.0, 20.0, 0.02), *parts)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         body = spec_element(spec, "body", instance.target)
         mass, pos, quat, inertia = inertial_of(spec, instance.target)
-        offset = np.array([instance.values[axis] for axis in _AXES])
+        offset = np.array([instance.values[axis] for axis in AXES])
         write_inertial(body, mass, pos + offset, quat, inertia)
 
     def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
-        return _AXES
+        return AXES
 
     def complete(self, model: mujoco.MjModel, target: str, values: Values) -> Values:
-        return {"offset": _norm(values), **{axis: values[axis] for axis in _AXES}}
+        return {"offset": _norm(values), **{axis: values[axis] for axis in AXES}}
 
     def generalized(
         self, model: mujoco.MjModel, special: EffectInstance, values: Values | None = None
@@ -161,10 +169,10 @@ class ComOffset(BodyEffect):
         body, mass = index_of(model, "body", special.target), special.values["mass"]
         place = np.array([special.values[name] for name in ("com_x", "com_y", "com_z")])
         offset = (place - model.body_ipos[body]) * mass / (mass + float(model.body_mass[body]))
-        parts = dict(zip(_AXES, offset.tolist(), strict=True))
+        parts = dict(zip(AXES, offset.tolist(), strict=True))
         return [self.complete(model, special.target, parts)]
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         mass = float(view.model.body_mass[index_of(view.model, "body", target)])
         columns = tuple(
             Column("force", mass * column.values) for column in _first_moments(view, target)
@@ -187,7 +195,7 @@ class Buoyancy(BodyEffect):
         mass = inertial_of(spec, instance.target)[0]
         body.gravcomp += instance.values["displaced_mass"] / mass
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         motion = view.body_motion(index_of(view.model, "body", target))
         lift = motion.force(-np.asarray(view.model.opt.gravity))
         return [Candidate(self.name, target, (Column("force", lift),), positive("displaced_mass"))]
@@ -207,19 +215,19 @@ class ConstantForce(BodyEffect):
     native = False
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        parts = [Parameter(axis, "N", -_LARGE, _LARGE, 1.0) for axis in _AXES]
+        parts = [Parameter(axis, "N", -_LARGE, _LARGE, 1.0) for axis in AXES]
         return (Parameter("magnitude", "N", 0.0, 2 * _LARGE, 1.0), *parts)
 
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _ConstantForce(model, instance)
 
     def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
-        return _AXES
+        return AXES
 
     def complete(self, model: mujoco.MjModel, target: str, values: Values) -> Values:
-        return {"magnitude": _norm(values), **{axis: values[axis] for axis in _AXES}}
+        return {"magnitude": _norm(values), **{axis: values[axis] for axis in AXES}}
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         motion = view.body_motion(index_of(view.model, "body", target))
         columns = tuple(Column("force", motion.force(axis)) for axis in np.eye(3))
         return [Candidate(self.name, target, columns, _vector("magnitude"))]
@@ -228,7 +236,7 @@ class ConstantForce(BodyEffect):
         """A tenth of 1 g times the body's mass along each axis, there and back."""
         size = float(model.body_mass[index_of(model, "body", target)])
         found = (sign * size * axis for axis in np.eye(3) for sign in (1.0, -1.0))
-        return [{"magnitude": size, **dict(zip(_AXES, map(float, f), strict=True))} for f in found]
+        return [{"magnitude": size, **dict(zip(AXES, map(float, f), strict=True))} for f in found]
 
 
 class PeriodicDisturbance(Effect):
@@ -272,7 +280,7 @@ class PeriodicDisturbance(Effect):
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Periodic(model, instance)
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         model = view.model
         if target not in names_of_kind(model, "joint"):
             return self._on_body(view, target)
@@ -284,16 +292,16 @@ class PeriodicDisturbance(Effect):
             for f in view.spectrum_peaks(dof, "time")
         ]
 
-    def _on_body(self, view: View, target: str) -> list[Candidate]:
+    def _on_body(self, view: MotionRegressors, target: str) -> list[Candidate]:
         """Along each axis of the world in turn."""
         model = view.model
         body = index_of(model, "body", target)
         motion = view.body_motion(body)
         first = int(model.jnt_dofadr[model.body_jntadr[body]])
         found: list[Candidate] = []
-        for axis, name in enumerate(_AXES):
+        for axis, name in enumerate(AXES):
             unit = motion.force(np.eye(3)[axis])
-            options = {a: str(float(a == name)) for a in _AXES}
+            options = {a: str(float(a == name)) for a in AXES}
             found += [
                 Candidate(
                     self.name, target, _waves(view, f, unit), _wave_values(f), options, shape=1
@@ -317,7 +325,7 @@ class LinearDrag(BodyEffect):
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Drag(model, instance, power=0)
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         motion = view.body_motion(index_of(view.model, "body", target))
         column = Column("force", motion.force(-motion.velocity))
         return [Candidate(self.name, target, (column,), positive("coefficient"))]
@@ -337,7 +345,7 @@ class QuadraticDrag(BodyEffect):
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Drag(model, instance, power=1)
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         motion = view.body_motion(index_of(view.model, "body", target))
         speed = np.linalg.norm(motion.velocity, axis=1, keepdims=True)
         column = Column("force", motion.force(-speed * motion.velocity))
@@ -364,7 +372,7 @@ class Magnus(BodyEffect):
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Magnus(model, instance)
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         motion = view.body_motion(index_of(view.model, "body", target))
         column = Column("force", motion.force(np.cross(motion.spin, motion.velocity)))
         return [Candidate(self.name, target, (column,), keyed("coefficient"))]
@@ -382,11 +390,11 @@ class GravityTilt(Effect):
         return bool(np.linalg.norm(model.opt.gravity) > 0)
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        parts = [Parameter(axis, "m/s^2", -100.0, 100.0, 0.5) for axis in _AXES]
+        parts = [Parameter(axis, "m/s^2", -100.0, 100.0, 0.5) for axis in AXES]
         return (Parameter("angle", "deg", 0.0, 180.0, 3.0), *parts)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
-        spec.option.gravity = [instance.values[axis] for axis in _AXES]
+        spec.option.gravity = [instance.values[axis] for axis in AXES]
 
     def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
         return ("tilt_1", "tilt_2")
@@ -394,7 +402,7 @@ class GravityTilt(Effect):
     def encode(self, model: mujoco.MjModel, target: str, values: Values) -> Values:
         """Tangents of the tilt along two horizontal directions."""
         gravity = np.asarray(model.opt.gravity)
-        tilted = np.array([values[axis] for axis in _AXES])
+        tilted = np.array([values[axis] for axis in AXES])
         down = gravity / np.linalg.norm(gravity)
         parts = _across(gravity) @ tilted / (tilted @ down)
         return {"tilt_1": float(parts[0]), "tilt_2": float(parts[1])}
@@ -406,9 +414,9 @@ class GravityTilt(Effect):
         tilted = gravity / size + values["tilt_1"] * across[0] + values["tilt_2"] * across[1]
         tilted *= size / np.linalg.norm(tilted)
         angle = np.degrees(np.arctan(np.hypot(values["tilt_1"], values["tilt_2"])))
-        return {"angle": float(angle), **dict(zip(_AXES, map(float, tilted), strict=True))}
+        return {"angle": float(angle), **dict(zip(AXES, map(float, tilted), strict=True))}
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         model = view.model
         size = float(np.linalg.norm(model.opt.gravity))
         columns = []
@@ -423,14 +431,14 @@ class GravityTilt(Effect):
 
 
 def _norm(values: Values) -> float:
-    return float(np.linalg.norm([values[axis] for axis in _AXES]))
+    return float(np.linalg.norm([values[axis] for axis in AXES]))
 
 
 def _vector(first: str) -> Solve:
     """Coefficients as x, y, z, and their norm as the first parameter."""
 
     def solve(c: Floats) -> dict[str, float]:
-        parts = dict(zip(_AXES, map(float, c), strict=True))
+        parts = dict(zip(AXES, map(float, c), strict=True))
         return {first: _norm(parts), **parts}
 
     return solve
@@ -445,12 +453,12 @@ def _across(gravity: Floats) -> Floats:
     return np.stack([first, np.cross(down, first)])
 
 
-def _inertia(view: View, body: str, place: Floats) -> Column:
+def _inertia(view: MotionRegressors, body: str, place: Floats) -> Column:
     motion = view.body_motion(index_of(view.model, "body", body))
     return Column("force", motion.point_inertia(place))
 
 
-def _first_moments(view: View, body: str) -> tuple[Column, ...]:
+def _first_moments(view: MotionRegressors, body: str) -> tuple[Column, ...]:
     """The part of a point mass's inertia that is linear in its place."""
     motion = view.body_motion(index_of(view.model, "body", body))
     return tuple(
@@ -459,7 +467,7 @@ def _first_moments(view: View, body: str) -> tuple[Column, ...]:
     )
 
 
-def _second_moments(view: View, body: str) -> tuple[Column, ...]:
+def _second_moments(view: MotionRegressors, body: str) -> tuple[Column, ...]:
     """The part of a point mass's inertia that is quadratic in its place."""
     motion = view.body_motion(index_of(view.model, "body", body))
     origin = motion.point_inertia(np.zeros(3))
@@ -476,7 +484,7 @@ def _second_moments(view: View, body: str) -> tuple[Column, ...]:
     return tuple(found)
 
 
-def _waves(view: View, frequency: float, unit: Floats) -> tuple[Column, Column]:
+def _waves(view: MotionRegressors, frequency: float, unit: Floats) -> tuple[Column, Column]:
     phase = 2 * np.pi * frequency * view.time
     return (
         Column("force", np.sin(phase)[:, None] * unit),
@@ -510,9 +518,9 @@ class _BodyHook(Hook):
 class _ConstantForce(_BodyHook):
     derived = frozenset()
 
-    def force(self, moment: Moment) -> None:
-        for axis, name in enumerate(_AXES):
-            moment.xfrc[:, self._body, axis] += self.value(name)
+    def force(self, inputs: StepInputs) -> None:
+        for axis, name in enumerate(AXES):
+            inputs.xfrc[:, self._body, axis] += self.value(name)
 
 
 class _Drag(_BodyHook):
@@ -520,17 +528,17 @@ class _Drag(_BodyHook):
         super().__init__(model, instance)
         self._power = power
 
-    def force(self, moment: Moment) -> None:
-        _, velocity = moment.body_velocity(self._body)
+    def force(self, inputs: StepInputs) -> None:
+        _, velocity = inputs.body_velocity(self._body)
         speed = np.linalg.norm(velocity, axis=1, keepdims=True) ** self._power
-        moment.xfrc[:, self._body, :3] -= self.value("coefficient", 1) * speed * velocity
+        inputs.xfrc[:, self._body, :3] -= self.value("coefficient", 1) * speed * velocity
 
 
 class _Magnus(_BodyHook):
-    def force(self, moment: Moment) -> None:
-        spin, velocity = moment.body_velocity(self._body)
+    def force(self, inputs: StepInputs) -> None:
+        spin, velocity = inputs.body_velocity(self._body)
         lift = self.value("coefficient", 1) * np.cross(spin, velocity)
-        moment.xfrc[:, self._body, :3] += lift
+        inputs.xfrc[:, self._body, :3] += lift
 
 
 class _Periodic(Hook):
@@ -542,17 +550,17 @@ class _Periodic(Hook):
             self._index = int(model.jnt_dofadr[joint])
         else:
             self._index = index_of(model, "body", instance.target)
-            direction = np.array([float(instance.options.get(a, "0")) for a in _AXES])
+            direction = np.array([float(instance.options.get(a, "0")) for a in AXES])
             norm = np.linalg.norm(direction)
             self._direction = direction / norm if norm else np.array([0.0, 0.0, 1.0])
 
-    def force(self, moment: Moment) -> None:
-        phase = 2 * np.pi * self.value("frequency") * moment.time + self.value("phase")
+    def force(self, inputs: StepInputs) -> None:
+        phase = 2 * np.pi * self.value("frequency") * inputs.time + self.value("phase")
         push = self.value("amplitude") * np.sin(phase)
         if self._direction is None:
-            moment.qfrc[:, self._index] += push
+            inputs.qfrc[:, self._index] += push
         else:
-            moment.xfrc[:, self._index, :3] += push[:, None] * self._direction
+            inputs.xfrc[:, self._index, :3] += push[:, None] * self._direction
 
 
 # ---------------------------------------------------------------------------------------------

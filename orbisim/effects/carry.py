@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 import mujoco
 
 from orbisim.effects.base import EffectInstance, Hook
 from orbisim.effects.catalogue import find
-from orbisim.effects.rest import rest_hooks
-from orbisim.effects.texts import read_text, replace_text
+from orbisim.effects.residual_network import rest_hooks
 from orbisim.errors import InputError, OrbiSimError, SceneError
-
-if TYPE_CHECKING:
-    from orbisim.scene import Scene
+from orbisim.scene import Scene
+from orbisim.scene.texts import read_text, replace_text
 
 TEXT_NAME = "orbisim:effects"
 
@@ -26,8 +23,6 @@ def add_effects(scene: Scene, instances: Iterable[EffectInstance]) -> Scene:
       InputError: an effect is unknown, or does not fit the scene; or the scene was made from a
         compiled model and cannot be edited.
     """
-    from orbisim.scene import Scene
-
     spec = scene.spec
     carried = list(carried_effects(scene.model))
     for instance in instances:

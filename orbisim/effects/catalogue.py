@@ -5,12 +5,12 @@ A package registers its own with the entry point group `orbisim.effects`, or cal
 
 from __future__ import annotations
 
-import functools
-from importlib import metadata
-
+from orbisim import plugins
 from orbisim.effects import actuators, bodies, contacts, joints, sensors, unnamed
 from orbisim.effects.base import Effect
 from orbisim.errors import InputError, UnknownNameError
+
+GROUP = "orbisim.effects"
 
 _BUILT_IN: tuple[type[Effect], ...] = (
     joints.CoulombFriction,
@@ -57,14 +57,9 @@ _registered: dict[str, Effect] = {cls.name: cls() for cls in _BUILT_IN}
 _unnamed: dict[str, Effect] = {cls.name: cls() for cls in unnamed.UNNAMED}
 
 
-@functools.cache
-def _entry_points() -> dict[str, metadata.EntryPoint]:
-    return {entry.name: entry for entry in metadata.entry_points(group="orbisim.effects")}
-
-
 def effect_names() -> tuple[str, ...]:
     """Names of all effects that a diagnosis may give."""
-    return tuple(dict.fromkeys([*_registered, *_entry_points()]))
+    return tuple(dict.fromkeys([*_registered, *plugins.names(GROUP)]))
 
 
 def register(effect: Effect) -> None:
@@ -89,7 +84,7 @@ def find(name: str) -> Effect:
     if name in _unnamed:
         return _unnamed[name]
     if name not in _registered:
-        if name not in _entry_points():
+        if name not in plugins.names(GROUP):
             raise UnknownNameError("effect", name, effect_names())
-        register(_entry_points()[name].load()())
+        register(plugins.load(GROUP, name, "effect")())
     return _registered[name]

@@ -12,26 +12,26 @@ from orbisim.effects.base import (
     Effect,
     EffectInstance,
     Hook,
-    Moment,
     Parameter,
+    StepInputs,
     index_of,
     is_scalar_joint,
     joint_unit,
     spec_element,
 )
-from orbisim.effects.hidden import hide_joint
 from orbisim.effects.screening import (
     Candidate,
     Column,
     Floats,
+    MotionRegressors,
     Solve,
     Values,
-    View,
     directions,
     keyed,
     positive,
 )
 from orbisim.errors import InputError
+from orbisim.scene.hidden import hide_joint
 
 _LARGE = 1e6
 
@@ -46,7 +46,7 @@ class JointEffect(Effect):
         return is_scalar_joint(model, target)
 
     def candidate(
-        self, view: View, target: str, forces: list[Floats], solve: Solve, **more: Any
+        self, view: MotionRegressors, target: str, forces: list[Floats], solve: Solve, **more: Any
     ) -> Candidate:
         """Columns of generalized forces [M] at the joint's own degree of freedom."""
         columns = tuple(_at_dof(view, target, force) for force in forces)
@@ -67,7 +67,7 @@ class CoulombFriction(JointEffect):
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         spec_element(spec, "joint", instance.target).frictionloss += instance.values["torque"]
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         return [self.candidate(view, target, [-_sign(view, target)], positive("torque"))]
 
 
@@ -83,14 +83,10 @@ class ViscousDamping(JointEffect):
         return (Parameter("coefficient", unit, -_LARGE, _LARGE, 0.1),)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
-        _add(
-            spec_element(spec, "joint", instance.target),
-            "damping",
-            0,
-            instance.values["coefficient"],
-        )
+        joint = spec_element(spec, "joint", instance.target)
+        joint.damping[0] += instance.values["coefficient"]
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         return [self.candidate(view, target, [-_speed(view, target)], keyed("coefficient"))]
 
 
@@ -106,14 +102,10 @@ class QuadraticDamping(JointEffect):
         return (Parameter("coefficient", unit, 0.0, _LARGE, 0.05),)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
-        _add(
-            spec_element(spec, "joint", instance.target),
-            "damping",
-            1,
-            instance.values["coefficient"],
-        )
+        joint = spec_element(spec, "joint", instance.target)
+        joint.damping[1] += instance.values["coefficient"]
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         v = _speed(view, target)
         return [self.candidate(view, target, [-v * np.abs(v)], positive("coefficient"))]
 
@@ -138,10 +130,10 @@ class JointSpring(JointEffect):
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         joint = spec_element(spec, "joint", instance.target)
-        _add(joint, "stiffness", 0, instance.values["stiffness"])
+        joint.stiffness[0] += instance.values["stiffness"]
         joint.springref = _angle(spec, joint, instance.values["rest_position"])
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         q = _position(view, target)
 
         def solve(c: Floats) -> dict[str, float] | None:
@@ -165,7 +157,7 @@ class Armature(JointEffect):
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         spec_element(spec, "joint", instance.target).armature += instance.values["inertia"]
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         acceleration = view.qacc[:, _dof(view.model, target)]
         return [self.candidate(view, target, [-acceleration], positive("inertia"))]
 
@@ -203,7 +195,7 @@ class Cogging(JointEffect):
             ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_NONE),
         )
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         q = _position(view, target)
         return [
             self.candidate(
@@ -241,7 +233,7 @@ class HardStop(JointEffect):
     def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
         return ("position",)
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         """A spring and a damper at one end of the travel."""
         q, v = _position(view, target), _speed(view, target)
         found: list[Candidate] = []
@@ -365,7 +357,7 @@ class StribeckFriction(JointEffect):
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _FrictionLevel(model, instance, _stribeck)
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         speed, sign = _speed(view, target), _sign(view, target)
         typical = float(np.sqrt(np.mean(speed**2))) or 1.0
         found: list[Candidate] = []
@@ -403,7 +395,7 @@ class LoadDependentFriction(JointEffect):
         hook.derived = frozenset(_LOAD_FIELDS[load])
         return hook
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         dof, sign = _dof(view.model, target), _sign(view, target)
         loads = {
             "actuator": view.qfrc_actuator[:, dof],
@@ -455,7 +447,7 @@ class JointCoupling(JointEffect):
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Coupling(model, instance)
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         model, found = view.model, []
         for other in self.targets(model):
             if other == target:
@@ -490,23 +482,23 @@ class _FrictionLevel(Hook):
         self._base = float(model.dof_frictionloss[self._dof])
         self._level = level
 
-    def fields(self, moment: Moment) -> None:
-        levels = moment.fields["dof_frictionloss"]
-        levels[:, self._dof] += self._level(self, moment, self._dof)
+    def fields(self, inputs: StepInputs) -> None:
+        levels = inputs.fields["dof_frictionloss"]
+        levels[:, self._dof] += self._level(self, inputs, self._dof)
 
 
-def _stribeck(hook: Hook, moment: Moment, dof: int) -> Any:
-    speed = moment.qvel[:, dof] / hook.value("velocity")
+def _stribeck(hook: Hook, inputs: StepInputs, dof: int) -> Any:
+    speed = inputs.qvel[:, dof] / hook.value("velocity")
     coulomb, static = hook.value("coulomb"), hook.value("static")
     return coulomb + (static - coulomb) * np.exp(-(speed**2))
 
 
-def _actuator_load(hook: Hook, moment: Moment, dof: int) -> Any:
-    return hook.value("coefficient") * np.abs(moment.derived["qfrc_actuator"][:, dof])
+def _actuator_load(hook: Hook, inputs: StepInputs, dof: int) -> Any:
+    return hook.value("coefficient") * np.abs(inputs.derived["qfrc_actuator"][:, dof])
 
 
-def _external_load(hook: Hook, moment: Moment, dof: int) -> Any:
-    force = moment.derived["qfrc_constraint"][:, dof] - moment.derived["qfrc_bias"][:, dof]
+def _external_load(hook: Hook, inputs: StepInputs, dof: int) -> Any:
+    force = inputs.derived["qfrc_constraint"][:, dof] - inputs.derived["qfrc_bias"][:, dof]
     return hook.value("coefficient") * np.abs(force)
 
 
@@ -529,35 +521,35 @@ class _Coupling(Hook):
         if self._by == "torque":
             self.derived = frozenset({"qfrc_actuator"})
 
-    def force(self, moment: Moment) -> None:
+    def force(self, inputs: StepInputs) -> None:
         if self._by == "torque":
-            source = moment.derived["qfrc_actuator"][:, self._source]
+            source = inputs.derived["qfrc_actuator"][:, self._source]
         elif self._by == "position":
-            source = moment.qpos[:, self._address]
+            source = inputs.qpos[:, self._address]
         else:
-            source = moment.qvel[:, self._source]
-        moment.qfrc[:, self._dof] += self.value("coefficient") * source
+            source = inputs.qvel[:, self._source]
+        inputs.qfrc[:, self._dof] += self.value("coefficient") * source
 
 
 def _dof(model: mujoco.MjModel, joint: str) -> int:
     return int(model.jnt_dofadr[index_of(model, "joint", joint)])
 
 
-def _position(view: View, joint: str) -> Floats:
+def _position(view: MotionRegressors, joint: str) -> Floats:
     return np.asarray(
         view.qpos[:, int(view.model.jnt_qposadr[index_of(view.model, "joint", joint)])]
     )
 
 
-def _speed(view: View, joint: str) -> Floats:
+def _speed(view: MotionRegressors, joint: str) -> Floats:
     return np.asarray(view.qvel[:, _dof(view.model, joint)])
 
 
-def _sign(view: View, joint: str) -> Floats:
+def _sign(view: MotionRegressors, joint: str) -> Floats:
     return directions(_speed(view, joint), float(view.velocity_noise[_dof(view.model, joint)]))
 
 
-def _at_dof(view: View, joint: str, force: Floats) -> Column:
+def _at_dof(view: MotionRegressors, joint: str, force: Floats) -> Column:
     values = np.zeros((len(force), view.model.nv))
     values[:, _dof(view.model, joint)] = force
     return Column("force", values)
@@ -576,10 +568,6 @@ def _wave(shape: str, value: float) -> Solve:
     return solve
 
 
-def _if_positive(values: dict[str, float]) -> Solve:
-    return lambda c: values if c[0] > 0 else None
-
-
 def _stribeck_values(velocity: float) -> Solve:
     def solve(c: Floats) -> dict[str, float] | None:
         if c[1] <= 0 or c[0] < 0:
@@ -587,10 +575,6 @@ def _stribeck_values(velocity: float) -> Solve:
         return {"coulomb": float(c[0]), "static": float(c[0] + c[1]), "velocity": velocity}
 
     return solve
-
-
-def _add(element: Any, attribute: str, index: int, value: float) -> None:
-    getattr(element, attribute)[index] += value
 
 
 def _angle(spec: mujoco.MjSpec, joint: Any, value: float) -> float:

@@ -7,7 +7,7 @@ change positions only; controls, torques and body poses are left as they are.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,13 +15,12 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from orbisim.effects.base import EffectInstance
 from orbisim.effects.catalogue import find
+from orbisim.effects.sensors import axis_of
 from orbisim.errors import InputError
 from orbisim.recording.joints import Joint, Kind, by_name
 from orbisim.recording.recording import Recording
 from orbisim.recording.sensors import Sensor, reads_state, sensors
-
-if TYPE_CHECKING:
-    from orbisim.scene import Scene
+from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
 
@@ -152,26 +151,6 @@ def _signal_of(recording: Recording, sensor: Sensor) -> Place | None:
     if f"sensor/{sensor.name}" in recording.signals:
         return Place(f"sensor/{sensor.name}", slice(0, sensor.width), False)
     return Place("sensordata", sensor.place, False) if "sensordata" in recording.signals else None
-
-
-def axis_of(one: EffectInstance, width: int) -> int | None:
-    """The component of a vector sensor that an effect's option `axis` names; None for all.
-
-    Raises:
-      InputError: the sensor has no such component.
-    """
-    if "axis" not in one.options:
-        return None
-    names = AXES[:width]
-    if one.options["axis"] not in names or width < 2:
-        raise InputError(
-            f"{one.effect} at {one.target!r}: axis is {one.options['axis']!r}; "
-            f"{'one of ' + ', '.join(names) if width > 1 else 'its sensor has one component only'}"
-        )
-    return names.index(one.options["axis"])
-
-
-AXES = ("x", "y", "z")
 
 
 def _changed(recording: Recording, place: Place, values: Floats) -> Recording:

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.effects.base import Hook, Moment
+from orbisim.effects.base import Hook, StepInputs
 
 Floats = npt.NDArray[np.float64]
 
@@ -42,11 +42,10 @@ class HookRunner:
     Args:
       model: the model, read-only.
       hooks: what to apply.
-      nworld: number of worlds.
     """
 
-    def __init__(self, model: mujoco.MjModel, hooks: Sequence[Hook], nworld: int) -> None:
-        self._model, self._hooks, self._nworld = model, hooks, nworld
+    def __init__(self, model: mujoco.MjModel, hooks: Sequence[Hook]) -> None:
+        self._model, self._hooks = model, hooks
         self.derived = derived_of(hooks)
         self.fields = CHANGED_FIELDS if changes_fields(hooks) else ()
 
@@ -56,7 +55,7 @@ class HookRunner:
         ctrl: Floats,
         applied: Mapping[str, Floats],
         base: Mapping[str, Floats],
-    ) -> Moment:
+    ) -> StepInputs:
         """The controls, applied forces and model fields of the next timestep.
 
         Args:
@@ -65,7 +64,7 @@ class HookRunner:
           applied: `qfrc_applied` and `xfrc_applied` as set by the user.
           base: declared values of the model fields that hooks change, [nworld, ...].
         """
-        moment = Moment(
+        inputs = StepInputs(
             model=self._model,
             time=read("time"),
             qpos=read("qpos"),
@@ -77,7 +76,7 @@ class HookRunner:
             fields={name: np.array(base[name], np.float64) for name in self.fields},
         )
         for hook in self._hooks:
-            hook.control(moment)
-            hook.force(moment)
-            hook.fields(moment)
-        return moment
+            hook.control(inputs)
+            hook.force(inputs)
+            hook.fields(inputs)
+        return inputs

@@ -61,7 +61,7 @@ class Candidate:
     shape: int = 0
 
 
-class View(Protocol):
+class MotionRegressors(Protocol):
     """The measured motion, as effects look at it.
 
     Arrays at the ends of the sampling intervals have M = 2 N rows: all starts, then all ends.

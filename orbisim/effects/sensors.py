@@ -5,8 +5,17 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from orbisim.effects.base import Effect, Parameter, index_of, is_scalar_joint, names_of_kind
-from orbisim.effects.screening import Candidate, Column, Floats, View, keyed
+from orbisim.effects.base import (
+    AXES,
+    Effect,
+    EffectInstance,
+    Parameter,
+    index_of,
+    is_scalar_joint,
+    names_of_kind,
+)
+from orbisim.effects.screening import Candidate, Column, Floats, MotionRegressors, keyed
+from orbisim.errors import InputError, UnknownNameError
 from orbisim.recording.sensors import Sensor, sensors
 
 
@@ -22,13 +31,8 @@ class MeasurementEffect(Effect):
         sensors = [n for n in names_of_kind(model, "sensor") if n not in joints]
         return (*joints, *sensors)
 
-    def check(self, model: mujoco.MjModel, instance: object) -> None:
+    def check(self, model: mujoco.MjModel, instance: EffectInstance) -> None:
         """As `Effect.check`; the target is a joint or a sensor."""
-        from orbisim.effects.base import EffectInstance
-        from orbisim.effects.measured import axis_of
-        from orbisim.errors import UnknownNameError
-
-        assert isinstance(instance, EffectInstance)
         known = self.known_targets(model)
         if instance.target not in known:
             raise UnknownNameError("joint or sensor", instance.target, known)
@@ -49,6 +53,23 @@ class MeasurementEffect(Effect):
         return "rad" if kind == mujoco.mjtJoint.mjJNT_HINGE else "m"
 
 
+def axis_of(one: EffectInstance, width: int) -> int | None:
+    """The component of a vector sensor that an effect's option `axis` names; None for all.
+
+    Raises:
+      InputError: the sensor has no such component.
+    """
+    if "axis" not in one.options:
+        return None
+    names = AXES[:width]
+    if one.options["axis"] not in names or width < 2:
+        raise InputError(
+            f"{one.effect} at {one.target!r}: axis is {one.options['axis']!r}; "
+            f"{'one of ' + ', '.join(names) if width > 1 else 'its sensor has one component only'}"
+        )
+    return names.index(one.options["axis"])
+
+
 def _sensor(model: mujoco.MjModel, target: str) -> Sensor:
     return sensors(model)[index_of(model, "sensor", target)]
 
@@ -66,7 +87,7 @@ class SensorBias(MeasurementEffect):
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("offset", self.unit_of(model, target), -100.0, 100.0, 0.02),)
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         if target not in names_of_kind(view.model, "joint"):
             return []
         q, _ = _dofs(view, target)
@@ -93,7 +114,7 @@ class SensorScale(MeasurementEffect):
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("factor", "1", 0.1, 10.0, 1.0, neutral=1.0),)
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         if target not in names_of_kind(view.model, "joint"):
             return []
         model, nv = view.model, view.model.nv
@@ -115,7 +136,7 @@ class SensorDelay(MeasurementEffect):
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("delay", "s", -1.0, 1.0, 0.01),)
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         if target not in names_of_kind(view.model, "joint"):
             return []
         q, v = _dofs(view, target)
@@ -135,7 +156,7 @@ class ClockSkew(Effect):
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("factor", "1", 0.1, 10.0, 1.0, neutral=1.0),)
 
-    def screen(self, view: View, target: str) -> list[Candidate]:
+    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         """A fast clock makes every interval look longer than it was."""
         n = len(view.time) // 2
         step = (view.time[n:] - view.time[:n])[:, None]
@@ -144,13 +165,13 @@ class ClockSkew(Effect):
         return [Candidate(self.name, target, (column,), lambda c: {"factor": 1 + float(c[0])})]
 
 
-def _dofs(view: View, joint: str) -> tuple[int, int]:
+def _dofs(view: MotionRegressors, joint: str) -> tuple[int, int]:
     """Columns of a joint's position and velocity in a signal."""
     q = int(view.model.jnt_dofadr[index_of(view.model, "joint", joint)])
     return q, view.model.nv + q
 
 
-def _signal(view: View, parts: dict[int, Floats | float]) -> Column:
+def _signal(view: MotionRegressors, parts: dict[int, Floats | float]) -> Column:
     values = np.zeros((len(view.time), 2 * view.model.nv))
     for index, part in parts.items():
         values[:, index] = part

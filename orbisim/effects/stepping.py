@@ -30,7 +30,7 @@ def step_batch(
         batch.bind("ctrl")[:] = control
         batch.step(ids, nstep)
         return
-    runner = HookRunner(model, hooks, batch.nsim)
+    runner = HookRunner(model, hooks)
     stage = int(stage_of(runner.derived))
     applied = {n: np.array(batch.bind(n)) for n in ("qfrc_applied", "xfrc_applied")}
     expanded = {name: batch.expand(name) for name in runner.fields}
@@ -43,11 +43,11 @@ def step_batch(
     if runner.derived:
         batch.forward(ids, stage)
     for _ in range(nstep):
-        moment = runner.inputs(batch.bind, control, applied, base)
-        batch.bind("ctrl")[:] = moment.ctrl
-        batch.bind("qfrc_applied")[:] = moment.qfrc
-        batch.bind("xfrc_applied")[:] = moment.xfrc
-        for name, values in moment.fields.items():
+        inputs = runner.inputs(batch.bind, control, applied, base)
+        batch.bind("ctrl")[:] = inputs.ctrl
+        batch.bind("qfrc_applied")[:] = inputs.qfrc
+        batch.bind("xfrc_applied")[:] = inputs.xfrc
+        for name, values in inputs.fields.items():
             expanded[name][:] = values
         batch.step(ids, 1, stage)
     for name, values in applied.items():

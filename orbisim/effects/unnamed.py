@@ -13,15 +13,15 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from orbisim.effects.base import EffectInstance, Hook, Moment, Parameter, index_of
+from orbisim.effects.base import EffectInstance, Hook, Parameter, StepInputs, index_of
 from orbisim.effects.joints import JointEffect
 from orbisim.effects.screening import Floats
 
 _LARGE = 1e6
 _POWERS = 4
 
-Along = Callable[[Moment, int, int], tuple[Floats, Floats]]
-"""What a law is a polynomial of, and what it is multiplied by, each [nworld], from the moment and
+Along = Callable[[StepInputs, int, int], tuple[Floats, Floats]]
+"""What a law is a polynomial of, and what it is multiplied by, each [nworld], from the inputs and
 the joint's addresses in qpos and qvel."""
 
 
@@ -45,7 +45,7 @@ class PolynomialLaw(Law):
     derived: frozenset[str] = frozenset()
 
     @abc.abstractmethod
-    def along(self, moment: Moment, q: int, v: int) -> tuple[Floats, Floats]:
+    def along(self, inputs: StepInputs, q: int, v: int) -> tuple[Floats, Floats]:
         """What it is a polynomial of, and a factor, each [nworld]; joint's addresses given."""
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
@@ -64,8 +64,8 @@ class PositionLaw(PolynomialLaw):
     name = "law_of_position"
     phrase = "a force that is a smooth function of the position"
 
-    def along(self, moment: Moment, q: int, v: int) -> tuple[Floats, Floats]:
-        return moment.qpos[:, q], np.ones(len(moment.time))
+    def along(self, inputs: StepInputs, q: int, v: int) -> tuple[Floats, Floats]:
+        return inputs.qpos[:, q], np.ones(len(inputs.time))
 
 
 class VelocityLaw(PolynomialLaw):
@@ -74,8 +74,8 @@ class VelocityLaw(PolynomialLaw):
     name = "law_of_velocity"
     phrase = "a force that is a smooth function of the velocity"
 
-    def along(self, moment: Moment, q: int, v: int) -> tuple[Floats, Floats]:
-        return moment.qvel[:, v], np.ones(len(moment.time))
+    def along(self, inputs: StepInputs, q: int, v: int) -> tuple[Floats, Floats]:
+        return inputs.qvel[:, v], np.ones(len(inputs.time))
 
 
 class GainLaw(PolynomialLaw):
@@ -85,8 +85,8 @@ class GainLaw(PolynomialLaw):
     phrase = "a gain that drifts with time"
     derived = frozenset({"qfrc_actuator"})
 
-    def along(self, moment: Moment, q: int, v: int) -> tuple[Floats, Floats]:
-        return moment.time, moment.derived["qfrc_actuator"][:, v]
+    def along(self, inputs: StepInputs, q: int, v: int) -> tuple[Floats, Floats]:
+        return inputs.time, inputs.derived["qfrc_actuator"][:, v]
 
 
 class OneSidedLaw(Law):
@@ -128,10 +128,10 @@ class _OneSided(Hook):
         joint = index_of(model, "joint", instance.target)
         self._q, self._v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
 
-    def force(self, moment: Moment) -> None:
-        beyond = moment.qpos[:, self._q] - self.value("position")
-        push = self.value("stiffness") * beyond + self.value("damping") * moment.qvel[:, self._v]
-        moment.qfrc[:, self._v] -= np.where(self.value("side") * beyond > 0, push, 0.0)
+    def force(self, inputs: StepInputs) -> None:
+        beyond = inputs.qpos[:, self._q] - self.value("position")
+        push = self.value("stiffness") * beyond + self.value("damping") * inputs.qvel[:, self._v]
+        inputs.qfrc[:, self._v] -= np.where(self.value("side") * beyond > 0, push, 0.0)
 
 
 class _Polynomial(Hook):
@@ -147,7 +147,7 @@ class _Polynomial(Hook):
         self._q, self._v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
         self._along, self.derived = along, derived
 
-    def force(self, moment: Moment) -> None:
-        x, factor = self._along(moment, self._q, self._v)
+    def force(self, inputs: StepInputs) -> None:
+        x, factor = self._along(inputs, self._q, self._v)
         powers = sum(self.value(f"c{k}") * x**k for k in range(_POWERS))
-        moment.qfrc[:, self._v] += factor * powers
+        inputs.qfrc[:, self._v] += factor * powers

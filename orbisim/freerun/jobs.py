@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.recording.binding import Bound
-from orbisim.recording.held import Held
+from orbisim.recording.bound import Bound
 from orbisim.recording.initial import Starts
 from orbisim.recording.windows import Rows
+from orbisim.recording.zero_order_hold import Held
 
 Floats = npt.NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from orbisim.backend import Backend, Capability
 from orbisim.errors import InputError
 from orbisim.freerun.batch import Batch
 from orbisim.freerun.jobs import Job, Prepared, Run
-from orbisim.progress import track
-from orbisim.recording.held import Held, filled
+from orbisim.host.progress import track
+from orbisim.recording.zero_order_hold import Held, filled
 from orbisim.scene import Scene
 
 WORLDS = 256

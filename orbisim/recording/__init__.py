@@ -1,6 +1,7 @@
 """Recordings: reading, checking, smoothing, and putting them into a scene's order."""
 
-from orbisim.recording.binding import Bound, bind
+from orbisim.recording.binding import bind
+from orbisim.recording.bound import Bound
 from orbisim.recording.capture import capture
 from orbisim.recording.motion import (
     Motion,
@@ -10,6 +11,7 @@ from orbisim.recording.motion import (
 )
 from orbisim.recording.noise import noise_std
 from orbisim.recording.recording import Recording
+from orbisim.recording.resampling import resample
 from orbisim.recording.smoothing import Smoothed, smooth
 
 __all__ = [
@@ -22,6 +24,7 @@ __all__ = [
     "capture",
     "estimate_motion",
     "noise_std",
+    "resample",
     "smooth",
     "smooth_rotation",
 ]

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.effects.hidden import hidden_joints
 from orbisim.errors import RecordingError, UnknownNameError
 from orbisim.recording import names
 from orbisim.recording.quaternions import continuous
+from orbisim.recording.recording import Recording
 from orbisim.recording.units import check_unit
-
-if TYPE_CHECKING:
-    from orbisim.recording.recording import Recording
-    from orbisim.scene import Scene
+from orbisim.scene import Scene
+from orbisim.scene.hidden import hidden_joints
 
 Floats = npt.NDArray[np.float64]
 

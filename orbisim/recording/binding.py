@@ -3,72 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.effects.hidden import hidden_joints
 from orbisim.errors import RecordingError
 from orbisim.recording import inference, inverse
 from orbisim.recording.actuators import Actuator, actuators
 from orbisim.recording.assembly import Assembly
-from orbisim.recording.held import filled
+from orbisim.recording.bound import Bound
+from orbisim.recording.checks import suspicions
 from orbisim.recording.joints import Joint, body_label, joints
+from orbisim.recording.recording import Recording
 from orbisim.recording.sensors import reads_state, sensors
-
-if TYPE_CHECKING:
-    from orbisim.recording.checks import Suspicion
-    from orbisim.recording.recording import Recording
-    from orbisim.scene import Scene
+from orbisim.recording.zero_order_hold import filled
+from orbisim.scene import Scene
+from orbisim.scene.hidden import hidden_joints
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Bound:
-    """A recording that fits a scene.
-
-    Attributes:
-      recording, scene: what was bound.
-      time: [T], s.
-      qpos: [T, nq], qvel: [T, nv]; NaN where missing. Quaternions have unit norm and no sign flips.
-      ctrl: [T, nu] without NaN: a missing sample holds the one before it.
-      torque: [T, nv] recorded generalized forces, NaN where there are none.
-      applied: [nv] whether the recorded force drives the joint.
-      switched_off: numbers of actuators that the recorded forces stand for.
-      xpos, xquat: recorded poses [T, 3], [T, 4] by body number.
-      sensordata: [T, nsensordata], NaN where not recorded.
-      measured: numbers of the joints whose positions were measured (not inferred from others).
-      unseen_turns: numbers of free joints whose orientation is not recorded and does not matter.
-      notes: what was ignored, assumed or looks wrong.
-      suspicions: those of the notes that say what looks wrong.
-    """
-
-    recording: Recording
-    scene: Scene
-    time: Floats
-    qpos: Floats
-    qvel: Floats
-    ctrl: Floats
-    torque: Floats
-    applied: Bools
-    switched_off: tuple[int, ...]
-    xpos: Mapping[int, Floats]
-    xquat: Mapping[int, Floats]
-    sensordata: Floats
-    measured: frozenset[int]
-    unseen_turns: frozenset[int]
-    notes: tuple[str, ...]
-    suspicions: tuple[Suspicion, ...] = ()
-
-    @property
-    def model(self) -> mujoco.MjModel:
-        """The scene's model; read-only."""
-        return self.scene.model
 
 
 def bind(recording: Recording, scene: Scene) -> Bound:
@@ -81,8 +35,6 @@ def bind(recording: Recording, scene: Scene) -> Bound:
       RecordingError: a name is not in the scene, a shape or unit does not fit, a quaternion is not
         of unit norm, or a joint is neither recorded nor can be inferred.
     """
-    from orbisim.recording.checks import suspicions
-
     if len(recording) < 2:
         raise RecordingError(
             recording.source, "has one sample", remedy="a simulation needs at least two"

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -12,10 +10,8 @@ import numpy.typing as npt
 from orbisim.errors import RecordingError
 from orbisim.recording import quaternions as quat
 from orbisim.recording.actuators import actuators
+from orbisim.recording.bound import Bound, Suspicion
 from orbisim.recording.joints import Joint, Kind, body_label, joints
-
-if TYPE_CHECKING:
-    from orbisim.recording.binding import Bound
 
 Floats = npt.NDArray[np.float64]
 
@@ -23,19 +19,6 @@ _DEGREES = 180.0 / np.pi
 _MARGIN = 0.05
 _MOST = 0.5
 _CHUNKS = 200
-
-
-@dataclasses.dataclass(frozen=True)
-class Suspicion:
-    """Something that looks wrong.
-
-    Attributes:
-      text: one sentence. wrong: whether a signal is clearly not what its name says, so that
-        nothing should be fitted to it.
-    """
-
-    text: str
-    wrong: bool = False
 
 
 def suspicions(bound: Bound) -> list[Suspicion]:

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.errors import RecordingError
+from orbisim.errors import InputError, RecordingError
+from orbisim.files.writing import writing
 from orbisim.recording import names
+from orbisim.recording.contents import Contents
 from orbisim.recording.headers import SCHEMA, assemble, header_of, parse_header
-from orbisim.recording.recording import Recording
 from orbisim.recording.tables import load_csv, load_parquet, save_csv, save_parquet
 
 _HEADER = "header"
@@ -22,26 +23,27 @@ _HEADER = "header"
 _log = logging.getLogger("orbisim.recording")
 
 
-def load(path: Path) -> Recording:
+def load(path: Path) -> Contents:
     """Reads a recording (see `Recording.load`)."""
     read = _format(path, _READERS)
     if not path.is_file():
         raise RecordingError(str(path), "no such file" if not path.exists() else "is not a file")
     if path.stat().st_size == 0:
         raise RecordingError(str(path), "the file is empty")
-    recording: Recording = read(path)
+    recording: Contents = read(path)
     for note in recording.notes:
         _log.warning("%s: %s", path, note)
     return recording
 
 
-def save(recording: Recording, path: Path) -> None:
+def save(recording: Contents, path: Path) -> None:
     """Writes a recording (see `Recording.save`)."""
     write = _format(path, _WRITERS)
     try:
-        write(recording, path)
-    except OSError as error:
-        raise RecordingError(str(path), f"cannot be written: {error.strerror}") from None
+        with writing(path) as part:
+            write(recording, part)
+    except InputError as error:
+        raise RecordingError(str(path), str(error).removeprefix(f"{path}: ")) from error
 
 
 def _format(path: Path, table: Mapping[str, Any]) -> Callable[..., Any]:
@@ -58,7 +60,7 @@ def _format(path: Path, table: Mapping[str, Any]) -> Callable[..., Any]:
 # -- npz -------------------------------------------------------------------------------------------
 
 
-def _load_npz(path: Path) -> Recording:
+def _load_npz(path: Path) -> Contents:
     try:
         with np.load(path, allow_pickle=False) as file:
             if not isinstance(file, np.lib.npyio.NpzFile):
@@ -93,7 +95,7 @@ def _npz_header(path: Path, file: Any) -> Mapping[str, Any]:
     return parse_header(path, str(text))
 
 
-def _save_npz(recording: Recording, path: Path) -> None:
+def _save_npz(recording: Contents, path: Path) -> None:
     arrays: dict[str, Any] = {"time": recording.time, **recording.signals}
     arrays[_HEADER] = np.array(header_of(recording))
     with path.open("wb") as file:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from orbisim.errors import RecordingError
 from orbisim.recording import names
-from orbisim.recording.recording import Recording
+from orbisim.recording.contents import Contents
 
 SCHEMA = "orbisim.recording/1"
 
@@ -22,7 +22,7 @@ def assemble(
     arrays: Mapping[str, npt.ArrayLike],
     header: Mapping[str, Any],
     ignored: Iterable[str],
-) -> Recording:
+) -> Contents:
     """A recording from the arrays of a file.
 
     Raises:
@@ -33,7 +33,7 @@ def assemble(
             str(path), "has no 'time'", remedy="give the time of each sample in seconds"
         )
     own = {name: _as_own(values) for name, values in arrays.items()}
-    return Recording(
+    return Contents(
         time=own.pop("time"),
         signals=own,
         units=header.get("units", {}),
@@ -57,7 +57,7 @@ def _ignored_note(name: str) -> str:
     return f"ignored {name!r}: not the name of a signal"
 
 
-def header_of(recording: Recording) -> str:
+def header_of(recording: Contents) -> str:
     """Units and metadata as JSON.
 
     Raises:

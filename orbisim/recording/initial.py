@@ -5,20 +5,18 @@ from __future__ import annotations
 import copy
 import dataclasses
 import functools
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from orbisim.recording.actuators import actuators
-from orbisim.recording.held import Held
+from orbisim.recording.bound import Bound
 from orbisim.recording.joints import joints
 from orbisim.recording.motion import estimate_motion
 from orbisim.recording.unread import carry_unread
-
-if TYPE_CHECKING:
-    from orbisim.recording.binding import Bound
+from orbisim.recording.zero_order_hold import Held
 
 Floats = npt.NDArray[np.float64]
 Velocities = Literal["recorded", "smoothed"]

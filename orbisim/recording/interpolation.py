@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.recording import quaternions as quat
-from orbisim.recording.held import SNAP
 from orbisim.recording.joints import joints
+from orbisim.recording.zero_order_hold import SNAP
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Collection
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from orbisim.recording import quaternions as quat
+from orbisim.recording.bound import Bound
 from orbisim.recording.joints import Joint, Kind, joints
 from orbisim.recording.noise import noise_std
 from orbisim.recording.smoothing import Smoothed, smooth
-
-if TYPE_CHECKING:
-    from orbisim.recording.binding import Bound
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]

@@ -1,4 +1,8 @@
-"""Unit quaternions (w, x, y, z) as arrays [..., 4]."""
+"""Quaternions (w, x, y, z) as arrays [..., 4].
+
+`scipy.spatial.transform.Rotation` has all this for unit quaternions, but refuses rows of NaN, which
+mark missing samples here, and derivatives of quaternions, which are not of unit norm.
+"""
 
 from __future__ import annotations
 

@@ -4,27 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 import types
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from orbisim.errors import RecordingError
-from orbisim.recording import names
-
-if TYPE_CHECKING:
-    from orbisim.recording.binding import Bound
-    from orbisim.scene import Scene
-    from orbisim.trajectory import Trajectory
+from orbisim.recording import files, names
+from orbisim.recording.contents import Contents
+from orbisim.recording.windows import cut
 
 Floats = npt.NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class Recording:
-    """Samples of named signals over time. Never modified.
+class Recording(Contents):
+    """Samples of named signals over time, checked. Never modified.
 
     Units are SI and radians, quaternions are w x y z, NaN marks a missing sample, and a control is
     held from its sample to the next. See `orbisim.recording.names` for the names.
@@ -37,13 +34,6 @@ class Recording:
       source: where it came from, for messages.
       notes: what was ignored or assumed when it was read.
     """
-
-    time: Floats
-    signals: Mapping[str, Floats]
-    units: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    metadata: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    source: str = "recording"
-    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         time = _frozen(_as_floats(self.time, "time", self.source))
@@ -99,9 +89,8 @@ class Recording:
         Raises:
           RecordingError: the file is not a recording; the message says what is wrong and where.
         """
-        from orbisim.recording.files import load
-
-        return load(Path(path))
+        read = files.load(Path(path))
+        return cls(**{f.name: getattr(read, f.name) for f in dataclasses.fields(read)})
 
     def save(self, path: str | Path) -> None:
         """Writes `.npz`, `.csv` or `.parquet`; `.csv` holds no units and no metadata.
@@ -109,28 +98,7 @@ class Recording:
         Raises:
           RecordingError: the suffix is none of these.
         """
-        from orbisim.recording.files import save
-
-        save(self, Path(path))
-
-    @classmethod
-    def from_trajectory(cls, scene: Scene, trajectory: Trajectory, **options: Any) -> Recording:
-        """A recording of one world of a trajectory (see `orbisim.recording.capture.capture`)."""
-        from orbisim.recording.capture import capture
-
-        return capture(scene, trajectory, **options)
-
-    # -- use with a scene --------------------------------------------------------------------------
-
-    def bind(self, scene: Scene) -> Bound:
-        """The recording as arrays in the scene's order (see `orbisim.recording.binding`).
-
-        Raises:
-          RecordingError: it does not fit the scene.
-        """
-        from orbisim.recording.binding import bind
-
-        return bind(self, scene)
+        files.save(self, Path(path))
 
     # -- other recordings made from this one -------------------------------------------------------
 
@@ -150,8 +118,6 @@ class Recording:
 
     def windows(self, duration: float) -> list[Recording]:
         """Consecutive pieces of a duration (see `orbisim.recording.windows.cut`)."""
-        from orbisim.recording.windows import cut
-
         return [self.rows(slice(w.start, w.stop)) for w in cut(self.time, duration)]
 
     def select(self, wanted: Iterable[str] | Callable[[str], bool]) -> Recording:
@@ -183,12 +149,6 @@ class Recording:
             known = ", ".join(sorted(self.signals)) or "nothing"
             raise RecordingError(self.source, f"{name!r} is not recorded; recorded: {known}")
         return self.signals[name]
-
-    def resample(self, time: npt.ArrayLike, scene: Scene | None = None) -> Recording:
-        """The recording at other times (see `orbisim.recording.resampling.resample`)."""
-        from orbisim.recording.resampling import resample
-
-        return resample(self, np.asarray(time, np.float64), scene)
 
 
 def _frozen(array: Floats) -> Floats:

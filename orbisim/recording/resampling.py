@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import numpy.typing as npt
 
 from orbisim.errors import InputError
 from orbisim.recording import names
 from orbisim.recording import quaternions as quat
-from orbisim.recording.held import Held
 from orbisim.recording.joints import joints
-
-if TYPE_CHECKING:
-    from orbisim.recording.recording import Recording
-    from orbisim.scene import Scene
+from orbisim.recording.recording import Recording
+from orbisim.recording.zero_order_hold import Held
+from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
 

@@ -14,14 +14,14 @@ import numpy.typing as npt
 
 from orbisim.errors import RecordingError
 from orbisim.recording import names
+from orbisim.recording.contents import Contents
 from orbisim.recording.headers import assemble, header_of, parse_header
-from orbisim.recording.recording import Recording
 
 _PARQUET_KEY = b"orbisim.recording"
 _MISSING = ["", "nan", "NaN", "NAN", "NA", "null", "None"]
 
 
-def _columns_of(recording: Recording) -> dict[str, npt.NDArray[np.float64]]:
+def _columns_of(recording: Contents) -> dict[str, npt.NDArray[np.float64]]:
     table = {"time": recording.time}
     for name, values in recording.signals.items():
         width = None if values.ndim == 1 else values.shape[1]
@@ -35,7 +35,7 @@ def _from_columns(
     headers: list[str],
     read: Callable[[list[str]], Mapping[str, npt.NDArray[np.float64]]],
     header: Mapping[str, Any],
-) -> Recording:
+) -> Contents:
     """Assembles the signals of a table; `read` returns the wanted columns."""
     repeated = sorted({name for name in headers if headers.count(name) > 1})
     if repeated:
@@ -57,7 +57,7 @@ def _from_columns(
     return assemble(path, arrays, header, [name for name in headers if name not in used])
 
 
-def load_csv(path: Path) -> Recording:
+def load_csv(path: Path) -> Contents:
     """Reads a table with the names of `orbisim.recording.names` in its first line."""
     import pyarrow
     import pyarrow.csv
@@ -122,7 +122,7 @@ def _header_lines(path: Path) -> int:
         return int(reader.line_num)
 
 
-def save_csv(recording: Recording, path: Path) -> None:
+def save_csv(recording: Contents, path: Path) -> None:
     """Writes a table; numbers keep all their digits."""
     import pyarrow
     import pyarrow.csv
@@ -137,7 +137,7 @@ def save_csv(recording: Recording, path: Path) -> None:
         pyarrow.csv.write_csv(table, file, options)
 
 
-def load_parquet(path: Path) -> Recording:
+def load_parquet(path: Path) -> Contents:
     """Reads a table with the names of `orbisim.recording.names`, and the header if it has one."""
     import pyarrow
     import pyarrow.parquet
@@ -172,7 +172,7 @@ def _check_numeric(path: Path, name: str, kind: Any) -> None:
         )
 
 
-def save_parquet(recording: Recording, path: Path) -> None:
+def save_parquet(recording: Contents, path: Path) -> None:
     """Writes a table, units and metadata in its own metadata."""
     import pyarrow
     import pyarrow.parquet

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import mujoco
 
 from orbisim.errors import RecordingError
 from orbisim.recording import names
 from orbisim.recording.joints import Joint, Kind, by_name
-
-if TYPE_CHECKING:
-    from orbisim.recording.recording import Recording
+from orbisim.recording.recording import Recording
 
 _SAME = {
     "m": ("m", "meter", "metre", "meters", "metres"),

@@ -10,18 +10,15 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.effects.hidden import hidden_joints
+from orbisim.recording.bound import Bound
 from orbisim.recording.joints import Joint, joints
 from orbisim.recording.noise import noise_std
-
-if TYPE_CHECKING:
-    from orbisim.recording.binding import Bound
+from orbisim.scene.hidden import hidden_joints
 
 Floats = npt.NDArray[np.float64]
 

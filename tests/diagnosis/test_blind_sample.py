@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from orbisim import Recording
+from orbisim.recording import bind
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 
@@ -62,7 +63,7 @@ def test_what_the_diagnosis_opens_says_nothing_about_the_effect(trials: Path) ->
             assert [e.tag for e in one.iter()] == [e.tag for e in other.iter()]
         recording = Recording.load(folder / "fit_0.npz")
         assert not recording.metadata
-        recording.bind(rig.scene())  # no joint that only the true scene has
+        bind(recording, rig.scene())  # no joint that only the true scene has
 
 
 @pytest.mark.slow

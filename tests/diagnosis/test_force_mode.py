@@ -45,12 +45,12 @@ def test_silent_without_an_effect(arm: orbisim.Scene) -> None:
 
 def test_an_unknown_force_gets_no_name(arm: orbisim.Scene) -> None:
     """A force at the shoulder that follows no law of the catalogue."""
-    from orbisim.effects import Hook, Moment
+    from orbisim.effects import Hook, StepInputs
 
     class Wander(Hook):
-        def force(self, moment: Moment) -> None:
-            t = np.asarray(moment.time)
-            moment.qfrc[:, 0] += 0.5 * np.sin(3.1 * t + 2 * np.sin(1.7 * t) + np.sin(5.3 * t))
+        def force(self, inputs: StepInputs) -> None:
+            t = np.asarray(inputs.time)
+            inputs.qfrc[:, 0] += 0.5 * np.sin(3.1 * t + 2 * np.sin(1.7 * t) + np.sin(5.3 * t))
 
     runs = inject_effect(
         arm, [], duration=6.0, episodes=4, noise=1e-4, seed=6, hooks=lambda _: [Wander({})]

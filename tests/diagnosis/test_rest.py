@@ -10,8 +10,15 @@ import pytest
 
 import orbisim
 from orbisim.diagnosis import Diagnosis, Settings
-from orbisim.effects import Hook, Moment
-from orbisim.effects.rest import Input, Network, carried_rest, features, rest_hooks, with_rest
+from orbisim.effects import Hook, StepInputs, carried_effects
+from orbisim.effects.residual_network import (
+    Input,
+    Network,
+    carried_rest,
+    features,
+    rest_hooks,
+    with_rest,
+)
 from orbisim.errors import InputError, SceneError
 from orbisim.testing import inject_effect
 
@@ -23,15 +30,15 @@ FEW = Settings(effects=("sensor_bias",), retune=False)
 class _Force(Hook):
     """A force at the elbow that is in no catalogue."""
 
-    def __init__(self, law: Callable[[Moment], np.ndarray]) -> None:
+    def __init__(self, law: Callable[[StepInputs], np.ndarray]) -> None:
         super().__init__({})
         self._law = law
 
-    def force(self, moment: Moment) -> None:
-        moment.qfrc[:, 1] += self._law(moment)
+    def force(self, inputs: StepInputs) -> None:
+        inputs.qfrc[:, 1] += self._law(inputs)
 
 
-def _diagnosed(law: Callable[[Moment], np.ndarray] | None) -> Diagnosis:
+def _diagnosed(law: Callable[[StepInputs], np.ndarray] | None) -> Diagnosis:
     arm = orbisim.load_scene(ARM)
     hooks = None if law is None else lambda _: [_Force(law)]
     runs = inject_effect(arm, [], duration=3.0, episodes=4, noise=2e-4, seed=2, hooks=hooks)
@@ -77,8 +84,8 @@ def test_nothing_is_learned_without_a_residual() -> None:
 
 
 def test_what_does_not_help_is_not_kept() -> None:
-    def timed(moment: Moment) -> np.ndarray:  # nothing that is read tells this force
-        t = moment.time
+    def timed(inputs: StepInputs) -> np.ndarray:  # nothing that is read tells this force
+        t = inputs.time
         return 0.1 * (np.sin(37.0 * t) + np.sin(23.3 * t + 1.0) + np.sin(51.7 * t + 2.0))
 
     result = _diagnosed(timed)
@@ -101,7 +108,7 @@ def test_round_trip_and_bounds() -> None:
     arm = orbisim.load_scene(ARM)
     network = _network(arm)
     scene = with_rest(arm, [network])
-    assert scene.effects == ()
+    assert carried_effects(scene.model) == ()
     (read,) = carried_rest(scene.model)
     rng = np.random.default_rng(1)
     at = features(arm.model, read.inputs, *(rng.normal(size=(7, 2)) for _ in range(4)))

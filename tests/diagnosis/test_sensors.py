@@ -12,7 +12,7 @@ from orbisim.diagnosis import Diagnosis, Settings
 from orbisim.effects import EffectInstance, carried_effects
 from orbisim.effects.measured import correct, distort
 from orbisim.errors import InputError
-from orbisim.recording import Recording
+from orbisim.recording import Recording, bind
 from orbisim.testing import inject_effect
 
 ARM = Path(__file__).parents[2] / "mjcf_assets" / "arm2" / "scene.xml"
@@ -123,7 +123,7 @@ def test_a_fault_of_no_known_form_is_not_named(arm: orbisim.Scene) -> None:
 def test_the_joints_may_be_known_from_sensors_alone(arm: orbisim.Scene) -> None:
     late = EffectInstance("sensor_bias", "elbow", {"offset": 0.05})
     runs = [one.select(lambda n: n.startswith(("ctrl", "sensor"))) for one in _runs(arm)]
-    bound = runs[0].bind(arm)
+    bound = bind(runs[0], arm)
     np.testing.assert_array_equal(bound.qpos[:, 1], runs[0]["sensor/elbow_angle"])
     np.testing.assert_array_equal(bound.qvel[:, 0], runs[0]["sensor/shoulder_speed"])
     assert any("elbow_angle" in note for note in bound.notes)

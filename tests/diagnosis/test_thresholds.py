@@ -20,6 +20,7 @@ from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.shooting import Variant
 from orbisim.diagnosis.state import quiet
 from orbisim.effects import EffectInstance
+from orbisim.recording import bind
 from orbisim.testing import inject_effect
 
 ASSETS = Path(__file__).parents[2] / "mjcf_assets"
@@ -77,7 +78,7 @@ def test_starts_may_be_readings_of_a_sensor_with_an_offset() -> None:
 def _forces(scene: orbisim.Scene) -> np.ndarray:
     """Of the servo in recordings without the effect."""
     (run,) = inject_effect(scene, [], duration=5.0, episodes=1, seed=4)
-    bound, model = run.bind(scene), scene.model
+    bound, model = bind(run, scene), scene.model
     error = bound.ctrl[:, 0] - bound.qpos[:, 0]
     return np.asarray(model.actuator_gainprm[0, 0] * error)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from orbisim import Physics, Scene, load_scene, make_backend
-from orbisim.effects import EffectInstance, add_effects, effect_names, find
+from orbisim.effects import EffectInstance, add_effects, carried_effects, effect_names, find
 from orbisim.errors import InputError, SceneError, UnknownNameError
 
 ARM = """
@@ -344,10 +344,10 @@ def test_effects_travel_in_the_mjcf(scene: Scene, tmp_path) -> None:
     plain = mujoco.MjModel.from_xml_path(str(path))  # plain MuJoCo carries and ignores it
     assert plain.ntext == 1
     again = load_scene(path)
-    assert again.effects == (CARRIED,)
+    assert carried_effects(again.model) == (CARRIED,)
     np.testing.assert_allclose(generalized_force(again), generalized_force(changed), atol=1e-9)
     further = add_effects(again, [EffectInstance("deadband", "m1", {"width": 0.1})])
-    assert [e.effect for e in further.effects] == ["linear_drag", "deadband"]
+    assert [e.effect for e in carried_effects(further.model)] == ["linear_drag", "deadband"]
 
 
 def test_physics_applies_carried_effects(scene: Scene) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from orbisim import Recording, load_scene
 from orbisim.errors import RecordingError
+from orbisim.recording import bind, capture
 from orbisim.recording import quaternions as quat
 
 from .scenes import ARM, EVERYTHING, PENDULUM, simulate
@@ -31,12 +32,12 @@ def trajectory(everything):
 
 def refused(recording, scene, pattern):
     with pytest.raises(RecordingError, match=pattern) as caught:
-        recording.bind(scene)
+        bind(recording, scene)
     assert "\n" not in str(caught.value)
 
 
 def test_named_and_whole_signals_bind_to_the_same(everything, trajectory):
-    named = Recording.from_trajectory(everything, trajectory)
+    named = capture(everything, trajectory)
     whole = Recording(
         named.time,
         {
@@ -46,7 +47,7 @@ def test_named_and_whole_signals_bind_to_the_same(everything, trajectory):
             "sensordata": np.concatenate([trajectory.sensordata[0], np.full((1, 4), np.nan)]),
         },
     )
-    a, b = named.bind(everything), whole.bind(everything)
+    a, b = bind(named, everything), bind(whole, everything)
     for name in ("qpos", "qvel", "ctrl", "torque", "sensordata"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
     assert a.measured == b.measured == frozenset(range(5))
@@ -82,7 +83,7 @@ def test_one_sample_is_refused(pendulum):
 def test_stated_units_must_be_si(pendulum, everything):
     recording = Recording(T, {"qpos/hinge": T}, units={"qpos/hinge": "deg"})
     refused(recording, pendulum, "states the unit 'deg'; the scene needs 'rad'; convert")
-    recording.replace(units={"qpos/hinge": "radians"}).bind(pendulum)
+    bind(recording.replace(units={"qpos/hinge": "radians"}), pendulum)
     rail = Recording(T, {"qpos/rail": T, "torque/rail": T}, units={"torque/rail": "Nm"})
     refused(rail, everything, "states the unit 'Nm'; the scene needs 'N'")
 
@@ -91,12 +92,12 @@ def test_stated_units_must_be_si(pendulum, everything):
 
 
 def cube_recording(everything, trajectory, **changes):
-    recording = Recording.from_trajectory(everything, trajectory)
+    recording = capture(everything, trajectory)
     return recording.replace(signals={**recording.signals, **changes})
 
 
 def test_quaternions_have_unit_norm(everything, trajectory):
-    pose = np.array(Recording.from_trajectory(everything, trajectory)["qpos/cube"])
+    pose = np.array(capture(everything, trajectory)["qpos/cube"])
     pose[7, 3:] *= 1.1
     refused(
         cube_recording(everything, trajectory, **{"qpos/cube": pose}),
@@ -107,14 +108,14 @@ def test_quaternions_have_unit_norm(everything, trajectory):
     refused(cube_recording(everything, trajectory, **{"qpos/cube": pose}), everything, "norm is 0")
     pose[7, 3:] = np.nan
     pose[8:, 3:] *= -1.002
-    bound = cube_recording(everything, trajectory, **{"qpos/cube": pose}).bind(everything)
+    bound = bind(cube_recording(everything, trajectory, **{"qpos/cube": pose}), everything)
     assert any("norms are up to 0.002 off one; scaled" in note for note in bound.notes)
     assert np.isnan(bound.qpos[7, 5:9]).all()
     assert np.nanmax(np.abs(np.linalg.norm(bound.qpos[:, 5:9], axis=1) - 1)) < 1e-12
 
 
 def test_other_component_orders_are_found_by_the_angular_velocity(everything, trajectory):
-    pose = np.array(Recording.from_trajectory(everything, trajectory)["qpos/cube"])
+    pose = np.array(capture(everything, trajectory)["qpos/cube"])
     swapped = np.concatenate([pose[:, :3], pose[:, 4:], pose[:, 3:4]], axis=1)
     refused(
         cube_recording(everything, trajectory, **{"qpos/cube": swapped}),
@@ -124,21 +125,21 @@ def test_other_component_orders_are_found_by_the_angular_velocity(everything, tr
 
 
 def test_world_frame_angular_velocity_is_noticed(everything, trajectory):
-    recording = Recording.from_trajectory(everything, trajectory)
+    recording = capture(everything, trajectory)
     velocity = np.array(recording["qvel/cube"])
     velocity[:, 3:] = quat.rotate(recording["qpos/cube"][:, 3:], velocity[:, 3:])
-    bound = cube_recording(everything, trajectory, **{"qvel/cube": velocity}).bind(everything)
+    bound = bind(cube_recording(everything, trajectory, **{"qvel/cube": velocity}), everything)
     assert any("as a vector of the world frame" in note for note in bound.notes)
 
 
 def test_nearly_upright_bodies_hint_at_the_order(everything, trajectory):
-    still = Recording.from_trajectory(everything, trajectory).without("qpos/cube", "qvel/cube")
+    still = capture(everything, trajectory).without("qpos/cube", "qvel/cube")
     count = len(still)
     poses = {
         "xpos/cube": np.zeros((count, 3)),
         "xquat/cube": np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)),
     }
-    bound = still.replace(signals={**still.signals, **poses}).bind(everything)
+    bound = bind(still.replace(signals={**still.signals, **poses}), everything)
     assert any("must be w, x, y, z" in note for note in bound.notes)
 
 
@@ -146,9 +147,9 @@ def test_nearly_upright_bodies_hint_at_the_order(everything, trajectory):
 
 
 def test_free_joints_from_the_pose_of_their_body(everything, trajectory):
-    recording = Recording.from_trajectory(everything, trajectory, bodies=["cube"])
-    expected = recording.bind(everything).qpos
-    found = recording.without("qpos/cube").bind(everything)
+    recording = capture(everything, trajectory, bodies=["cube"])
+    expected = bind(recording, everything).qpos
+    found = bind(recording.without("qpos/cube"), everything)
     np.testing.assert_allclose(found.qpos, expected, atol=1e-12)
     assert found.measured == frozenset(range(5))
     refused(
@@ -163,7 +164,7 @@ def test_a_ball_needs_no_orientation():
         "<mujoco><worldbody><body name='ball'><freejoint name='ball'/><geom size='.02'/></body>"
         "</worldbody></mujoco>"
     )
-    bound = Recording(T, {"xpos/ball": np.stack([T, T, T], 1)}).bind(scene)
+    bound = bind(Recording(T, {"xpos/ball": np.stack([T, T, T], 1)}), scene)
     np.testing.assert_array_equal(bound.qpos[:, 3:], np.tile([1.0, 0, 0, 0], (101, 1)))
     assert bound.unseen_turns == {0}
     assert any("it is a sphere" in note for note in bound.notes)
@@ -183,11 +184,11 @@ COUPLED = """
 
 def test_coupled_joints_follow():
     scene = load_scene(COUPLED)
-    bound = Recording(T, {"qpos/left": T}).bind(scene)
+    bound = bind(Recording(T, {"qpos/left": T}), scene)
     np.testing.assert_allclose(bound.qpos, np.stack([T, 0.1 - 2 * T, (0.1 - 2 * T) ** 2], 1))
     assert bound.measured == {0}
     assert "joint 'right' follows 'left' by a joint equality" in bound.notes
-    back = Recording(T, {"qpos/right": T, "qpos/third": T}).bind(scene)
+    back = bind(Recording(T, {"qpos/right": T, "qpos/third": T}), scene)
     np.testing.assert_allclose(back.qpos[:, 0], (T - 0.1) / -2)
     refused(Recording(T, {"qpos/third": T}), scene, "joints 'left', 'right'.*nothing.*fixes them")
 
@@ -199,21 +200,21 @@ def arm():
 
 def arm_motion(arm):
     trajectory = simulate(arm, 300, speed=3.0)
-    return Recording.from_trajectory(arm, trajectory, bodies=["upper", "lower", "hand"])
+    return capture(arm, trajectory, bodies=["upper", "lower", "hand"])
 
 
 def test_inverse_kinematics(arm):
     recording = arm_motion(arm)
-    expected = recording.bind(arm).qpos
+    expected = bind(recording, arm).qpos
     for given in (
         ["xpos/lower", "xquat/hand"],
         ["xquat/upper", "xquat/hand"],
         ["xpos/lower", "xpos/hand"],
     ):
-        bound = recording.select(given).bind(arm)
+        bound = bind(recording.select(given), arm)
         np.testing.assert_allclose(bound.qpos, expected, atol=1e-5)
         assert any("by inverse kinematics" in note for note in bound.notes)
-    one = recording.select(["qpos/shoulder", "xquat/hand"]).bind(arm)
+    one = bind(recording.select(["qpos/shoulder", "xquat/hand"]), arm)
     np.testing.assert_allclose(one.qpos, expected, atol=1e-5)
 
 
@@ -228,9 +229,9 @@ def test_inverse_kinematics_that_is_not_unique(arm):
 
 
 def test_inverse_kinematics_of_a_ball_joint(everything, trajectory):
-    recording = Recording.from_trajectory(everything, trajectory, bodies=["bob"])
-    expected = recording.bind(everything).qpos
-    bound = recording.without("qpos/socket").bind(everything)
+    recording = capture(everything, trajectory, bodies=["bob"])
+    expected = bind(recording, everything).qpos
+    bound = bind(recording.without("qpos/socket"), everything)
     np.testing.assert_allclose(bound.qpos, expected, atol=1e-6)
 
 
@@ -241,7 +242,7 @@ def test_inverse_kinematics_passes_over_missing_rows(arm):
     partial = recording.replace(
         signals={"xpos/lower": position, "xquat/hand": recording["xquat/hand"]}
     )
-    bound = partial.bind(arm)
+    bound = bind(partial, arm)
     assert np.isnan(bound.qpos[10:13]).all()
     assert np.isfinite(bound.qpos[13:]).all()
 
@@ -251,25 +252,25 @@ def test_inverse_kinematics_passes_over_missing_rows(arm):
 
 def test_missing_controls_hold(pendulum):
     ctrl = np.array([np.nan, 0.5, np.nan, np.nan, 0.2])
-    bound = Recording(np.arange(5.0), {"qpos/hinge": np.zeros(5), "ctrl/motor": ctrl}).bind(
-        pendulum
+    bound = bind(
+        Recording(np.arange(5.0), {"qpos/hinge": np.zeros(5), "ctrl/motor": ctrl}), pendulum
     )
     np.testing.assert_array_equal(bound.ctrl[:, 0], [0.5, 0.5, 0.5, 0.5, 0.2])
     assert "missing controls hold the sample before them" in bound.notes
 
 
 def test_absent_controls_are_zero_with_a_note(pendulum):
-    bound = Recording(T, {"qpos/hinge": T}).bind(pendulum)
+    bound = bind(Recording(T, {"qpos/hinge": T}), pendulum)
     assert not bound.ctrl.any()
     assert "controls of 'motor' are not recorded; taken as zero" in bound.notes
 
 
 def test_torques_drive_unless_controls_are_recorded(pendulum):
-    driven = Recording(T, {"qpos/hinge": T, "torque/hinge": T}).bind(pendulum)
+    driven = bind(Recording(T, {"qpos/hinge": T, "torque/hinge": T}), pendulum)
     assert driven.applied.all()
     assert driven.switched_off == (0,)
     assert any("'torque/hinge' stands for 'motor'" in note for note in driven.notes)
-    both = Recording(T, {"qpos/hinge": T, "torque/hinge": T, "ctrl/motor": T}).bind(pendulum)
+    both = bind(Recording(T, {"qpos/hinge": T, "torque/hinge": T, "ctrl/motor": T}), pendulum)
     assert not both.applied.any()
     assert both.switched_off == ()
 
@@ -280,9 +281,9 @@ def test_friction_actuators_stay_on():
         "<dcmotor name='friction' joint='j' motorconst='1e-9' resistance='1' input='none'/>"
         "<motor name='motor' joint='j'/></actuator></mujoco>"
     )
-    bound = Recording(T, {"qpos/j": T, "torque/j": T}).bind(scene)
+    bound = bind(Recording(T, {"qpos/j": T, "torque/j": T}), scene)
     assert bound.switched_off == (1,)
-    bound = Recording(T, {"qpos/j": T, "ctrl/motor": 2 * T}).bind(scene)
+    bound = bind(Recording(T, {"qpos/j": T, "ctrl/motor": 2 * T}), scene)
     np.testing.assert_array_equal(bound.ctrl[:, 0], 2 * T)
 
 
@@ -291,7 +292,7 @@ def test_friction_actuators_stay_on():
 
 def notes(scene, **signals):
     signals = {name.replace("__", "/"): values for name, values in signals.items()}
-    return " | ".join(Recording(T, signals).bind(scene).notes)
+    return " | ".join(bind(Recording(T, signals), scene).notes)
 
 
 def test_degrees_are_noticed(pendulum):

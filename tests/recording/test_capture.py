@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim import Recording, load_scene
+from orbisim import load_scene
 from orbisim.errors import InputError
-from orbisim.recording import noise_std
+from orbisim.recording import capture, noise_std, resample
 from orbisim.recording import quaternions as quat
 from orbisim.recording.noise import lattice_step
 
@@ -26,7 +26,7 @@ def trajectory(scene):
 
 
 def test_everything_is_recorded(scene, trajectory):
-    recording = Recording.from_trajectory(scene, trajectory, bodies=["lower"])
+    recording = capture(scene, trajectory, bodies=["lower"])
     assert len(recording) == 1001
     np.testing.assert_allclose(recording.time, np.arange(1001) * 0.002, atol=1e-12)
     np.testing.assert_array_equal(recording["qpos/elbow"][1:], trajectory.qpos[0, :, 1])
@@ -38,22 +38,22 @@ def test_everything_is_recorded(scene, trajectory):
 
 
 def test_rate(scene, trajectory):
-    slow = Recording.from_trajectory(scene, trajectory, rate=100.0, velocities=False)
-    full = Recording.from_trajectory(scene, trajectory)
+    slow = capture(scene, trajectory, rate=100.0, velocities=False)
+    full = capture(scene, trajectory)
     assert len(slow) == 201
     assert not any(name.startswith("qvel") for name in slow.signals)
     np.testing.assert_allclose(slow["qpos/cube"], full["qpos/cube"][::5], atol=1e-12)
     np.testing.assert_array_equal(slow["ctrl/shoulder"][:-1], full["ctrl/shoulder"][:-1:5])
-    odd = Recording.from_trajectory(scene, trajectory, rate=333.0)
-    between = full.resample(odd.time)
+    odd = capture(scene, trajectory, rate=333.0)
+    between = resample(full, odd.time)
     np.testing.assert_allclose(odd["qpos/elbow"], between["qpos/elbow"], atol=1e-4)
     inside = np.abs(odd.time / 0.002 - np.round(odd.time / 0.002)) > 1e-6
     np.testing.assert_array_equal(odd["ctrl/elbow"][inside], between["ctrl/elbow"][inside])
 
 
 def test_noise_and_resolution(scene, trajectory):
-    clean = Recording.from_trajectory(scene, trajectory)
-    noisy = Recording.from_trajectory(
+    clean = capture(scene, trajectory)
+    noisy = capture(
         scene,
         trajectory,
         noise={"qpos": 1e-3, "qpos/shoulder": 1e-2, "qvel/elbow": 0.5},
@@ -70,9 +70,9 @@ def test_noise_and_resolution(scene, trajectory):
         turn = quat.log(quat.multiply(quat.conjugate(a), b))
         np.testing.assert_allclose(turn.std(axis=0), 1e-3, rtol=0.15)
         np.testing.assert_allclose(np.linalg.norm(b, axis=1), 1, rtol=1e-12)
-    again = Recording.from_trajectory(scene, trajectory, noise=1e-3, seed=3)
-    assert again == Recording.from_trajectory(scene, trajectory, noise=1e-3, seed=3)
-    assert again != Recording.from_trajectory(scene, trajectory, noise=1e-3, seed=4)
+    again = capture(scene, trajectory, noise=1e-3, seed=3)
+    assert again == capture(scene, trajectory, noise=1e-3, seed=3)
+    assert again != capture(scene, trajectory, noise=1e-3, seed=4)
 
 
 def test_scenes_without_names():
@@ -84,13 +84,13 @@ def test_scenes_without_names():
     assert not model.actuator(0).name
     backend = orbisim.make_backend("mujoco", scene)
     trajectory = backend.rollout(backend.reset(1), np.ones((5, 1)))
-    assert set(Recording.from_trajectory(scene, trajectory).signals) == {"qpos/j", "qvel/j", "ctrl"}
+    assert set(capture(scene, trajectory).signals) == {"qpos/j", "qvel/j", "ctrl"}
 
 
 def test_wrong_arguments(scene, trajectory):
     with pytest.raises(InputError, match="world 1 is not among the trajectory's 1"):
-        Recording.from_trajectory(scene, trajectory, world=1)
+        capture(scene, trajectory, world=1)
     with pytest.raises(InputError, match="no body 'hand' to record"):
-        Recording.from_trajectory(scene, trajectory, bodies=["hand"])
+        capture(scene, trajectory, bodies=["hand"])
     with pytest.raises(InputError, match="noise names 'qpos/wrist'"):
-        Recording.from_trajectory(scene, trajectory, noise={"qpos/wrist": 1.0})
+        capture(scene, trajectory, noise={"qpos/wrist": 1.0})

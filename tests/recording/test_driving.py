@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 import orbisim
 from orbisim import Recording, load_scene
 from orbisim.errors import InputError
+from orbisim.recording import bind, capture
 from orbisim.recording import quaternions as quat
-from orbisim.recording.held import Held, filled
 from orbisim.recording.initial import activations, histories, starts
 from orbisim.recording.interpolation import Between, linear, positions
 from orbisim.recording.windows import Rows, cut
+from orbisim.recording.zero_order_hold import Held, filled
 
 from .scenes import EVERYTHING, PENDULUM
 
@@ -160,8 +161,8 @@ def test_velocities_where_the_integrator_has_them():
         backend = orbisim.make_backend("mujoco", scene)
         state = backend.reset(1).replace(qpos=np.array([[1.5]]))
         trajectory = backend.rollout(state, np.zeros((1000, 1)))
-        recording = Recording.from_trajectory(scene, trajectory, velocities=False)
-        found = starts(recording.bind(scene))
+        recording = capture(scene, trajectory, velocities=False)
+        found = starts(bind(recording, scene))
         exact = trajectory.with_initial("qvel")[0]
         assert np.abs(found.qvel - exact)[10:-10].max() < tolerance
         assert found.notes == ("velocities of 'hinge' are estimated from the positions",)
@@ -172,7 +173,7 @@ def test_recorded_velocities_are_used_unless_smoothed_ones_are_wanted():
     t = np.arange(500) * 2e-3
     qvel = 3 * np.cos(3 * t) + 0.2
     qvel[100] = np.nan
-    bound = Recording(t, {"qpos/hinge": np.sin(3 * t), "qvel/hinge": qvel}).bind(scene)
+    bound = bind(Recording(t, {"qpos/hinge": np.sin(3 * t), "qvel/hinge": qvel}), scene)
     found = starts(bound)
     np.testing.assert_array_equal(np.delete(found.qvel[:, 0], 100), np.delete(qvel, 100))
     assert found.qvel[100] == pytest.approx(3 * np.cos(0.6), abs=0.02)
@@ -207,7 +208,7 @@ def activated():
 
 def test_activations_are_carried_along(activated):
     scene, trajectory = activated
-    bound = Recording.from_trajectory(scene, trajectory).bind(scene)
+    bound = bind(capture(scene, trajectory), scene)
     rows = np.array([0, 60, 61, 300])
     found = activations(bound, starts(bound), rows)
     exact = trajectory.with_initial("act")[0][rows]
@@ -218,8 +219,8 @@ def test_activations_are_carried_along(activated):
 
 def test_delay_buffers_hold_the_controls_before(activated):
     scene, trajectory = activated
-    recording = Recording.from_trajectory(scene, trajectory)
-    bound = recording.bind(scene)
+    recording = capture(scene, trajectory)
+    bound = bind(recording, scene)
     row = 200
     found = histories(bound, np.array([row]))[0]
     backend = orbisim.make_backend("mujoco", scene)

@@ -5,7 +5,7 @@ import pytest
 
 import orbisim
 from orbisim.errors import RecordingError
-from orbisim.recording import Recording
+from orbisim.recording import Recording, bind
 
 BODY = """<mujoco><worldbody><body name="puck"><freejoint name="puck"/>
   <geom size=".1 .1 .1" type="box"/></body><body name="rod" pos="1 0 0">
@@ -30,7 +30,7 @@ def _signals() -> dict[str, np.ndarray]:
 
 def test_joints_and_poses_from_their_sensors() -> None:
     signals = _signals()
-    bound = Recording(np.arange(5) * 0.01, signals).bind(orbisim.load_scene(BODY))
+    bound = bind(Recording(np.arange(5) * 0.01, signals), orbisim.load_scene(BODY))
     np.testing.assert_array_equal(bound.qpos[:, :3], signals["sensor/place"])
     turned = np.abs((bound.qpos[:, 3:7] * signals["sensor/turn"]).sum(axis=1))
     np.testing.assert_allclose(turned, 1.0)
@@ -41,7 +41,7 @@ def test_joints_and_poses_from_their_sensors() -> None:
 
 def test_what_is_recorded_by_name_comes_first() -> None:
     signals = {**_signals(), "qpos/hinge": np.linspace(0, 1, 5)}
-    bound = Recording(np.arange(5) * 0.01, signals).bind(orbisim.load_scene(BODY))
+    bound = bind(Recording(np.arange(5) * 0.01, signals), orbisim.load_scene(BODY))
     np.testing.assert_array_equal(bound.qpos[:, 7], signals["qpos/hinge"])
 
 
@@ -51,4 +51,4 @@ def test_a_sensor_of_something_else_is_no_state(other: str) -> None:
     signals.pop({"middle": "sensor/place", "late": "sensor/angle"}[other])
     signals[f"sensor/{other}"] = np.zeros((5, 3)) if other == "middle" else np.zeros(5)
     with pytest.raises(RecordingError, match="not recorded"):
-        Recording(np.arange(5) * 0.01, signals).bind(orbisim.load_scene(BODY))
+        bind(Recording(np.arange(5) * 0.01, signals), orbisim.load_scene(BODY))

@@ -7,8 +7,8 @@ import pytest
 
 import orbisim
 from orbisim.effects import EffectInstance, add_effects
-from orbisim.engine_log import engine_warnings, ignore
-from orbisim.recording import Recording
+from orbisim.host.engine_log import engine_warnings, ignore
+from orbisim.recording import Recording, bind
 from orbisim.recording.initial import starts
 from orbisim.testing import inject_effect
 
@@ -67,8 +67,8 @@ def test_a_late_motor_is_no_obstacle(arm: orbisim.Scene) -> None:
 def test_nothing_after_a_sample_tells_the_state_there(arm: orbisim.Scene) -> None:
     effect, border = HIDDEN[0], 120
     run, true = _run(arm, effect), add_effects(arm, [effect])
-    whole = starts(run.bind(true))
-    cut = starts(run.rows(slice(0, border)).bind(true))
+    whole = starts(bind(run, true))
+    cut = starts(bind(run.rows(slice(0, border)), true))
     hidden = true.model.joint("elbow_backlash")
     np.testing.assert_allclose(
         cut.qpos[:, hidden.qposadr], whole.qpos[:border, hidden.qposadr], atol=2e-4
@@ -80,7 +80,7 @@ def test_a_recorded_hidden_joint_stays_as_it_was_recorded(arm: orbisim.Scene) ->
     run, true = _run(arm, effect), add_effects(arm, [effect])
     still = np.zeros(len(run))
     shown = {"qpos/elbow_backlash": still + 0.01, "qvel/elbow_backlash": still}
-    states = starts(run.replace(signals={**run.signals, **shown}).bind(true))
+    states = starts(bind(run.replace(signals={**run.signals, **shown}), true))
     column = int(true.model.joint("elbow_backlash").qposadr[0])
     np.testing.assert_array_equal(states.qpos[:, column], 0.01)
 

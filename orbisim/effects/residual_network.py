@@ -12,19 +12,17 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.effects.base import Hook, Moment
-from orbisim.effects.texts import read_text, replace_text
+from orbisim.effects.base import Hook, StepInputs
 from orbisim.errors import InputError, SceneError, UnknownNameError
 from orbisim.recording.joints import Joint, Kind, joints
-
-if TYPE_CHECKING:
-    from orbisim.scene import Scene
+from orbisim.scene import Scene
+from orbisim.scene.texts import read_text, replace_text
 
 Floats = npt.NDArray[np.float64]
 Source = Literal["position", "turn", "pose", "velocity", "control", "force"]
@@ -222,14 +220,14 @@ class RestHook(Hook):
         places = {j.label: j.v for j in joints(model)}
         self._parts = [(network, places[network.joint]) for network in networks]
 
-    def force(self, moment: Moment) -> None:
-        """Adds to `moment.qfrc` in place."""
-        applied = moment.qfrc.copy()
+    def force(self, inputs: StepInputs) -> None:
+        """Adds to `inputs.qfrc` in place."""
+        applied = inputs.qfrc.copy()
         for network, place in self._parts:
             read = features(
-                moment.model, network.inputs, moment.qpos, moment.qvel, moment.ctrl, applied
+                inputs.model, network.inputs, inputs.qpos, inputs.qvel, inputs.ctrl, applied
             )
-            moment.qfrc[:, place] += network.force(read)
+            inputs.qfrc[:, place] += network.force(read)
 
 
 def with_rest(scene: Scene, networks: Sequence[Network]) -> Scene:
@@ -238,8 +236,6 @@ def with_rest(scene: Scene, networks: Sequence[Network]) -> Scene:
     Raises:
       InputError: one does not fit the scene, or the scene cannot be edited.
     """
-    from orbisim.scene import Scene
-
     spec = scene.spec
     for network in networks:
         _check(network, scene.model)

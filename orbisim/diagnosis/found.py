@@ -1,0 +1,80 @@
+"""What a diagnosis found, piece by piece."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Literal
+
+Verdict = Literal["no_residual", "explained", "partly_explained", "unexplained"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """A parameter. value: SI. unit: its unit. ci95: its 95 % interval."""
+
+    value: float
+    unit: str
+    ci95: tuple[float, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class FoundEffect:
+    """An effect that the scene lacks.
+
+    Attributes:
+      effect, target: as in the catalogue. parameters: the first is the one to quote.
+      native: whether it is native MJCF in the augmented scene.
+      evidence: `held_out_error_without`, `held_out_error_with`, `delta_bic`.
+      options: choices that are not numbers.
+      error_unit: unit of the errors in `evidence` where they are of a sensor's own readings (root
+        mean square); empty where they are the free-running error.
+    """
+
+    effect: str
+    target: str
+    parameters: Mapping[str, Estimate]
+    native: bool
+    evidence: Mapping[str, float]
+    options: Mapping[str, str]
+    error_unit: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Alternative:
+    """Another explanation. delta_bic: how much worse it is. reason: why it was not chosen, and what
+    to record to be sure."""
+
+    effect: str
+    target: str
+    delta_bic: float | None
+    reason: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Candidate:
+    """An effect that was tried.
+
+    Attributes:
+      effect, target: as in the catalogue.
+      round: of the search; None if it could not be judged.
+      ratio: residual over noise that it leaves.
+      delta_bic: how much worse than the best of its round.
+      reason: why it was not taken; empty if it was.
+    """
+
+    effect: str
+    target: str
+    round: int | None
+    ratio: float | None
+    delta_bic: float | None
+    reason: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Retuned:
+    """A declared parameter that is off. factor: true over declared. ci95: of the factor."""
+
+    label: str
+    factor: float
+    ci95: tuple[float, float]
