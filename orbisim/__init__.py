@@ -8,10 +8,11 @@ Names are imported when they are first used: `import orbisim` loads neither MuJo
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from orbisim import gl as _gl
+from orbisim.host import gl as _gl
+from orbisim.host.lazy import lazy
+from orbisim.version import VERSION
 
 if TYPE_CHECKING:
     from orbisim.backend import Backend as Backend
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from orbisim.state import State as State
     from orbisim.trajectory import Trajectory as Trajectory
 
-__version__ = "0.1.0"
+__version__ = VERSION
 
 _gl.configure()  # before anything imports MuJoCo
 
@@ -67,20 +68,9 @@ _HOMES = {
 }
 """Public names and the modules that define them."""
 
-_MODULES = ("recording", "suite", "testing")
+_MODULES = ("compare", "gradients", "recording", "suite", "tasks", "testing")
 
 __all__ = [*_HOMES, *_MODULES]
 
 
-def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        value = getattr(importlib.import_module(_HOMES[name]), name)
-        globals()[name] = value
-        return value
-    if name in _MODULES:
-        return importlib.import_module(f"orbisim.{name}")
-    raise AttributeError(f"module 'orbisim' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+__getattr__, __dir__ = lazy(__name__, _HOMES, _MODULES)

@@ -23,6 +23,10 @@ class InputError(OrbiSimError, ValueError):
     exit_status = 2
 
 
+class OutputError(OrbiSimError):
+    """A file cannot be written although its place is right: the disk is full, or broken."""
+
+
 class SceneError(InputError):
     """A scene cannot be read.
 
@@ -102,6 +106,10 @@ class DivergedError(OrbiSimError):
 
     def __reduce__(self) -> tuple[object, ...]:
         return (type(self), (str(self), self.worlds))
+
+
+class EngineError(OrbiSimError):
+    """An engine does not do what it claims: nothing moves although forces act."""
 
 
 class CapacityError(OrbiSimError):

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from dm_control import suite as _suite
 from dm_control.rl import control
 
 from orbisim.backend import Backend
+from orbisim.episodes import Episodes
 from orbisim.errors import UnknownNameError
 from orbisim.physics import adopt
 from orbisim.renderer import Renderer
 from orbisim.scene import Scene
+from orbisim.state import State
 
 ALL_TASKS: tuple[tuple[str, str], ...] = tuple(_suite.ALL_TASKS)
 """Every (domain, task) of the suite."""
@@ -68,6 +72,28 @@ def load_scene(name: str) -> Scene:
     domain, task = split_name(name)
     environment = _suite.load(domain, task, task_kwargs={"random": 0})
     return Scene.from_model(environment.physics.model.ptr, source=f"suite:{name}")
+
+
+def episodes(name: str, count: int, seed: int) -> Episodes:
+    """Initial states that a task itself draws, on the model of its first episode.
+
+    Args:
+      name: `domain-task`. count: number of episodes. seed: of the task.
+
+    Raises:
+      UnknownNameError: no such task.
+    """
+    environment = load(*split_name(name), task_kwargs={"random": seed})
+    physics = environment.physics
+    states: list[State] = []
+    scene = None
+    for _ in range(count):
+        environment.reset()
+        scene = scene or Scene.from_model(physics.model.ptr, source=f"suite:{name}")
+        state: State = physics.snapshot()
+        states.append(state.replace(time=np.zeros(1)))
+    assert scene is not None
+    return Episodes(dataclasses.replace(scene, name=name), State.stack(states))
 
 
 def split_name(name: str) -> tuple[str, str]:

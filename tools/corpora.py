@@ -16,6 +16,8 @@ WHEELS = {
     "gymnasium_robotics": "gymnasium-robotics==1.4.2",
     "newton": "newton==1.8.0",
 }
+ROBOTS = {"robosuite": "robosuite==1.5.2", "mjlab": "mjlab==1.6.0"}
+"""Robots with many meshes, for tools/bench_load.py."""
 
 
 def unpacked(name: str) -> Path:
@@ -25,7 +27,7 @@ def unpacked(name: str) -> Path:
         download = CACHE / "wheels"
         download.mkdir(parents=True, exist_ok=True)
         pip = [sys.executable, "-m", "pip", "download", "-qq", "--no-deps", "-d", str(download)]
-        subprocess.run([*pip, WHEELS[name]], check=True)
+        subprocess.run([*pip, {**WHEELS, **ROBOTS}[name]], check=True)
         (wheel,) = download.glob(f"{name}-*.whl")
         with zipfile.ZipFile(wheel) as archive:
             archive.extractall(folder)

@@ -3,8 +3,9 @@
     python tools/corpus_suite.py --out out/corpus_suite [--backend mujoco] [--backend warp]
 
 With `mujoco`: observations and rewards against dm_control's own over 1,000 random steps. With
-`warp`: which tasks run, and the largest difference of generalized positions from C MuJoCo over
-the first 100 timesteps from the same state under the same controls.
+`warp`: which tasks run, the largest difference of generalized positions from C MuJoCo over the
+first 100 timesteps from the same state under the same controls, and in how many of 60 control
+steps the check of `orbisim.agreement` would find it at fault (and how many of them in a row).
 """
 
 from __future__ import annotations
@@ -14,19 +15,22 @@ import json
 import sys
 import time
 from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from dm_control import suite as dm_suite
 
-from orbisim import Scene, State, make_backend, suite
+from orbisim import Backend, Scene, State, make_backend, suite
+from orbisim.agreement import StepJudge
 from orbisim.episodes import random_controls
 from orbisim.errors import OrbiSimError
 from orbisim.metrics import energies
 
 STEPS = 1000
 FIRST = 100
+JUDGED = 60
 CURVE = (1, 10, 20, 50, 100, 200, 500)
 
 
@@ -109,6 +113,7 @@ def one_task(domain: str, task: str) -> dict[str, Any]:
     a, b = (engine.rollout(start, controls, sensors=False) for engine in engines)
     difference = np.abs(a.qpos[0] - b.qpos[0]).max(axis=1)
     contacts = energies(scene.model, a.qpos[:, :FIRST], a.qvel[:, :FIRST]).contacts
+    faulty = faulty_steps(scene, engines[1], start, controls[0], environment.control_timestep())
     physics.use_backend("warp")
     spec = environment.action_spec()
     for _ in range(5):
@@ -119,8 +124,25 @@ def one_task(domain: str, task: str) -> dict[str, Any]:
         "contacts": int(contacts.max()),
         "first_100": float(difference[:FIRST].max()),
         "curve": {str(t): float(difference[t - 1]) for t in CURVE},
+        "faulty": sum(faulty),
+        "faulty_in_a_row": max(
+            (len(list(run)) for fault, run in groupby(faulty) if fault), default=0
+        ),
         "task_finite": bool(np.isfinite(observed).all() and np.isfinite(step.reward)),
     }
+
+
+def faulty_steps(
+    scene: Scene, engine: Backend, state: State, controls: Any, control_step: float
+) -> list[bool]:
+    """Which control steps of an engine are at fault, each from the engine's own state."""
+    judge, nstep = StepJudge(scene), max(1, round(control_step / engine.timestep))
+    faulty = []
+    for control in controls[: JUDGED * nstep : nstep]:
+        after = engine.step(state, control[None], nstep)
+        faulty.append(bool(judge.faults(state, control[None], nstep, after)))
+        state = after
+    return faulty
 
 
 def mujoco_table(rows: list[dict[str, Any]]) -> str:
@@ -153,7 +175,11 @@ def warp_table(rows: list[dict[str, Any]]) -> str:
         note = "" if row["task_finite"] else "observation or reward not finite"
         contacts = "none" if row["contacts"] == 0 else f"up to {row['contacts']}"
         lines.append(f"| {row['task']} | yes | {contacts} | {curve} | {note} |")
-    return "\n".join(lines) + "\n"
+    faulty, longest = (max(r.get(k, 0) for r in rows) for k in ("faulty", "faulty_in_a_row"))
+    summary = (
+        f"At fault in at most {faulty} of {JUDGED} control steps of a task, {longest} in a row."
+    )
+    return "\n".join([*lines, "", summary]) + "\n"
 
 
 RUNS = {

@@ -43,7 +43,6 @@ SKIPPED = re.compile(r"random_urdfs/|/build/")
 """Nine hundred generated blocks that differ in nothing but their mesh."""
 
 CONFIGURATIONS = 5
-TIMEOUT_S = 120
 
 
 def fetch(cache: Path) -> list[Path]:

@@ -13,7 +13,7 @@ import trimesh
 Files = Mapping[str, bytes | Path]
 """A scene: file names and contents, or where these are; the first is the scene file itself."""
 
-_COLLADA = Path(__file__).parent.parent / "tests/scene/data/urdf/two_nodes.dae"
+_COLLADA = Path(__file__).parent.parent / "tests/scene/urdf/data/two_nodes.dae"
 
 _MJCF = (
     """<mujoco model="arm">

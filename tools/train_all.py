@@ -105,7 +105,6 @@ ABLATIONS = (
     "no_noise",
     "no_alignment",
 )
-COMPARED = ("default", *BASELINES, *ABLATIONS)
 JOBS: dict[str, Job] = {
     "push": Job(("push",), weight=6.0),
     "cubes": Job(("push_cubes", "pick_and_place"), settings=_CUBES, weight=6.0),

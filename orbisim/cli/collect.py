@@ -15,6 +15,7 @@ from orbisim.cli.common import (
     print_table,
     seed_option,
 )
+from orbisim.errors import InputError
 
 
 @click.command(
@@ -86,7 +87,6 @@ def command(
 
 
 def _setting(text: str) -> tuple[str, Any]:
-    from orbisim.errors import InputError
 
     name, equals, value = text.partition("=")
     try:

@@ -96,7 +96,7 @@ def _cell(value: object) -> str:
 @contextlib.contextmanager
 def quiet_engine() -> Iterator[None]:
     """Sends MuJoCo's and dm_control's warnings to standard error once each, and to no log file."""
-    from orbisim.engine_log import engine_warnings
+    from orbisim.host.engine_log import engine_warnings
 
     seen: set[str] = set()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -56,9 +57,14 @@ def command(
     Prints the error over the horizon for each signal group, the energy and the speed of each side;
     with --out, writes a report with plots and side-by-side video.
     """
+    from orbisim.agreement import EngineWarning
     from orbisim.compare import compare
 
-    result = compare(scene, a, b, count=episodes, horizon=horizon, seed=seed, device=device)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", EngineWarning)  # said below, in one line each
+        result = compare(scene, a, b, count=episodes, horizon=horizon, seed=seed, device=device)
+    for fault in result.faults:
+        note(f"warning: {fault}")
     if out is not None:
         note(f"report: {result.report(out, video=video)}")
     summary = result.to_json()

@@ -9,6 +9,8 @@ from typing import Any, NoReturn
 
 import click
 
+from orbisim.errors import OrbiSimError, UnknownNameError
+
 COMMANDS = {
     "info": "read a scene and print its static descriptors",
     "sim": "simulate a scene; write the trajectory and a video",
@@ -42,8 +44,6 @@ class _Lazy(click.Group):
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         if args and args[0] not in COMMANDS:
-            from orbisim.errors import UnknownNameError
-
             raise UnknownNameError("command", args[0], COMMANDS)
         return super().resolve_command(ctx, args)
 
@@ -65,8 +65,6 @@ def main() -> NoReturn:
 
 def run(arguments: list[str]) -> int:
     """Runs the command line on `arguments`; returns the exit status."""
-    from orbisim.errors import OrbiSimError
-
     try:
         result = cli.main(arguments, prog_name="orbisim", standalone_mode=False)
         return result if isinstance(result, int) else 0

@@ -17,6 +17,7 @@ from orbisim.cli.common import (
     print_table,
     seed_option,
 )
+from orbisim.errors import InputError
 
 
 @click.command(
@@ -60,7 +61,6 @@ def command(
     """Simulate SCENE; write trajectory.npz and, with a renderer, video.mp4 to --out."""
 
     from orbisim.episodes import episodes
-    from orbisim.errors import InputError
     from orbisim.registry import make_backend
 
     if not duration > 0 or worlds < 1:
@@ -106,11 +106,12 @@ def _controls(setup: Any, kind: str | None, duration: float, step: float, seed: 
     import numpy as np
 
     from orbisim.episodes import Episodes
-    from orbisim.errors import InputError
 
     scripted = type(setup) is not Episodes
     if kind == "policy" and not scripted:
         raise InputError("only tasks (task:push) have a policy; use --controls random")
+    if kind == "random" and not setup.scene.model.nu:
+        note("warning: the scene has no actuators; --controls random does nothing")
     plain = Episodes(setup.scene, setup.initial)
     if kind == "policy" or (kind is None and scripted):
         return setup.controls(duration, step, seed)
@@ -119,7 +120,6 @@ def _controls(setup: Any, kind: str | None, duration: float, step: float, seed: 
 
 
 def _size(text: str) -> tuple[int, int]:
-    from orbisim.errors import InputError
 
     try:
         height, width = (int(part) for part in text.lower().split("x"))
@@ -134,7 +134,7 @@ def _rollout(engine: Any, initial: Any, controls: Any) -> Any:
     import numpy as np
 
     from orbisim.compare import join
-    from orbisim.progress import track
+    from orbisim.host.progress import track
 
     chunks = np.array_split(np.arange(controls.shape[1]), min(50, controls.shape[1]))
     pieces, state = [], initial

@@ -109,6 +109,7 @@ def dynamics(
         start=start,
         graph=graph,
     )
+    training.check_run(run)
     how: Any = {"baseline": config.model.baseline, "scene": scene, "timestep": control_timestep}
     packs = read_groups(data, **how)
     held = read_groups(held_out_data, **how) if held_out_data else None

@@ -17,6 +17,7 @@ from orbisim.cli.common import (
     seed_option,
     trusted_option,
 )
+from orbisim.errors import InputError
 
 
 @click.command(
@@ -73,7 +74,6 @@ def command(
 ) -> None:
     """Show SCENE in the browser: any backend live, or saved trajectories with a time slider."""
     from orbisim.episodes import episodes
-    from orbisim.errors import InputError
     from orbisim.trajectory import Trajectory
     from orbisim.view import save_html, view_live, view_trajectory
 

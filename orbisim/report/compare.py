@@ -13,11 +13,16 @@ from markupsafe import Markup
 from orbisim import metrics
 from orbisim.compare import Comparison, Side
 from orbisim.errors import OrbiSimError, RenderingUnavailableError
+from orbisim.files.writing import write_text
+from orbisim.registry import make_renderer
 from orbisim.report import figures, video
 from orbisim.report.page import render_page, si
+from orbisim.scene.descriptor import name_of
 
 _SIZE = {"height": 240, "width": 320}
+"""Of a video, pixels: two of them side by side fit a page."""
 _FPS = 30
+"""Frames of the videos for each second of simulated time."""
 _TITLES = {
     "joint_position": "Joint position",
     "joint_velocity": "Joint velocity",
@@ -26,6 +31,7 @@ _TITLES = {
     "object_velocity": "Object velocity",
 }
 _MAX_JOINTS = 6
+"""Charts of the worst episode: the joints that differ most say what there is to see."""
 
 
 def write_report(comparison: Comparison, path: Path, *, video: bool = True) -> Path:
@@ -50,11 +56,12 @@ def write_report(comparison: Comparison, path: Path, *, video: bool = True) -> P
         speed_note=_speed_note(comparison),
         seed=comparison.seed,
         diverged=comparison.diverged,
+        faults=comparison.faults,
         video=film,
         no_video=reason,
         command=_command(comparison),
     )
-    path.write_text(page, encoding="utf-8")
+    write_text(path, page)
     return path
 
 
@@ -150,8 +157,6 @@ def _worst_charts(comparison: Comparison) -> list[Markup]:
 
 
 def _qpos_names(model: mujoco.MjModel) -> list[str]:
-    from orbisim.scene.descriptor import name_of
-
     parts = {
         int(mujoco.mjtJoint.mjJNT_FREE): ("x", "y", "z", "qw", "qx", "qy", "qz"),
         int(mujoco.mjtJoint.mjJNT_BALL): ("qw", "qx", "qy", "qz"),
@@ -184,8 +189,6 @@ def _state_charts(comparison: Comparison) -> list[Markup]:
 
 def _film(comparison: Comparison) -> tuple[str | None, str]:
     """The worst episode side by side as a data URI, or None and why not."""
-    from orbisim.registry import make_renderer
-
     world = comparison.worst_episode
     try:
         renderer = make_renderer("mujoco", comparison.scene)

@@ -20,7 +20,8 @@ from orbisim.diagnosis.scoring import score
 from orbisim.diagnosis.wording import number
 from orbisim.effects import find
 from orbisim.effects.measured import correct
-from orbisim.recording import Recording
+from orbisim.files.writing import write_text
+from orbisim.recording import Recording, bind
 from orbisim.report import held_out, shape
 from orbisim.report.page import render_page
 from orbisim.report.shape import AFTER, BEFORE, LEARNED, MEASURED, Degree
@@ -67,7 +68,7 @@ def write_report(diagnosis: Diagnosis, path: Path) -> Path:
         number=number,
         interval=_interval,
     )
-    path.write_text(page, encoding="utf-8")
+    write_text(path, page)
     return path
 
 
@@ -231,7 +232,7 @@ def _held(diagnosis: Diagnosis, shown: Sequence[Degree]) -> dict[str, list[Marku
     sides = _sides(diagnosis)
     episodes = []
     for i, recording in enumerate(list(diagnosis.held_out)[:_MOST_EPISODES]):
-        bound = recording.bind(diagnosis.scene)
+        bound = bind(recording, diagnosis.scene)
         for degree in [d for d in shown if d.q is not None][:2]:
             episodes.append(held_out.episode(bound, i, sides, degree))
     unit = diagnosis.error["unit"]

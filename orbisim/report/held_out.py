@@ -127,3 +127,4 @@ def per_window(sides: Sequence[Side], unit: str) -> Markup:
 
 
 _BINS = 25
+"""Points of a curve over the window: smooth to the eye, and each still the mean of many samples."""

@@ -8,7 +8,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from orbisim import __version__
+from orbisim.version import VERSION
 
 _NONE = "\N{EN DASH}"
 
@@ -25,7 +25,7 @@ def render_page(template: str, **context: Any) -> str:
     environment.filters["si"] = si
     environment.filters["number"] = number
     now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
-    return environment.get_template(template).render(version=__version__, made=now, **context)
+    return environment.get_template(template).render(version=VERSION, made=now, **context)
 
 
 def number(value: float | None, digits: int = 3) -> str:

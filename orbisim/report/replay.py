@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
+from orbisim.files.writing import write_text
 from orbisim.replay import Replay, Window
 from orbisim.report import figures
 from orbisim.report.page import render_page, si
@@ -19,10 +20,15 @@ from orbisim.report.page import render_page, si
 Floats = npt.NDArray[np.float64]
 
 _BINS = 120
+"""Points of a curve over the window at most; each holds ten samples or more."""
 _MAX_CHARTS = 12
+"""Signals with a chart of their own, the worst first: a page that one reads to the end."""
 _MAX_OVERLAYS = 6
+"""Signals shown beside the recording for each of the chosen windows."""
 _MAX_POINTS = 1500
+"""Points of a curve: more than a chart has pixels for."""
 _MAX_PARTS = 4
+"""Components of a vector in one chart: a quaternion has four."""
 
 
 def write_report(result: Replay, path: Path) -> Path:
@@ -39,7 +45,7 @@ def write_report(result: Replay, path: Path) -> Path:
         window_chart=_window_chart(result) if len(result.windows) > 1 else None,
         command=_command(result),
     )
-    path.write_text(page, encoding="utf-8")
+    write_text(path, page)
     return path
 
 

@@ -13,16 +13,20 @@ from markupsafe import Markup
 from orbisim.diagnosis.force import ForceResidual
 from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.sensing import SensorFinding
-from orbisim.effects.measured import AXES
+from orbisim.effects.base import AXES
 from orbisim.recording.joints import Joint, Kind, joints
 from orbisim.report import figures
 
 Floats = npt.NDArray[np.float64]
 
 _BINS = 16
+"""Cells along a quantity: what a smooth dependence needs, with enough samples in each."""
 _FEWEST = 8
+"""Samples of a cell; the mean of fewer is noise."""
 _MOST_POINTS = 1500
+"""Points of a chart: more than it has pixels for."""
 _WORTH_SHOWING = 0.02
+"""Share of the variance that a quantity must explain to be listed."""
 BEFORE, AFTER, MEASURED, LEARNED = figures.B, figures.A, figures.C, "#2b8a3e"
 
 

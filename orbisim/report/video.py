@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,8 @@ import imageio.v3 as iio
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.files.temporary import temporary_folder
+from orbisim.files.writing import output_errors, writing
 from orbisim.renderer import Renderer
 from orbisim.state import State
 
@@ -19,7 +20,17 @@ Frames = npt.NDArray[np.uint8]
 
 
 def write_video(path: str | Path, frames: Sequence[Frames], fps: float) -> None:
-    """Writes H.264 frames [height, width, 3] (even sizes) to an MP4 file."""
+    """Writes H.264 frames [height, width, 3] (even sizes) to an MP4 file.
+
+    Raises:
+      InputError: no file can be written there.
+      OutputError: the disk is full, or ffmpeg failed.
+    """
+    with writing(path) as part:
+        _encode(part, frames, fps)
+
+
+def _encode(path: Path, frames: Sequence[Frames], fps: float) -> None:
     iio.imwrite(
         path,
         np.stack(frames),
@@ -34,9 +45,9 @@ def write_video(path: str | Path, frames: Sequence[Frames], fps: float) -> None:
 
 def data_uri(frames: Sequence[Frames], fps: float) -> str:
     """The frames as a video inside a URI, for a page that needs no other file."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "video.mp4"
-        write_video(path, frames, fps)
+    with temporary_folder() as folder, output_errors(folder / "video.mp4"):
+        path = folder / "video.mp4"
+        _encode(path, frames, fps)
         encoded = base64.b64encode(path.read_bytes()).decode()
     return f"data:video/mp4;base64,{encoded}"
 

@@ -13,10 +13,10 @@ Names are imported when they are first used; they need the extra `view`.
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING, Any
 
 from orbisim.errors import MissingDependencyError
+from orbisim.host.lazy import lazy
 
 if TYPE_CHECKING:
     from orbisim.view.live import view_live as view_live
@@ -41,18 +41,13 @@ _NEEDED = ("meshcat", "umsgpack", "tornado", "PIL")
 __all__ = list(_HOMES)
 
 
+_find, __dir__ = lazy(__name__, _HOMES)
+
+
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'orbisim.view' has no attribute {name!r}")
     try:
-        value = getattr(importlib.import_module(_HOMES[name]), name)
+        return _find(name)
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in _NEEDED:
             raise
         raise MissingDependencyError("the viewer", "view", str(error)) from error
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])

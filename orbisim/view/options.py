@@ -30,6 +30,7 @@ THEMES = {
 }
 
 _NGROUP = 6
+"""MuJoCo's `mjNGROUP`."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from orbisim.errors import InputError
+from orbisim.files.writing import write_text
 from orbisim.scene import Scene
 from orbisim.trajectory import Trajectory
 from orbisim.view.animation import Frames, animate, frames_of
@@ -97,12 +98,8 @@ def save_html(
       InputError: the file cannot be written, or see `trajectory_html`.
     """
     text = trajectory_html(scene, trajectory, **choices)
-    target = Path(path)
-    try:
-        target.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
-    return target
+    write_text(path, text)
+    return Path(path)
 
 
 def view_trajectory(

@@ -25,9 +25,11 @@ import tornado.websocket
 from orbisim.errors import InputError
 
 DEFAULT_PORT = 7000
+"""As meshcat's."""
 LOCAL = "127.0.0.1"
 
 _LAST_PORT = 65535
+"""TCP ports have 16 bits."""
 _FAREWELL = 1.0
 """How long pages may take to close their connections, s."""
 

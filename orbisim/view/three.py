@@ -32,6 +32,7 @@ FRONT, DOUBLE = 0, 2
 """Which faces of a material are drawn."""
 
 REPEAT = 1000
+"""`THREE.RepeatWrapping`."""
 _NAMESPACE = uuid.UUID("7a0f3c0e-3c5e-5f0b-9a52-0c4f6d2e9b11")
 
 

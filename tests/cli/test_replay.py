@@ -10,6 +10,7 @@ import pytest
 
 from orbisim import Recording, load_scene
 from orbisim.cli.main import run
+from orbisim.recording import capture
 
 from ..recording.scenes import EVERYTHING, PENDULUM, simulate
 
@@ -22,9 +23,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (path / "pendulum.xml").write_text(PENDULUM)
     scene = load_scene(EVERYTHING)
     rubbing = load_scene(EVERYTHING.replace('damping=".05"', 'damping=".05" frictionloss=".2"'))
-    Recording.from_trajectory(scene, simulate(scene, 500)).save(path / "a.npz")
-    Recording.from_trajectory(scene, simulate(scene, 400), rate=100).save(path / "b.csv")
-    noisy = Recording.from_trajectory(rubbing, simulate(rubbing, 500), noise=1e-3)
+    capture(scene, simulate(scene, 500)).save(path / "a.npz")
+    capture(scene, simulate(scene, 400), rate=100).save(path / "b.csv")
+    noisy = capture(rubbing, simulate(rubbing, 500), noise=1e-3)
     noisy.save(path / "c.parquet")
     return path
 

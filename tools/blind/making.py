@@ -23,6 +23,7 @@ from orbisim import Recording, Scene, load_scene, make_backend, replay
 from orbisim.diagnosis.scoring import score
 from orbisim.effects import EffectInstance, add_effects, find
 from orbisim.errors import OrbiSimError
+from orbisim.recording import bind
 from orbisim.testing import inject_effect
 
 WINDOW = 0.5
@@ -150,7 +151,7 @@ def _tells(wish: Wish, motion: Motion, what: EffectInstance | Outside, noise: fl
 
 def _alive(motion: Motion, clean: Iterable[Recording]) -> bool:
     """Whether all that moved still moves, and stays within reach."""
-    bound = [one.bind(motion.scene) for one in clean]
+    bound = [bind(one, motion.scene) for one in clean]
     qvel = np.concatenate([one.qvel for one in bound])
     qpos = np.concatenate([one.qpos for one in bound])
     before, now = np.std(motion.qvel, axis=0), np.std(qvel, axis=0)

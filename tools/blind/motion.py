@@ -12,6 +12,7 @@ from blind.scenes import Rig
 from orbisim import Recording, Scene
 from orbisim.effects import find
 from orbisim.effects.base import index_of
+from orbisim.recording import bind
 from orbisim.testing.excitation import is_servo
 
 Floats = npt.NDArray[np.float64]
@@ -70,7 +71,7 @@ class Motion:
 def observe(rig: Rig, scene: Scene, recordings: list[Recording]) -> Motion:
     """The motion of clean recordings."""
     model = scene.model
-    bound = [one.bind(scene) for one in recordings]
+    bound = [bind(one, scene) for one in recordings]
     data = mujoco.MjData(model)
     qacc, torque, force = [], [], []
     for one in bound:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from blind.motion import Motion, inertia_of, rms, torque_of
-from orbisim.effects import Hook, Moment
+from orbisim.effects import Hook, StepInputs
 from orbisim.effects.base import index_of
 
 Floats = npt.NDArray[np.float64]
@@ -35,9 +35,9 @@ class JointHook(Hook, abc.ABC):
         self._q = int(model.jnt_qposadr[number])
         self._step = float(model.opt.timestep)
 
-    def force(self, moment: Moment) -> None:
-        moment.qfrc[:, self._dof] += self.law(
-            np.array(moment.qpos[:, self._q]), np.array(moment.qvel[:, self._dof]), moment.time
+    def force(self, inputs: StepInputs) -> None:
+        inputs.qfrc[:, self._dof] += self.law(
+            np.array(inputs.qpos[:, self._q]), np.array(inputs.qvel[:, self._dof]), inputs.time
         )
 
     @abc.abstractmethod
@@ -127,26 +127,26 @@ class ControlHook(Hook, abc.ABC):
         at_joint = model.actuator_trntype[number] == int(mujoco.mjtTrn.mjTRN_JOINT)
         self._q = int(model.jnt_qposadr[joint]) if at_joint else -1
 
-    def control(self, moment: Moment) -> None:
-        moment.ctrl[:, self._control] *= self.gain(moment)
+    def control(self, inputs: StepInputs) -> None:
+        inputs.ctrl[:, self._control] *= self.gain(inputs)
 
     @abc.abstractmethod
-    def gain(self, moment: Moment) -> Floats:
+    def gain(self, inputs: StepInputs) -> Floats:
         """The factor [nworld]."""
 
 
 class PlaceGain(ControlHook):
     """The gain of the actuator changes with its position: 1 + a sin(n q)."""
 
-    def gain(self, moment: Moment) -> Floats:
-        return 1 + self.value("depth") * np.sin(self.value("periods") * moment.qpos[:, self._q])
+    def gain(self, inputs: StepInputs) -> Floats:
+        return 1 + self.value("depth") * np.sin(self.value("periods") * inputs.qpos[:, self._q])
 
 
 class DriftingGain(ControlHook):
     """The gain falls slowly, as a motor or battery warms or empties: 1 - a (1 - exp(-t / T))."""
 
-    def gain(self, moment: Moment) -> Floats:
-        return 1 - self.value("depth") * (1 - np.exp(-moment.time / self.value("time")))
+    def gain(self, inputs: StepInputs) -> Floats:
+        return 1 - self.value("depth") * (1 - np.exp(-inputs.time / self.value("time")))
 
 
 class Gusts(Hook):
@@ -161,14 +161,14 @@ class Gusts(Hook):
         self._rng = np.random.default_rng(int(values["seed"]))
         self._now: Floats | None = None
 
-    def force(self, moment: Moment) -> None:
-        shape = (len(moment.time), 2)
+    def force(self, inputs: StepInputs) -> None:
+        shape = (len(inputs.time), 2)
         size, keep = self.value("size"), np.exp(-self._step / self.value("correlation"))
         if self._now is None:
             self._now = size * self._rng.standard_normal(shape)
         kick = size * np.sqrt(1 - keep**2) * self._rng.standard_normal(shape)
         self._now = keep * self._now + kick
-        moment.xfrc[:, self._body, :2] += self._now
+        inputs.xfrc[:, self._body, :2] += self._now
 
 
 class Vortex(Hook):
@@ -181,11 +181,11 @@ class Vortex(Hook):
         self._body = index_of(model, "body", body)
         self._q = int(model.jnt_qposadr[model.body_jntadr[self._body]])
 
-    def force(self, moment: Moment) -> None:
-        x, y = moment.qpos[:, self._q], moment.qpos[:, self._q + 1]
+    def force(self, inputs: StepInputs) -> None:
+        x, y = inputs.qpos[:, self._q], inputs.qpos[:, self._q + 1]
         strength = self.value("size")
-        moment.xfrc[:, self._body, 0] -= strength * np.sin(self.value("waves") * y)
-        moment.xfrc[:, self._body, 1] += strength * np.sin(self.value("waves") * x)
+        inputs.xfrc[:, self._body, 0] -= strength * np.sin(self.value("waves") * y)
+        inputs.xfrc[:, self._body, 1] += strength * np.sin(self.value("waves") * x)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -20,10 +20,11 @@ from mujoco import sysid
 from mujoco.sysid._src import optimize, parameter, residual, timeseries, trajectory
 
 from orbisim import Recording, Scene, load_scene, replay
-from orbisim.recording.held import Held
+from orbisim.recording import bind
 from orbisim.recording.initial import starts
 from orbisim.recording.joints import joints
 from orbisim.recording.windows import cut
+from orbisim.recording.zero_order_hold import Held
 
 Floats = npt.NDArray[np.float64]
 
@@ -147,7 +148,7 @@ def _sequences(scene: Scene, recordings: Sequence[Recording]) -> trajectory.Mode
     measured: list[Any] = []
     q_map, v_map, _, c_map = timeseries.TimeSeries.compute_all_state_mappings(model)
     for number, recording in enumerate(recordings):
-        bound = recording.bind(scene)
+        bound = bind(recording, scene)
         begin = starts(bound, "recorded")
         for window in cut(bound.time, WINDOW, begin.usable):
             rows = slice(window.start, window.stop)

@@ -1,0 +1,3 @@
+"""The version of OrbiSim."""
+
+VERSION = "0.1.0"

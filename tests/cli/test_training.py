@@ -1,0 +1,133 @@
+"""`orbisim train dynamics` and `orbisim eval dynamics`, from collected episodes to a backend."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orbisim import load_scene, make_backend
+from orbisim.cli.main import run
+from orbisim.tasks.collect import collect
+
+ROOT = Path(__file__).parents[2]
+TOY = ["--set", "model.width=32", "--set", "model.layers=1", "--device", "cpu"]
+
+
+@pytest.fixture(scope="module")
+def episodes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("data") / "pendulum.h5"
+    collect("suite:pendulum-swingup", path, episodes=10, workers=1, changes={"steps": 60})
+    return path
+
+
+@pytest.fixture(scope="module")
+def checkpoint(episodes: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("checkpoint")
+    stages = ["--set", "train.stages=0.7x1x256,0.3x4x32ar", "--set", "train.rate=3e-3"]
+    arguments = ["train", "dynamics", str(episodes), "--out", str(out), "--steps", "120"]
+    assert run([*arguments, *stages, *TOY]) == 0
+    return out
+
+
+def test_a_training_leaves_a_checkpoint_card_and_curves(checkpoint: Path) -> None:
+    names = {path.name for path in checkpoint.iterdir()}
+    assert {"model.safetensors", "manifest.json", "card.md", "curves.png", "metrics.jsonl"} <= names
+    manifest = json.loads((checkpoint / "manifest.json").read_text())
+    assert manifest["control_timestep"] == pytest.approx(0.02)
+    assert manifest["data"]["sources"][0]["task"] == "suite:pendulum-swingup"
+    card = (checkpoint / "card.md").read_text()
+    assert "suite:pendulum-swingup" in card
+    assert "held-out episodes" in card
+    assert not list(checkpoint.glob("*.p*kl")) and not list(checkpoint.glob("*.pt"))
+
+
+def test_an_evaluation_names_errors_by_horizon(
+    checkpoint: Path, episodes: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = [
+        "eval",
+        "dynamics",
+        str(checkpoint),
+        str(episodes),
+        "--horizon",
+        "10",
+        "--burn",
+        "0",
+    ]
+    assert run([*arguments, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["schema"] == "orbisim.eval/1"
+    models = result["groups"]["all"]
+    ours = models["default"]["10"]["normalised"]["median"]
+    assert ours < 0.5 * models["constant_velocity"]["10"]["normalised"]["median"]
+    assert run([*arguments, "--by-group"]) == 0
+    assert "smooth: median over episodes" in capsys.readouterr().out
+
+
+def test_the_trained_checkpoint_is_a_backend(checkpoint: Path) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        scene = load_scene("suite:pendulum-swingup")
+        backend = make_backend(f"learned:{checkpoint}", scene, device="cpu", native=False)
+        classical = make_backend("mujoco", scene)
+        start = classical.reset(1)
+        controls = np.zeros((5, 1))
+        ours = backend.rollout(start, controls).qpos
+        theirs = classical.rollout(start, controls, nstep=1).qpos
+    assert backend.timestep == pytest.approx(0.02)
+    assert np.abs(ours - theirs).max() < 0.2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--config", "defualt"], "did you mean 'default'"),
+        (["--set", "model.widht=3"], "did you mean 'model.width'"),
+        (["--set", "model.width=wide"], "model.width is 'wide'"),
+        (["--set", "width"], "expected NAME=VALUE"),
+        (["--residual-on", "mujoco"], "--config hybrid"),
+    ],
+)
+def test_wrong_settings_are_explained(
+    arguments: list[str],
+    words: str,
+    episodes: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    base = ["train", "dynamics", str(episodes), "--out", str(tmp_path), "--steps", "1"]
+    assert run([*base, *arguments]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_a_budget_is_needed(
+    episodes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["train", "dynamics", str(episodes), "--out", str(tmp_path)]) == 2
+    assert "budget" in capsys.readouterr().err
+
+
+def test_train_all_and_the_measurements_run_at_toy_size(episodes: Path, tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    data.mkdir()
+    for name in ("suite_pendulum_train", "suite_pendulum_test"):
+        (data / f"{name}.h5").symlink_to(episodes)
+    sizes = ["--set", "train.stages=1x1x8", "--set", "model.width=16", "--set", "model.heads=2"]
+    options = ["--data", data, "--out", tmp_path / "out", "--work", tmp_path / "work"]
+    budget = ["--time-limit", "60", "--steps", "2", "--device", "cpu", "--only", "pendulum"]
+    for script, arguments in (
+        ("train_all.py", [*options, *budget, *sizes]),
+        ("eval_dynamics.py", ["--zoo", tmp_path / "work", "--data", data, "--only", "errors"]),
+    ):
+        command = [sys.executable, ROOT / "tools" / script, *arguments]
+        done = subprocess.run(list(map(str, command)), capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr[-2000:]
+    assert (tmp_path / "out" / "checkpoints-0.tar").stat().st_size < 15e6
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["pendulum"]["metrics"]["model"]

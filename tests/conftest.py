@@ -1,0 +1,26 @@
+"""What all tests share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.disks import FULL_DISK, mounted
+
+pytest_plugins = ("tests.processor_times",)
+
+
+@pytest.fixture
+def full_disk() -> Iterator[Path]:
+    """A disk with hardly any room."""
+    with mounted(f"size={FULL_DISK}") as folder:
+        yield folder
+
+
+@pytest.fixture
+def read_only_disk() -> Iterator[Path]:
+    """A disk that cannot be written to."""
+    with mounted(f"size={FULL_DISK},ro") as folder:
+        yield folder
