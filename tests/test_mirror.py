@@ -1,0 +1,141 @@
+"""Every module has a test of its name, or a reason and the test that reaches it.
+
+`orbisim/a/b.py` is tested by `tests/a/test_b.py`, `backends/orbisim_x/y.py` by
+`tests/backends/x/test_y.py`, what a package itself defines by `tests/a/test_init.py`.
+"""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path, PurePosixPath
+
+import pytest
+
+from tests.test_layers import CORE, MODULES, REPOSITORY
+
+TESTS = REPOSITORY / "tests"
+
+SEEN_THROUGH = {
+    "orbisim.version": ("cli/test_main.py", "one constant, shown by `orbisim --version`"),
+    "orbisim.backend": ("conformance", "an interface: what is promised is what conformance checks"),
+    "orbisim.cli": ("cli", "a command is called as a user calls it"),
+    "orbisim.diagnosis": ("diagnosis", "stages are seen in the verdict that they lead to"),
+    "orbisim.effects": ("effects", "an effect is seen in the simulation that it changes"),
+    "orbisim.freerun.jobs": ("freerun", "a value that is handed to a worker"),
+    "orbisim.host.children": ("files/test_locking.py", "processes that end with their parent"),
+    "orbisim.recording": ("recording", "stages of binding are seen in the bound recording"),
+    "orbisim.report": ("cli", "a page is written by the command that shows it"),
+    "orbisim.scene": ("scene", "a reader is called with a document"),
+    "orbisim.tasks": ("tasks", "a task is seen in its episodes"),
+    "orbisim.testing": ("conformance", "tests for others are held by our own plug-ins"),
+    "orbisim.view": ("view", "a page is seen in the browser"),
+    "orbisim_mujoco.renderer": ("conformance/test_renderers.py", "images against each other"),
+    "orbisim_warp.kernels": ("backends/warp/test_backend.py", "run on Warp's arrays only"),
+    "orbisim_world_model": ("backends/world_model", "parts are seen in the model's step"),
+}
+"""Modules and packages without a test of their name: what reaches them (below tests/), and why."""
+
+CROSS_CUTTING = {
+    "conformance": "what every plug-in keeps to",
+    "docs": "what the documents say",
+    "tools": "what lies in tools/",
+    "diagnosis": "findings, each with the recordings that lead to it",
+    "recording": "what recordings may hold",
+    "view": "pages as a whole",
+    "backends/world_model/test_conformance.py": "what every backend keeps to",
+    "backends/world_model/test_equations.py": "docs/equations.md",
+    "backends/world_model/test_many_objects.py": "episodes of different shapes, to the end",
+    "backends/world_model/test_model.py": "symmetries of the whole model",
+    "backends/world_model/test_speedups.py": "fast steps against the plain one",
+    "backends/world_model/test_training.py": "a training from its start to its end",
+    "cli/test_training.py": "a training from its start to its end, by commands",
+    "effects/test_full_inertia.py": "effects and factors on a body declared by a matrix",
+    "effects/test_laws.py": "every effect of the catalogue against its formula",
+    "effects/test_neutral.py": "every effect of the catalogue without effect",
+    "effects/test_stribeck.py": "one effect's values there and back",
+    "effects/test_units.py": "units of every effect",
+    "scene/test_fuzz.py": "damaged scenes of all formats",
+    "scene/test_hostile.py": "hostile scenes of all formats",
+    "scene/test_passed.py": "what was checked once, from the outside",
+    "scene/urdf": "documents and the scenes that they give",
+    "scene/usd": "documents and the scenes that they give",
+    "tasks/test_episode_data.py": "every task's episodes",
+    "tasks/test_policies.py": "every task's policy",
+    "tasks/test_scenes.py": "every task as a scene",
+    "test_layers.py": "imports of every module",
+    "test_measured.py": "scenes against measured data",
+    "test_mirror.py": "names of every test",
+}
+"""Tests (or folders of them) that are named after something else than a module, and what."""
+
+
+def defines(module: str) -> bool:
+    """Whether a module has more in it than names of others."""
+    kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
+    return any(isinstance(node, kinds) for node in ast.parse(MODULES[module].read_text()).body)
+
+
+def test_of(module: str) -> str:
+    """The test of a module's name, below tests/."""
+    path = MODULES[module]
+    if path.is_relative_to(CORE):
+        rest = PurePosixPath(path.relative_to(CORE))
+    else:
+        package, *parts = path.relative_to(REPOSITORY / "backends").parts
+        rest = PurePosixPath("backends", package.removeprefix("orbisim_"), *parts)
+    return str(rest.parent / f"test_{rest.stem.strip('_')}.py")
+
+
+test_of.__test__ = False  # type: ignore[attr-defined]
+TEST_OF = {
+    module: test_of(module)
+    for module, path in MODULES.items()
+    if path.name != "__init__.py" or defines(module)
+}
+WITHOUT = sorted(module for module, test in TEST_OF.items() if not (TESTS / test).is_file())
+
+
+def within(name: str, package: str, separator: str = ".") -> bool:
+    """Whether something is a package (folder) or in it."""
+    return name == package or name.startswith(package + separator)
+
+
+def test_modules_have_their_test_or_a_reason() -> None:
+    wrong = [m for m in WITHOUT if not any(within(m, entry) for entry in SEEN_THROUGH)]
+    assert not wrong, f"write {[TEST_OF[m] for m in wrong]}, or give a reason in SEEN_THROUGH"
+
+
+@pytest.mark.parametrize("entry", SEEN_THROUGH)
+def test_reasons_are_needed_and_name_a_test(entry: str) -> None:
+    assert any(within(m, entry) for m in WITHOUT), f"take {entry} out of SEEN_THROUGH"
+    found = TESTS / SEEN_THROUGH[entry][0]
+    assert found.is_file() or list(found.rglob("test_*.py")), f"there is no {found}"
+
+
+def _tests() -> list[str]:
+    return [path.relative_to(TESTS).as_posix() for path in sorted(TESTS.rglob("test_*.py"))]
+
+
+def test_tests_are_named_after_modules() -> None:
+    known = set(TEST_OF.values())
+    odd = [t for t in _tests() if t not in known]
+    wrong = [t for t in odd if not any(within(t, entry, "/") for entry in CROSS_CUTTING)]
+    assert not wrong, "rename them, or give a reason in CROSS_CUTTING"
+
+
+@pytest.mark.parametrize("entry", CROSS_CUTTING)
+def test_cross_cutting_tests_exist(entry: str) -> None:
+    odd = set(_tests()) - set(TEST_OF.values())
+    assert any(within(t, entry, "/") for t in odd), f"take {entry} out of CROSS_CUTTING"
+
+
+def test_names() -> None:
+    assert TEST_OF["orbisim.scene.urdf.joints"] == "scene/urdf/test_joints.py"
+    assert (
+        TEST_OF["orbisim_world_model.network.adaln"] == "backends/world_model/network/test_adaln.py"
+    )
+    assert TEST_OF["orbisim.scene.usd"] == "scene/usd/test_init.py"
+    assert "orbisim.physics" not in TEST_OF
+    assert within("a.b", "a")
+    assert not within("ab", "a")
+    assert Path(TESTS / TEST_OF["orbisim.errors"]).is_file()
