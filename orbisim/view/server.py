@@ -28,6 +28,8 @@ DEFAULT_PORT = 7000
 """As meshcat's."""
 LOCAL = "127.0.0.1"
 
+_HTTP = 80
+"""The port that browsers leave out."""
 _LAST_PORT = 65535
 """TCP ports have 16 bits."""
 _FAREWELL = 1.0
@@ -53,7 +55,9 @@ class Server:
 
     def __init__(self, html: str, *, port: int | None = None) -> None:
         self._sockets = _bind(port)
-        self.url = f"http://{LOCAL}:{self._sockets[0].getsockname()[1]}/"
+        number = self._sockets[0].getsockname()[1]
+        self.url = f"http://{LOCAL}:{number}/"
+        self._names = _names_of(number)
         self.requests: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._html = html.encode()
         self._clients: set[_Stream] = set()
@@ -98,6 +102,22 @@ class Server:
         self._loop.run_until_complete(self._serve())
         self._loop.close()
 
+    def refuses(self, handler: tornado.web.RequestHandler) -> bool:
+        """Answers 403 to whom this server was not opened as; returns whether it did.
+
+        A page elsewhere may let its own name point to this machine (DNS rebinding). The browser
+        then takes it for a page of this server, but says in `Host` what it was called, and in
+        `Origin` whose page asks.
+        """
+        host, origin = handler.request.host.lower(), handler.request.headers.get("Origin")
+        ours = host in self._names
+        if origin is not None:
+            ours &= origin.lower() in {f"http://{name}" for name in self._names}
+        if not ours:
+            handler.set_status(403)
+            handler.finish(f"this page is at {self.url} only\n")
+        return not ours
+
     async def _serve(self) -> None:
         application = tornado.web.Application(
             [("/", _Page, {"server": self}), ("/stream", _Stream, {"server": self})],
@@ -134,6 +154,9 @@ class _Page(tornado.web.RequestHandler):
     def initialize(self, server: Any) -> None:
         self._server = server
 
+    def prepare(self) -> None:
+        self._server.refuses(self)
+
     def get(self) -> None:
         self.set_header("Cache-Control", "no-store")
         self.set_header("Content-Type", "text/html; charset=utf-8")
@@ -152,6 +175,9 @@ class _Stream(tornado.websocket.WebSocketHandler):
     def initialize(self, server: Any) -> None:
         self._server = server
         self._shown = b""
+
+    def prepare(self) -> None:
+        self._server.refuses(self)
 
     async def open(self, *args: str, **kwargs: str) -> None:
         self._server._clients.add(self)
@@ -191,6 +217,13 @@ def _bind(port: int | None) -> list[Any]:
         taken = error.errno == errno.EADDRINUSE
         why = "is taken by another program" if taken else f"cannot be used ({error})"
         raise InputError(f"port {port} {why}; choose another, or none for any free one") from None
+
+
+def _names_of(port: int) -> frozenset[str]:
+    """What a browser on this machine, or one whose port is forwarded here, calls the server."""
+    hosts = {"localhost", LOCAL, "[::1]"}
+    names = {f"{host}:{port}" for host in hosts}
+    return frozenset(names | hosts if port == _HTTP else names)
 
 
 def print_url(url: str) -> None:

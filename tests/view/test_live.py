@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import http.client
 import queue
 import socket
 import threading
@@ -307,6 +308,45 @@ def test_only_pages_of_this_server_may_connect() -> None:
         with pytest.raises(tornado.httpclient.HTTPClientError, match="403"):
             asyncio.run(connect(server.url.replace("http", "ws") + "stream"))
         assert server.requests.empty()
+
+
+@pytest.mark.parametrize("place", ["", "stream"])
+@pytest.mark.parametrize(
+    ("host", "origin", "status"),
+    [
+        ("127.0.0.1:{port}", None, 200),
+        ("LOCALHOST:{port}", "http://localhost:{port}", 200),
+        ("[::1]:{port}", "http://[::1]:{port}", 200),
+        ("rebound.test:{port}", None, 403),
+        ("rebound.test:{port}", "http://rebound.test:{port}", 403),
+        ("localhost.rebound.test:{port}", None, 403),
+        ("127.0.0.1", None, 403),
+        ("", None, 403),
+        ("127.0.0.1:{port}", "http://rebound.test:{port}", 403),
+        ("127.0.0.1:{port}", "null", 403),
+    ],
+)
+def test_names_that_point_here_are_no_way_in(
+    place: str, host: str, origin: str | None, status: int
+) -> None:
+    """A page elsewhere may let its name point to this machine: DNS rebinding."""
+    upgrade = {
+        "Connection": "Upgrade",
+        "Upgrade": "websocket",
+        "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+    }
+    with Server("page") as server:
+        port = int(server.url.rstrip("/").rpartition(":")[2])
+        headers = {"Host": host.format(port=port), **(upgrade if place else {})}
+        if origin is not None:
+            headers["Origin"] = origin.format(port=port)
+        connection = http.client.HTTPConnection("127.0.0.1", port)
+        connection.request("GET", f"/{place}", headers=headers)
+        expected = 101 if place and status == 200 else status
+        assert connection.getresponse().status == expected
+        connection.close()
+    assert server.requests.empty()
 
 
 def test_slow_pages_miss_frames_but_no_notices() -> None:
