@@ -5,8 +5,10 @@ from __future__ import annotations
 import abc
 import dataclasses
 import enum
-from collections.abc import Iterable
-from typing import Any, ClassVar
+import functools
+import threading
+from collections.abc import Callable, Iterable
+from typing import Any, ClassVar, TypeVar
 
 import mujoco
 import numpy as np
@@ -24,6 +26,8 @@ from orbisim.scene import Scene
 from orbisim.state import Array, State
 from orbisim.tangent import perturbed, tangent_difference
 from orbisim.trajectory import Trajectory
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 
 class Capability(enum.Enum):
@@ -56,8 +60,27 @@ class Linearization:
     B: Array
 
 
+def one_at_a_time(method: F) -> F:
+    """Lets threads that call methods of one backend take turns."""
+
+    @functools.wraps(method)
+    def in_turn(self: Backend, *args: Any, **kwargs: Any) -> Any:
+        with self._turn:
+            return method(self, *args, **kwargs)
+
+    return in_turn  # type: ignore[return-value]
+
+
+_IN_TURN = ("load", "reset", "step", "rollout", "linearize", "close")
+"""Methods that may use what a backend keeps for speed: buffers, graphs, a batch of MjData."""
+
+
 class Backend(abc.ABC):
     """Advances states of one scene; holds no state of its own between calls.
+
+    One object may be used from several threads: its methods take turns, those of subclasses, too
+    (a method that is not of this class needs `one_at_a_time`). Threads that are to run at the same
+    time need a backend each.
 
     Subclasses implement `load`, `reset` and `step`; `rollout` and `linearize` have defaults that a
     subclass may replace by something faster. See backends/README.md for a complete example and
@@ -85,6 +108,12 @@ class Backend(abc.ABC):
         self.nworld = whole_number("nworld", nworld, 1)
         self.device = device
         self._report: frozenset[str] = frozenset()
+        self._turn = threading.RLock()
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        for name in vars(cls).keys() & set(_IN_TURN):
+            setattr(cls, name, one_at_a_time(vars(cls)[name]))
 
     @property
     def report(self) -> frozenset[str]:
@@ -133,6 +162,7 @@ class Backend(abc.ABC):
         """Prepares to simulate `scene`.
 
         Raises:
+          InputError: it is no scene.
           UnsupportedSceneError: the scene has something that this backend cannot simulate.
         """
 
@@ -268,6 +298,14 @@ class Backend(abc.ABC):
         slopes = tangent_difference(model, after[1], after[0]) / (2 * eps)
         jacobian = slopes.reshape(nworld, count, ndx).transpose(0, 2, 1)
         return Linearization(A=jacobian[:, :, :ndx], B=jacobian[:, :, ndx:])
+
+    def check_scene(self, scene: Scene) -> None:
+        """Raises `InputError` if what `load` is given is no scene."""
+        if not isinstance(scene, Scene):
+            raise InputError(
+                f"backend {self.name!r} loads a Scene; got {type(scene).__name__} "
+                "(load_scene makes one of a file, a text or an MjModel)"
+            )
 
     def check_reset(self, nworld: int | None, seed: int | None = None) -> int:
         """The number of worlds that `reset` is asked for.

@@ -23,6 +23,7 @@ from orbisim.trajectory import Trajectory
 _PHYSICAL = ("time", "qpos", "qvel", "act")
 _TIME = int(mujoco.mjtState.mjSTATE_TIME)
 _DIVERGED = [
+    int(mujoco.mjtWarning.mjWARN_INERTIA),  # the step used another matrix than the scene's
     int(mujoco.mjtWarning.mjWARN_BADQPOS),
     int(mujoco.mjtWarning.mjWARN_BADQVEL),
     int(mujoco.mjtWarning.mjWARN_BADQACC),
@@ -75,6 +76,7 @@ class MujocoBackend(Backend):
 
     def load(self, scene: Scene) -> None:
         """Prepares to simulate `scene`; every scene that MuJoCo compiles is supported."""
+        self.check_scene(scene)
         self._hooks = hooks_of(scene.model)
         if self._further_hooks is not None:
             self._hooks += self._further_hooks(scene.model)

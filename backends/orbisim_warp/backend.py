@@ -17,7 +17,7 @@ if not os.environ.get("ORBISIM_WARP_VERBOSE"):  # before mujoco_warp starts Warp
 
 import mujoco_warp as mjw
 
-from orbisim.backend import Backend, Capability
+from orbisim.backend import Backend, Capability, one_at_a_time
 from orbisim.effects.carry import hooks_of
 from orbisim.effects.running import CHANGED_FIELDS, HookRunner, changes_fields
 from orbisim.errors import (
@@ -114,8 +114,10 @@ class WarpBackend(Backend):
         """Puts the scene's model on the device.
 
         Raises:
+          InputError: it is no scene.
           UnsupportedSceneError: MuJoCo-Warp does not support something that the scene has.
         """
+        self.check_scene(scene)
         try:
             with self._scope():
                 self._model = mjw.put_model(scene.model)
@@ -158,6 +160,7 @@ class WarpBackend(Backend):
         return self._report
 
     @report.setter
+    @one_at_a_time
     def report(self, names: Iterable[str]) -> None:
         Backend.report.fset(self, names)  # type: ignore[attr-defined]
         self._use_report()
@@ -182,6 +185,7 @@ class WarpBackend(Backend):
         self._until_it_fits(run, state.nworld)
         return self._finish_step(state, nstep)
 
+    @one_at_a_time
     def forward(self, state: State, control: Any = None, *, actuation: bool = True) -> State:
         """The same state with the derived fields of `report` computed at it (`mj_forward`).
 

@@ -95,8 +95,9 @@ class LearnedBackend(Backend):
 
         Raises:
           UnsupportedSceneError: no checkpoint can step this scene.
-          InputError: the checkpoint cannot be read.
+          InputError: it is no scene, or the checkpoint cannot be read.
         """
+        self.check_scene(scene)
         folder, found = self._find(scene)
         now = None if self._engine is None else self._engine.checkpoint
         if now is None or now.path != folder or now.layout != found.layout:

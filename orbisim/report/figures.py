@@ -12,7 +12,9 @@ import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
+from matplotlib.axis import Tick
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 _INK, _FAINT = "#010203", "#040506"  # stand for the page's colours until the SVG is written
 A, B, C = "#2f7de1", "#e8590c", "#868e96"
@@ -57,6 +59,7 @@ def to_svg(drawn: Figure, alt: str) -> Markup:
     Args:
       alt: what the figure shows, for readers who cannot see it.
     """
+    _take_literally(drawn)
     buffer = io.StringIO()
     prefix = f"f{next(_counter)}-"
     with mpl.rc_context({**_STYLE, "svg.hashsalt": prefix}):
@@ -70,6 +73,17 @@ def to_svg(drawn: Figure, alt: str) -> Markup:
     svg = re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', 'width="100%"', svg, count=1)
     label = Markup.escape(alt)
     return Markup(svg.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1))
+
+
+def _take_literally(drawn: Figure) -> None:
+    """Draws titles, labels and legends as they are: a name may hold the `$` of a formula.
+
+    Numbers at ticks stay what matplotlib makes of them: powers of ten are formulas.
+    """
+    ticks = {id(text) for tick in drawn.findobj(Tick) for text in (tick.label1, tick.label2)}
+    for text in drawn.findobj(Text):
+        if id(text) not in ticks:
+            text.set_parse_math(False)
 
 
 def band(

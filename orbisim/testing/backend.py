@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import copy
+import functools
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +28,11 @@ _WORLDS = 3
 """The fewest with one that has neighbours on both sides."""
 _STEPS = 8
 """Long enough to tell steps apart, short enough for backends that compile."""
+
+
+_THREADS = 8
+_CALLS = 2
+"""Of each thread, and of each kind: enough for threads to meet within each other's calls."""
 
 
 class BackendConformance:
@@ -109,6 +118,42 @@ class BackendConformance:
         engine = type(self.make(load_scene(self.scenes[0])))(**self.config)
         with pytest.raises(InputError, match="load"):
             _ = engine.scene
+
+    @pytest.mark.parametrize("scene", [None, "scene.xml", 3])
+    def test_scenes_that_are_none_are_refused(self, engines: list[Backend], scene: Any) -> None:
+        for engine in engines:
+            with pytest.raises(InputError, match="loads a Scene"):
+                engine.load(scene)
+
+    # -- threads -------------------------------------------------------------------------------
+
+    def test_threads_may_share_one_object(self, engines: list[Backend]) -> None:
+        """Eight threads, each with states and world counts of its own: exact in every call."""
+        calls = [self._calls_of_a_thread(engines[0], index) for index in range(_THREADS)]
+        alone = [[call() for call in of_thread] for of_thread in calls]
+        begin = threading.Barrier(_THREADS)
+
+        def run(of_thread: list[Callable[[], State]]) -> list[State]:
+            begin.wait()
+            return [call() for call in of_thread]
+
+        with ThreadPoolExecutor(_THREADS) as pool:
+            together = list(pool.map(run, calls))
+        for expected, found in zip(alone, together, strict=True):
+            for one, other in zip(expected, found, strict=True):
+                self.assert_same(other, one)
+
+    def _calls_of_a_thread(self, engine: Backend, index: int) -> list[Callable[[], State]]:
+        """Steps and rollouts that leave other numbers behind than those of another thread."""
+        nworld = 1 + index // (_THREADS // 2)
+        state = self.moved(engine, nworld)
+        state = state.replace(qvel=state.qvel * (1.0 + 0.2 * index))
+        controls = self.controls(engine, nworld) * (index / _THREADS)
+        calls: list[Callable[[], State]] = []
+        for t in range(_CALLS):
+            calls.append(functools.partial(engine.step, state, controls[:, t], 2))
+            calls.append(lambda t=t: engine.rollout(state, controls[:, t : t + 3]).final)  # type: ignore[misc]
+        return calls
 
     # -- reset ---------------------------------------------------------------------------------
 

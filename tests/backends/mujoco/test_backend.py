@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import mjcf_assets
 from orbisim import load_scene, make_backend
 from orbisim.effects import Hook, StepInputs
+from orbisim.errors import DivergedError
 
 ARM = Path(mjcf_assets.__file__).parent / "arm2" / "scene.xml"
 
@@ -33,3 +35,17 @@ def test_hooks_of_the_configuration_act_at_every_timestep() -> None:
     two = plain.rollout(pushed, controls, nstep=3)
     assert np.array_equal(one.qpos, two.qpos)
     assert not np.allclose(one.qpos, plain.rollout(plain.reset(2), controls, nstep=3).qpos)
+
+
+def test_a_matrix_that_is_not_the_scene_s_is_divergence() -> None:
+    """MuJoCo goes on with a matrix that can be factorized, and only counts a warning."""
+    scene = load_scene(
+        '<mujoco><option integrator="implicitfast" timestep="0.01"/><worldbody><body>'
+        '<joint axis="0 1 0" damping="-1"/><geom size="0.1" mass="1"/></body></worldbody></mujoco>'
+    )
+    backend = make_backend("mujoco", scene, nworld=2)
+    state = backend.reset()
+    state = state.replace(qvel=np.array([[0.0], [0.1]]))
+    with pytest.raises(DivergedError, match="mjWARN_INERTIA"):
+        backend.step(state)
+    assert (backend.rollout(state, np.zeros((3, 0))).diverged_at == 0).all()

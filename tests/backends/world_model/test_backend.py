@@ -18,7 +18,7 @@ from orbisim_world_model.run import Run, train
 from orbisim import Physics, load_scene, make_backend
 from orbisim.errors import InputError, UnsupportedSceneError
 from orbisim.state import State
-from orbisim.testing import scenes
+from orbisim.testing import BackendConformance, scenes
 from tests.backends.world_model.conftest import toy
 from tests.backends.world_model.synthetic import BOX, PENDULUM, TABLE, simulate
 
@@ -195,6 +195,15 @@ def test_a_correction_closes_the_gap(corrected: Path) -> None:
         before = np.abs(declared.rollout(start, controls, nstep=2).qpos - expected).mean()
         after = np.abs(hybrid.rollout(start, controls).qpos - expected).mean()
     assert after < 0.3 * before
+
+
+@pytest.mark.filterwarnings("ignore::orbisim_world_model.backend.OutsideTrainingWarning")
+def test_threads_may_share_a_corrected_engine(corrected: Path) -> None:
+    suite = BackendConformance()
+    suite.tolerance = 2e-5  # float32
+    suite.test_threads_may_share_one_object(
+        [make_backend(f"hybrid:{corrected}", load_scene(PENDULUM))]
+    )
 
 
 def test_each_backend_refuses_the_others_checkpoint(corrected: Path, table: Path) -> None:
