@@ -1,22 +1,30 @@
-# make demo   install, compare two backends on two scenes, write a report
-# make test   install, run the tests
-# make lint   ruff and mypy
-# make bench  benchmarks (minutes; results in docs/benchmarks.md)
+# make demo      install, compare two backends on two scenes, write a report
+# make test      install, run the tests but the slow ones
+# make test-all  install, run all tests
+# make lint      ruff and mypy
+# make bench     benchmarks (minutes; results in docs/benchmarks.md)
 
 VENV ?= .venv
 export VENV
 PY := $(VENV)/bin/python
 export PYTHONNOUSERSITE := 1
 
-.PHONY: demo test lint bench setup clean
+.PHONY: demo test test-all lint bench setup clean
 
 demo:
 	@tools/setup.sh run
 	@$(PY) tools/demo.py
 
-test: # one process for each core and one thread for each, so that they do not compete
+# one process for each core and one thread for each, so that they do not compete
+PYTEST := OMP_NUM_THREADS=1 $(PY) -m pytest -n auto --maxprocesses 8 --dist loadscope
+
+test:
 	@tools/setup.sh test
-	@OMP_NUM_THREADS=1 $(PY) -m pytest -n auto --maxprocesses 8 --dist loadscope $(ARGS)
+	@$(PYTEST) -m "not slow" $(ARGS)
+
+test-all:
+	@tools/setup.sh test
+	@$(PYTEST) $(ARGS)
 
 lint:
 	@tools/setup.sh test
