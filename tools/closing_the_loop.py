@@ -1,12 +1,13 @@
 """Diagnoses the measured data sets and compares with what was published about them.
 
-    python tools/closing_the_loop.py DATA OUT [--set emps --set kuka_kr300 ...] [--images FOLDER]
+    python tools/closing_the_loop.py DATA OUT [--set emps ...] [--half judged] [--images FOLDER]
 
 DATA holds one folder for each data set (see tools/import_measured.py). For each set the declared
 scene of mjcf_assets/ is diagnosed from the recordings for fitting; then the declared, the diagnosed
 and the published scene are scored on the held-out recordings by the same code. OUT gets the
 recordings, a folder with the report of each diagnosis, results.json and table.md; --images gets
-one plot for each set. What is run for each set, and why, is the table in tools/closing/plans.py.
+one plot for each set. The diagnosis runs with the command's defaults; the metric of each set, and
+whether the search was developed on it or is judged by it (--half), stand in tools/closing/plans.py.
 
 The recordings are data of others: OUT must not lie inside this repository.
 """
@@ -32,7 +33,6 @@ from closing.plots import draw  # noqa: E402
 from import_measured import DATA_SETS, import_set  # noqa: E402
 
 import orbisim  # noqa: E402
-from orbisim.diagnosis.settings import Settings  # noqa: E402
 from orbisim.effects import EffectInstance  # noqa: E402
 from orbisim.recording import Recording  # noqa: E402
 from orbisim.scene import load_scene  # noqa: E402
@@ -42,16 +42,24 @@ from orbisim.scene import load_scene  # noqa: E402
 @click.argument("data", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.argument("out", type=click.Path(file_okay=False, path_type=Path))
 @click.option("--set", "wanted", multiple=True, type=click.Choice([p.name for p in PLANS]))
+@click.option("--half", type=click.Choice(["developed", "judged"]), help="Only these sets.")
 @click.option("--images", type=click.Path(file_okay=False, path_type=Path), help="For plots.")
 @click.option("--reuse", is_flag=True, help="Score the diagnoses that OUT already holds.")
-def main(data: Path, out: Path, wanted: tuple[str, ...], images: Path | None, reuse: bool) -> None:
+def main(
+    data: Path,
+    out: Path,
+    wanted: tuple[str, ...],
+    half: str | None,
+    images: Path | None,
+    reuse: bool,
+) -> None:
     """Diagnoses the measured data sets and compares with what was published about them."""
     if out.resolve().is_relative_to(_ROOT):
         raise click.UsageError(f"{out} lies inside the repository; choose a folder elsewhere")
     table = out / "results.json"
     results: dict[str, Any] = json.loads(table.read_text()) if table.exists() else {}
     for plan in PLANS:
-        if wanted and plan.name not in wanted:
+        if (wanted and plan.name not in wanted) or half not in (None, plan.half):
             continue
         own = next(one for one in DATA_SETS if one.name == plan.name)
         import_set(own, data, out / "recordings")
@@ -65,12 +73,11 @@ def close(plan: Plan, out: Path, images: Path, reuse: bool) -> dict[str, Any]:
     """Diagnoses one set, scores the scenes, draws; returns what there is to say about it."""
     folder = out / "recordings" / plan.name
     split = json.loads((folder / "split.json").read_text())
-    fit = spread(_long(plan, _load(plan, folder, split["fit"])), plan.fit)
-    kept = [name for name in split["held_out"] if name.startswith(plan.only)]
-    held = spread(_load(plan, folder, kept), plan.held_out)
+    fit = _load(plan, folder, split["fit"])
+    held = _load(plan, folder, [n for n in split["held_out"] if n.startswith(plan.only)])
     found = out / "diagnoses" / plan.name
     if not (reuse and (found / "report.json").exists()):
-        diagnose(plan, fit, _long(plan, held), found)
+        diagnose(plan, fit, held, found)
     report = json.loads((found / "report.json").read_text())
     effects = [_instance(one) for one in report["effects"]]
     scored: dict[str, Scored] = {"declared": plan.metric.measure(plan.scene(), held, ())}
@@ -81,9 +88,8 @@ def close(plan: Plan, out: Path, images: Path, reuse: bool) -> dict[str, Any]:
     draw(plan.name, plan.metric, scored, images / f"{plan.name}.png")
     told = ("verdict", "sentence", "effects", "retuned", "alternatives", "residual", "error")
     return {
+        "half": plan.half,
         "left_out": plan.left_out,
-        "window_s": plan.window,
-        "why": plan.why,
         "metric": plan.metric.words,
         "unit": plan.metric.unit,
         "reference": plan.reference,
@@ -99,36 +105,15 @@ def close(plan: Plan, out: Path, images: Path, reuse: bool) -> dict[str, Any]:
 
 
 def diagnose(plan: Plan, fit: list[Recording], held: list[Recording], found: Path) -> None:
-    """Runs the diagnosis and keeps its report, and how long it took."""
+    """Runs the diagnosis as the command does, and keeps its report and how long it took."""
     start = time.perf_counter()
-    settings = Settings(**plan.settings)
-    orbisim.diagnose(
-        plan.scene(),
-        fit,
-        held,
-        window=plan.window,
-        residual=plan.residual,
-        settings=settings,
-        out=found,
-        progress=True,
-    )
+    orbisim.diagnose(plan.scene(), fit, held, out=found, progress=True)
     seconds = time.perf_counter() - start
     (found / "seconds.json").write_text(json.dumps(round(seconds)))
 
 
-def spread(recordings: Sequence[Recording], most: int | None) -> list[Recording]:
-    """At most so many of the recordings, evenly spread."""
-    if most is None or len(recordings) <= most:
-        return list(recordings)
-    return [recordings[i] for i in np.linspace(0, len(recordings) - 1, most).round().astype(int)]
-
-
 def _load(plan: Plan, folder: Path, names: Sequence[str]) -> list[Recording]:
     return [plan.recording(Recording.load(folder / name)).replace(source=name) for name in names]
-
-
-def _long(plan: Plan, recordings: Sequence[Recording]) -> list[Recording]:
-    return [one for one in recordings if len(one) >= plan.shortest]
 
 
 def _instance(found: dict[str, Any]) -> EffectInstance:
@@ -139,8 +124,8 @@ def _instance(found: dict[str, Any]) -> EffectInstance:
 # -- the table -------------------------------------------------------------------------------------
 
 _HEAD = (
-    "| set | metric, held out | declared | diagnosed | published | verdict | found |\n"
-    "| --- | --- | --- | --- | --- | --- | --- |\n"
+    "| set | metric, held out | declared | diagnosed | published | verdict | found | s |\n"
+    "| --- | --- | --- | --- | --- | --- | --- | --- |\n"
 )
 
 
@@ -157,7 +142,7 @@ def _row(name: str, one: dict[str, Any]) -> str:
         [_words(effect) for effect in one["effects"]]
         + [f"{r['label']} times {r['factor']:.3g}" for r in one["retuned"]]
     )
-    cells += [f"`{one['verdict']}`", found or "nothing"]
+    cells += [f"`{one['verdict']}`", found or "nothing", str(one["seconds"])]
     return f"| {name} | {one['metric']} | {' | '.join(cells)} |\n"
 
 

@@ -228,6 +228,74 @@ def pull(first: Floats, second: Floats, full: float = 0.29) -> Floats:
     return full * (part(second, float(second.max())) - part(first, float(first.min())))
 
 
+def bam_xl330(folder: Path) -> Iterator[Episode]:
+    """Sixteen runs with four gains, each as long as the motor is switched on."""
+    data = _load(folder / "runs.npz")
+    for number, rows in _episodes(data):
+        on = data["torque_enable"][rows]
+        rows = slice(rows.start, rows.start + (len(on) if on.all() else int(np.argmin(on))))
+        voltage = _wide(data["duty"][rows]) * _wide(data["input_volts"][rows])
+        signals = {"qpos/shaft": data["q"][rows], "ctrl/motor": voltage}
+        gain = int(data["kp"][number])
+        name = f"kp_{gain}_{data['trajectory'][number]}"
+        yield Episode(name, _recording(data["time"][rows], signals, kp=gain), gain in (200, 800))
+
+
+def staubli_tx40(folder: Path) -> Iterator[Episode]:
+    """One excitation, cut in two."""
+    data = _load(folder / "excitation.npz")
+    signals = {f"qpos/joint_{i + 1}": data["q"][:, i] for i in range(6)}
+    signals |= {f"ctrl/motor_{i + 1}": data["tau"][:, i] for i in range(6)}
+    whole = _recording(data["time"], signals)
+    yield Episode("first_4.5_s", whole.between(0.0, 4.5), held_out=False)
+    yield Episode("last_4.5_s", whole.between(4.5, np.inf), held_out=True)
+
+
+def acromonk(folder: Path) -> Iterator[Episode]:
+    """Five swings, without their ends: there the free hook meets a bar."""
+    for path in sorted(folder.glob("*.npz")):
+        data = _load(path)
+        signals = _by_column(data, ("shoulder", "elbow"), (), "")
+        signals["ctrl/elbow_motor"] = _carried_on(_wide(data["tau_elbow"]))
+        new = np.append(True, np.diff(data["time"]) > 0)  # one time stamp stands there twice
+        whole = _recording(data["time"][new], {n: v[new] for n, v in signals.items()})
+        recording = whole.rows(slice(0, int(0.8 * len(whole))))
+        yield Episode(path.stem, recording, path.stem in ("ZB_tvlqr_1x", "BF_tvlqr_1x"))
+
+
+def _carried_on(values: Floats) -> Floats:
+    """Missing values as the last one before; zero before the first."""
+    last = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), -1))
+    return np.where(last >= 0, values[last], 0.0)
+
+
+def airtrack_oscillator(folder: Path) -> Iterator[Episode]:
+    """One run, cut in two; 1 mm for each pixel."""
+    data = _load(folder / "single.npz")
+    whole = _recording(data["time"], {"qpos/glider": 1e-3 * data["x"]})
+    yield Episode("first_18_s", whole.between(0.0, 18.0), held_out=False)
+    yield Episode("last_11_s", whole.between(18.0, np.inf), held_out=True)
+
+
+def rocket_coast(folder: Path) -> Iterator[Episode]:
+    """Five coasts."""
+    data = _load(folder / "ascents.npz")
+    for number, rows in _episodes(data):
+        whole = _recording(data["time"][rows], {"qpos/height": data["z"][rows]})
+        coast = whole.between(float(data["burn_time"][number]) + 1.5, whole.time[-1] - 1.0)
+        name = str(data["rocket"][number])
+        yield Episode(name, coast, held_out=name in ("andromeda", "erebus11"))
+
+
+def schmidt_lipson(folder: Path) -> Iterator[Episode]:
+    """One trial, cut in two; the lower angle is made relative."""
+    data = _load(folder / "swing.npz")
+    upper, lower = data["theta_abs"].T
+    whole = _recording(data["time"], {"qpos/upper": upper, "qpos/lower": lower - upper})
+    yield Episode("first_5_s", whole.between(0.0, 5.0), held_out=False)
+    yield Episode("last_4_s", whole.between(5.0, np.inf), held_out=True)
+
+
 DATA_SETS = (
     DataSet("emps", "emps", "emps", emps, "the first 15 s of the only episode"),
     DataSet(
@@ -279,6 +347,48 @@ DATA_SETS = (
         "sts3215_backlash",
         sts3215_backlash,
         "one servo; held out: two coupled servos",
+    ),
+    DataSet(
+        "bam_xl330",
+        "bam_xl330",
+        "bam_xl330",
+        bam_xl330,
+        "firmware gains 100 and 400; held out: 200 and 800",
+    ),
+    DataSet(
+        "staubli_tx40",
+        "staubli_tx40",
+        "staubli_tx40",
+        staubli_tx40,
+        "the first half of the only episode",
+    ),
+    DataSet(
+        "acromonk",
+        "acromonk",
+        "acromonk",
+        acromonk,
+        "ZF_tvlqr, ZF_pd and FB_pd; held out: ZB_tvlqr and BF_tvlqr",
+    ),
+    DataSet(
+        "airtrack_oscillator",
+        "airtrack_oscillator",
+        "airtrack_oscillator",
+        airtrack_oscillator,
+        "the first 18 s of the only episode",
+    ),
+    DataSet(
+        "rocket_coast",
+        "rocket_coast",
+        "rocket_coast",
+        rocket_coast,
+        "ndrt_2020, genesis and camoes; held out: andromeda and erebus11",
+    ),
+    DataSet(
+        "schmidt_lipson_double_pendulum",
+        "schmidt_lipson_double_pendulum",
+        "schmidt_lipson_double_pendulum",
+        schmidt_lipson,
+        "the first 5 s of the only episode",
     ),
 )
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import least_squares
+from scipy.signal import butter, sosfiltfilt
 
-from orbisim.diagnosis.force import force_residual
-from orbisim.diagnosis.samples import prepare_all
+from orbisim.diagnosis.force import Hooked
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.measured import correct
 from orbisim.recording import Recording
@@ -112,34 +115,135 @@ def _at(words: str, row: Callable[[Recording], int]) -> Metric:
     return Metric(words, "mm", 1e3, measure)
 
 
-def torque_residual(declared: Callable[[], Scene]) -> Metric:
+def torque_residual(
+    declared: Callable[[], Scene], cutoff: float, only: Sequence[str] = ()
+) -> Metric:
     """RMS of the generalized force that a scene does not account for, by joint.
 
-    Inverse dynamics along the smoothed measured motion; effects without a native MJCF form do not
-    count in it.
+    Inverse dynamics along the motion below some frequency: positions and torques pass the same
+    zero-phase filter (Butterworth, fourth order, forwards and backwards).
+
+    Args:
+      declared: loads the scene as declared. cutoff: of the filter, Hz.
+      only: the joints that count; all if empty.
     """
 
     def measure(
         scene: Scene, recordings: Sequence[Recording], effects: Sequence[EffectInstance]
     ) -> Scored:
-        samples = prepare_all(recordings, declared())
-        found = force_residual(samples, scene)
-        force = np.concatenate([one.force for one in found])
-        rms = np.sqrt(np.nanmean(force**2, axis=0))
         model = declared().model
         names = [model.joint(i).name for i in range(model.njnt)]
-        figures = {"all axes": float(np.sqrt(np.sum(rms**2)))}
-        figures |= dict(zip(names, map(float, rms), strict=True))
+        axes = [i for i, name in enumerate(names) if not only or name in only]
+        motions = [_filtered(one, names, model, cutoff) for one in recordings]
+        missing = [_missing(scene, one) for one in motions]
+        rms = np.sqrt(np.mean(np.concatenate(missing) ** 2, axis=0))
+        figures = {"all axes": float(np.sqrt(np.sum(rms[axes] ** 2)))}
+        figures |= {names[i]: float(rms[i]) for i in axes}
         traces = []
-        for one, sample in zip(found, samples, strict=True):
-            for axis, name in enumerate(names):
-                applied = sample.ctrl[:, axis] * model.actuator_gainprm[axis, 0]
-                size = float(np.sqrt(np.nanmean(one.force[:, axis] ** 2)))
-                needed = applied + one.force[:, axis]
-                traces.append(Trace(f"torque of {name}, N·m", one.time, applied, needed, size))
+        for one, left in zip(motions, missing, strict=True):
+            for axis in axes:
+                motor = list(model.actuator_trnid[:, 0]).index(axis)
+                applied = one.ctrl[:, motor] * model.actuator_gainprm[motor, 0]
+                size = float(np.sqrt(np.mean(left[:, axis] ** 2)))
+                label = f"torque of {names[axis]}, N·m"
+                traces.append(Trace(label, one.time, applied, applied + left[:, axis], size))
         return Scored(figures, traces)
 
-    return Metric("torque residual by inverse dynamics, RMS", "N·m", 1.0, measure)
+    return Metric(
+        f"torque residual by inverse dynamics below {cutoff:g} Hz, RMS", "N·m", 1.0, measure
+    )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Motion:
+    """time [T], s. qpos, qvel, qacc: [T, nv]. ctrl: [T, nu]; all filtered."""
+
+    time: Floats
+    qpos: Floats
+    qvel: Floats
+    qacc: Floats
+    ctrl: Floats
+
+
+def _filtered(
+    one: Recording, names: Sequence[str], model: mujoco.MjModel, cutoff: float
+) -> _Motion:
+    """The motion below a frequency, without the first and last 5 %, where a filter is not sure."""
+    step = float(np.median(np.diff(one.time)))
+    time = np.arange(one.time[0], one.time[-1], step)
+    sections = butter(4, 2 * cutoff * step, output="sos")
+
+    def smooth(name: str) -> Floats:
+        values = one[name].reshape(len(one))
+        return np.asarray(sosfiltfilt(sections, np.interp(time, one.time, values)))
+
+    motors = [model.actuator(i).name for i in range(model.nu)]
+    qpos = np.stack([smooth(f"qpos/{name}") for name in names], axis=1)
+    ctrl = np.stack([smooth(f"ctrl/{name}") for name in motors], axis=1)
+    qvel = np.gradient(qpos, step, axis=0)
+    qacc = np.gradient(qvel, step, axis=0)
+    edge = slice(len(time) // 20, -(len(time) // 20))
+    return _Motion(time[edge], qpos[edge], qvel[edge], qacc[edge], ctrl[edge])
+
+
+def _missing(scene: Scene, motion: _Motion) -> Floats:
+    """[T, nv]: the force that a scene, with the effects that it carries, lacks along a motion."""
+    model = copy.copy(scene.model)
+    data, hooked = mujoco.MjData(model), Hooked(model)
+    found = np.zeros_like(motion.qpos)
+    for row in range(len(found)):
+        data.qpos[:], data.qvel[:] = motion.qpos[row], motion.qvel[row]
+        data.qacc[:], data.ctrl[:] = motion.qacc[row], motion.ctrl[row]
+        added = hooked.force(data)
+        mujoco.mj_inverse(model, data)
+        mujoco.mj_fwdActuation(model, data)
+        found[row] = data.qfrc_inverse - data.qfrc_actuator - added
+    return found
+
+
+def best_start(window: float, unit: str = "rad", factor: float = 1.0) -> Metric:
+    """RMS error of the joint positions in windows that start where that leaves least.
+
+    For positions alone, whose derivative is a poor start. Of hinges and slides.
+    """
+
+    def measure(
+        scene: Scene, recordings: Sequence[Recording], effects: Sequence[EffectInstance]
+    ) -> Scored:
+        run = _run(scene, recordings, effects, window, "smoothed")
+        traces = []
+        for w in run.windows:
+            fitted = _from_best_start(scene, recordings[w.recording].rows(slice(w.start, w.stop)))
+            name = run.positions[0]
+            measured = w.measured[name][:, 0]
+            error = float(np.sqrt(np.mean((fitted - measured) ** 2)))
+            label = f"{name.partition('/')[2]}, {run.signals[name].unit}"
+            traces.append(Trace(label, w.time, measured, fitted, error))
+        weights = [len(one.time) for one in traces]
+        square = np.average([one.error**2 for one in traces], weights=weights)
+        return Scored({"all": float(np.sqrt(square))}, traces)
+
+    return Metric(
+        f"free run over windows of {window:g} s from the best start, RMS", unit, factor, measure
+    )
+
+
+def _from_best_start(scene: Scene, recording: Recording) -> Floats:
+    """[T]: the first position of the run of one joint that fits its recording best."""
+    name = next(n for n in recording.signals if n.startswith("qpos/"))
+    measured = recording[name].reshape(len(recording))
+    at_rest = np.zeros(len(measured))
+    first = np.polyfit(recording.time - recording.time[0], measured, 3)[::-1]
+
+    def positions(start: Floats) -> Floats:
+        begun, speed = measured.copy(), at_rest.copy()
+        begun[0], speed[0] = start
+        signals = {**recording.signals, name: begun, name.replace("qpos", "qvel"): speed}
+        run = replay(scene, [recording.replace(signals=signals)], window=0)
+        return np.asarray(run.windows[0].qpos[:, 0])
+
+    found = least_squares(lambda start: positions(start) - measured, first[:2], x_scale="jac")
+    return positions(found.x)
 
 
 def _run(
