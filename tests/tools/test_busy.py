@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 TOOL = Path(__file__).resolve().parents[2] / "tools" / "busy.py"
-CHILDREN = f"""
+CHILDREN = """
 import os, pathlib
 parent = os.getppid()
-tasks = pathlib.Path(f"/proc/{{parent}}/task/{{parent}}/children").read_text().split()
+tasks = pathlib.Path(f"/proc/{parent}/task/{parent}/children").read_text().split()
 print(len(tasks) - 1)
 raise SystemExit(7)
 """
