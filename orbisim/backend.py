@@ -21,7 +21,7 @@ from orbisim.arguments import (
     real_array,
     whole_number,
 )
-from orbisim.errors import DivergedError, InputError
+from orbisim.errors import DivergedError, InputError, UnsupportedSceneError
 from orbisim.scene import Scene
 from orbisim.state import Array, State
 from orbisim.tangent import perturbed, tangent_difference
@@ -300,11 +300,18 @@ class Backend(abc.ABC):
         return Linearization(A=jacobian[:, :, :ndx], B=jacobian[:, :, ndx:])
 
     def check_scene(self, scene: Scene) -> None:
-        """Raises `InputError` if what `load` is given is no scene."""
+        """Raises `InputError` if what `load` is given is no scene, or one without a timestep."""
         if not isinstance(scene, Scene):
             raise InputError(
                 f"backend {self.name!r} loads a Scene; got {type(scene).__name__} "
                 "(load_scene makes one of a file, a text or an MjModel)"
+            )
+        if not scene.model.opt.timestep > 0:
+            raise UnsupportedSceneError(
+                scene.source,
+                f"timestep is {scene.model.opt.timestep:g}",
+                element="<option>",
+                remedy="time needs steps above 0 s",
             )
 
     def check_reset(self, nworld: int | None, seed: int | None = None) -> int:

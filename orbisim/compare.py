@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 import warnings
 from collections.abc import Mapping
@@ -15,7 +16,7 @@ import numpy.typing as npt
 from orbisim import metrics, plugins
 from orbisim.agreement import PERSISTS, EngineWarning, faults_of_rollout
 from orbisim.backend import Backend
-from orbisim.episodes import Episodes, episodes, random_initial_states
+from orbisim.episodes import Episodes, check_size, episodes, random_initial_states
 from orbisim.errors import InputError
 from orbisim.files.writing import make_folder, write_json
 from orbisim.host.progress import track
@@ -171,12 +172,13 @@ def compare(
     Raises:
       InputError: no episodes, no horizon, or control steps that do not fit together.
     """
-    if count < 1 or (horizon is not None and not horizon > 0):
+    if count < 1 or (horizon is not None and not 0 < horizon < math.inf):
         raise InputError(f"need at least one episode and a horizon above 0; got {count}, {horizon}")
     source = scene if isinstance(scene, str) else _source(scene)
     setup = _setup(scene, count, seed)
     sides = [_backend(name, setup, device) for name in (a, b)]
     step = _common_step(*sides)
+    check_size(setup.scene.model, 2 * count, (horizon or setup.horizon) / step)
     controls = setup.controls(horizon or setup.horizon, step, seed)
     runs = [_run(backend, setup.initial, controls, step) for backend in sides]
     every = _thin(controls.shape[1])

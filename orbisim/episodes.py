@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from typing import Any
 
 import mujoco
@@ -10,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim import plugins
+from orbisim.errors import InputError
 from orbisim.physics.mjdata import read_state
 from orbisim.scene import Scene, load_scene
 from orbisim.state import State
@@ -66,6 +68,25 @@ def episodes(name: str, count: int, seed: int, **options: Any) -> Episodes:
     return Episodes(scene, random_initial_states(scene.model, count, seed))
 
 
+def check_size(model: mujoco.MjModel, count: int, steps: float) -> None:
+    """Checks that episodes can be kept in this machine's memory.
+
+    Args:
+      model: of the scene. count: of episodes. steps: of each.
+
+    Raises:
+      InputError: they cannot.
+    """
+    width = 1 + model.nq + model.nv + model.na + model.nsensordata + model.nu
+    needed = 8.0 * width * count * steps
+    there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if not needed < there:
+        raise InputError(
+            f"{count} episodes of {steps:.3g} steps take {needed / 2**30:.3g} GiB, this machine "
+            f"has {there / 2**30:.3g}; simulate a shorter time, or fewer at once"
+        )
+
+
 def random_initial_states(
     model: mujoco.MjModel, count: int, seed: int, spread: float = 0.1
 ) -> State:
@@ -77,7 +98,11 @@ def random_initial_states(
       seed: of the random numbers.
       spread: hinges move by up to this angle (rad), slides by a tenth of it (m), within their
         limits. Free and ball joints stay.
+
+    Raises:
+      InputError: so many worlds do not fit into this machine's memory.
     """
+    check_size(model, count, 1)
     rng = np.random.default_rng(seed)
     data = mujoco.MjData(model)
     if model.nkey:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,21 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.errors import InputError
+from orbisim.files import npz
+from orbisim.files.reading import parse_json
 from orbisim.files.writing import writing
 from orbisim.state import Array, State
 
 _SCHEMA = "orbisim.trajectory/1"
+_PHYSICAL = ("time", "qpos", "qvel", "act")
+_AXES: dict[str, tuple[str, ...]] = {
+    "time": ("world", "step"),
+    **{name: ("world", "step", name) for name in ("qpos", "qvel", "act", "control")},
+    "initial_time": ("world",),
+    **{f"initial_{name}": ("world", name) for name in ("qpos", "qvel", "act")},
+    "diverged_at": ("world",),
+}
+"""Axes of the arrays in a file; those of one name have one size."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -91,18 +101,43 @@ class Trajectory:
         Raises:
           InputError: the file is not a saved trajectory.
         """
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                notes: dict[str, Any] = json.loads(str(file["header"]))
-                if notes.pop("schema", None) != _SCHEMA:
-                    raise ValueError("no trajectory header")
-                initial = State(
-                    **{name: file[f"initial_{name}"] for name in ("time", "qpos", "qvel", "act")}
+        with npz.opened(path) as file:
+            notes = _notes(path, file)
+            if missing := sorted(_AXES.keys() - set(file)):
+                raise InputError(f"{path}: not a saved trajectory (it has no {missing[0]!r})")
+            wanted = [*_AXES, *(["sensordata"] if "sensordata" in file else [])]
+            arrays: dict[str, Any] = {name: file[name] for name in wanted}
+        _check_shapes(path, arrays)
+        initial = State(**{name: arrays.pop(f"initial_{name}") for name in _PHYSICAL})
+        last = {name: arrays[name][:, -1] for name in _PHYSICAL} if arrays["time"].size else {}
+        sensordata = arrays.pop("sensordata", None)
+        final = initial.replace(**last)
+        return Trajectory(initial=initial, **arrays, sensordata=sensordata, final=final), notes
+
+
+def _notes(path: str | Path, file: npz.Npz) -> dict[str, Any]:
+    """The notes in the header of a saved trajectory."""
+    text = file["header"] if "header" in file else np.array(0)
+    notes = parse_json(str(text), f"{path}, header") if text.dtype.kind == "U" else {}
+    if notes.pop("schema", None) != _SCHEMA:
+        raise InputError(f"{path}: not a saved trajectory (its header is not one of {_SCHEMA})")
+    return notes
+
+
+def _check_shapes(path: str | Path, arrays: dict[str, Any]) -> None:
+    """Raises `InputError` unless the arrays are numbers with the axes of `Trajectory`."""
+    sizes: dict[str, int] = {}
+    for name, array in arrays.items():
+        axes = _AXES.get(name, ("world", "step", name))
+        whole = name == "diverged_at"
+        if array.dtype.kind not in ("iu" if whole else "iuf") or array.ndim != len(axes):
+            raise InputError(
+                f"{path}: {name!r} holds {array.dtype} of shape {array.shape}; expected "
+                f"{'whole ' if whole else ''}numbers with {len(axes)} axes"
+            )
+        for axis, size in zip(axes, array.shape, strict=True):
+            if sizes.setdefault(axis, size) != size or (axis == "world" and not size):
+                raise InputError(
+                    f"{path}: {name!r} has shape {array.shape}; its {axis} axis does not fit the "
+                    f"other arrays ({sizes[axis]})"
                 )
-                names = ("control", "time", "qpos", "qvel", "act", "diverged_at")
-                arrays = {name: file[name] for name in names}
-                sensordata = file.get("sensordata")
-        except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
-            raise InputError(f"{path}: not a saved trajectory ({error})") from None
-        last = State(**{name: arrays[name][:, -1] for name in ("time", "qpos", "qvel", "act")})
-        return Trajectory(initial=initial, **arrays, sensordata=sensordata, final=last), notes

@@ -7,9 +7,12 @@ import json
 import logging
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+
+from orbisim.files.writing import check_folder
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -23,9 +26,13 @@ def json_option(function: F) -> F:
 
 def seed_option(function: F) -> F:
     """Adds --seed."""
-    return click.option("--seed", default=0, show_default=True, help="Of all random numbers.")(
-        function
-    )
+    return click.option(
+        "--seed",
+        type=click.IntRange(min=0),
+        default=0,
+        show_default=True,
+        help="Of all random numbers.",
+    )(function)
 
 
 def trusted_option(function: F) -> F:
@@ -44,6 +51,15 @@ def device_option(function: F) -> F:
         default=None,
         help="Where to compute: cpu, cuda, cuda:1. Default: the backend's.",
     )(function)
+
+
+def writable_folder(
+    context: click.Context, parameter: click.Parameter, value: Path | None
+) -> Path | None:
+    """Callback of --out: where nothing can be written is said before anything is computed."""
+    if value is not None:
+        check_folder(value)
+    return value
 
 
 def emit_json(value: dict[str, Any]) -> None:

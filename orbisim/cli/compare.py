@@ -16,6 +16,7 @@ from orbisim.cli.common import (
     note,
     print_table,
     seed_option,
+    writable_folder,
 )
 
 
@@ -33,7 +34,11 @@ from orbisim.cli.common import (
     help="Duration of an episode, s. Default: the task's, or 2.",
 )
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=None, help="Folder for report.html and .json."
+    "--out",
+    type=click.Path(path_type=Path),
+    default=None,
+    callback=writable_folder,
+    help="Folder for report.html and .json.",
 )
 @click.option("--video/--no-video", default=True, help="Whether the report shows a video.")
 @device_option

@@ -14,6 +14,7 @@ from orbisim.cli.common import (
     note,
     print_table,
     seed_option,
+    writable_folder,
 )
 
 
@@ -69,6 +70,7 @@ from orbisim.cli.common import (
     "--out",
     type=click.Path(path_type=Path),
     default=None,
+    callback=writable_folder,
     help="Folder for report.html, report.json and augmented/scene.xml.",
 )
 @click.option(

@@ -17,6 +17,7 @@ from orbisim.cli.common import (
     json_option,
     note,
     print_table,
+    writable_folder,
 )
 
 if TYPE_CHECKING:
@@ -43,7 +44,11 @@ if TYPE_CHECKING:
     help="What windows start with: recorded velocities where there are any, or estimated ones.",
 )
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=None, help="Folder for report.html and .json."
+    "--out",
+    type=click.Path(path_type=Path),
+    default=None,
+    callback=writable_folder,
+    help="Folder for report.html and .json.",
 )
 @device_option
 @json_option

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 from typing import Any
@@ -16,8 +17,10 @@ from orbisim.cli.common import (
     note,
     print_table,
     seed_option,
+    writable_folder,
 )
 from orbisim.errors import InputError
+from orbisim.files.writing import make_folder
 
 
 @click.command(
@@ -38,7 +41,13 @@ from orbisim.errors import InputError
 @click.option("--camera", default="", help="Name or number of a camera. Default: the first.")
 @click.option("--size", default="480x640", show_default=True, help="Height x width of the video.")
 @click.option("--fps", default=30.0, show_default=True, help="Frames for each simulated second.")
-@click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder for the files.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=None,
+    callback=writable_folder,
+    help="Folder for the files.",
+)
 @device_option
 @seed_option
 @json_option
@@ -60,19 +69,22 @@ def command(
 ) -> None:
     """Simulate SCENE; write trajectory.npz and, with a renderer, video.mp4 to --out."""
 
-    from orbisim.episodes import episodes
+    from orbisim.episodes import check_size, episodes
     from orbisim.registry import make_backend
 
-    if not duration > 0 or worlds < 1:
+    if not 0 < duration < math.inf or worlds < 1:
         raise InputError(
             f"need a duration above 0 and at least one world; got {duration}, {worlds}"
         )
+    if not 0 < fps < math.inf:
+        raise InputError(f"--fps is a number of frames for each second, above 0; got {fps}")
     height, width = _size(size)
     setup = episodes(scene, worlds, seed)
     engine = make_backend(
         backend, setup.scene, nworld=worlds, device=None if backend == "mujoco" else device
     )
     step = engine.timestep
+    check_size(setup.scene.model, worlds, duration / step)
     sequence = _controls(setup, controls, duration, step, seed)
     film = _Film(renderer, setup.scene, camera, height, width, fps) if renderer else None
     started = time.perf_counter()
@@ -179,7 +191,7 @@ def _write(
     if out is None and film is None:
         return []
     folder = out or Path()
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     files = [folder / "trajectory.npz"]
     trajectory.save(files[0], scene=scene, backend=backend, seed=seed)
     if film is not None:

@@ -96,6 +96,9 @@ def test_compare(capsys: pytest.CaptureFixture[str], scene: str, tmp_path: Path)
     assert "joint_position" in out
 
 
+_TIMELESS = "<mujoco><option timestep='0'/></mujoco>"
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -110,12 +113,30 @@ def test_compare(capsys: pytest.CaptureFixture[str], scene: str, tmp_path: Path)
         (["compare", "SCENE", "--episodes", "0"], "at least one episode"),
         (["compare", "suite:cheetah-fly"], "unknown task"),
         (["info", "SCENE", "--frobnicate"], "No such option"),
+        (["sim", "SCENE", "--duration", "inf"], "duration"),
+        (["sim", "SCENE", "--duration", "nan"], "duration"),
+        (["sim", "SCENE", "--duration", "1e300"], "this machine has"),
+        (["sim", "SCENE", "--worlds", "1000000000000"], "this machine has"),
+        (["sim", "SCENE", "--fps", "0"], "--fps"),
+        (["sim", "SCENE", "--fps", "nan"], "--fps"),
+        (["sim", "SCENE", "--seed", "-1"], "--seed"),
+        (["sim", "SCENE", "--out", "SCENE"], "is not a folder"),
+        (["sim", _TIMELESS], "timestep is 0"),
+        (["compare", "SCENE", "--seed", "-1"], "--seed"),
+        (["compare", "SCENE", "--horizon", "inf"], "horizon"),
+        (["compare", "SCENE", "--horizon", "1e300"], "this machine has"),
+        (["compare", "SCENE", "--out", "SCENE/x"], "is not a folder"),
+        (["compare", _TIMELESS], "timestep is 0"),
+        (["replay", "SCENE", "a.npz", "--out", "SCENE"], "is not a folder"),
+        (["diagnose", "SCENE", "a.npz", "--out", "SCENE"], "is not a folder"),
+        (["diagnose", "SCENE", "a.npz", "--seed", "-1"], "--seed"),
+        (["collect", "ball", "--seed", "-1", "--out", "x.h5"], "--seed"),
     ],
 )
 def test_wrong_input(
     capsys: pytest.CaptureFixture[str], scene: str, arguments: list[str], message: str
 ) -> None:
-    status, out, err = output(capsys, *[scene if a == "SCENE" else a for a in arguments])
+    status, out, err = output(capsys, *[a.replace("SCENE", scene) for a in arguments])
     assert status == 2
     assert out == ""
     assert message in err
