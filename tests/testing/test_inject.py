@@ -10,7 +10,6 @@ import pytest
 import mjcf_assets
 from orbisim import Recording, Scene, load_scene, replay
 from orbisim.effects import EffectInstance
-from orbisim.effects.measured import correct, distort
 from orbisim.errors import DivergedError, InputError, UnknownNameError
 from orbisim.recording import bind
 from orbisim.testing import inject_effect
@@ -183,45 +182,6 @@ def test_a_fast_clock_stretches_time(arm: Scene) -> None:
     found = inject_effect(arm, clock, noise=0.0, episodes=1, duration=2.0)[0]
     assert found.time[-1] == pytest.approx(2.04)
     assert np.allclose(np.diff(found.time), 0.0102)
-
-
-# -- the maps of a measurement ---------------------------------------------------------------------
-
-DISTORTIONS = [
-    effect("sensor_bias", "elbow", offset=0.03),
-    effect("sensor_scale", "shoulder", factor=1.04),
-    effect("sensor_delay", "elbow", delay=0.0234),
-    effect("sensor_delay", "shoulder", delay=-0.011),
-    effect("clock_skew", "recording", factor=0.97),
-]
-
-
-@pytest.mark.parametrize("velocities", [True, False])
-def test_correct_undoes_distort(arm: Scene, velocities: bool) -> None:
-    clean = inject_effect(arm, [], noise=0.0, episodes=1, velocities=velocities, rate=500.0)[0]
-    back = correct(distort(clean, DISTORTIONS, arm), DISTORTIONS, arm)
-    rows = np.searchsorted(clean.time, back.time - 1e-9)
-    assert len(rows) > len(clean) - 40
-    assert np.allclose(back.time, clean.time[rows], atol=1e-9)
-    for name in clean.signals:
-        tolerance = 1e-5 if name.startswith("qpos") else 1e-2
-        assert np.allclose(back[name], clean[name][rows], atol=tolerance), name
-
-
-def test_a_delay_of_whole_samples_is_exact(arm: Scene) -> None:
-    clean = inject_effect(arm, [], noise=0.0, episodes=1, duration=1.0)[0]
-    late = distort(clean, [effect("sensor_delay", "elbow", delay=0.03)], arm)
-    assert np.allclose(late["qpos/elbow"], clean["qpos/elbow"][:-3], atol=1e-12)
-    assert np.array_equal(late["qpos/shoulder"], clean["qpos/shoulder"][3:])
-
-
-def test_a_length_scale_acts_on_a_free_body() -> None:
-    ball = load_scene(ASSETS / "bouncing_ball" / "scene.xml")
-    clean = inject_effect(ball, [], noise=0.0, episodes=1)[0]
-    scaled = distort(clean, [effect("sensor_scale", "ball", factor=0.98)], ball)
-    assert np.allclose(scaled["qpos/ball"][:, :3], 0.98 * clean["qpos/ball"][:, :3])
-    assert np.array_equal(scaled["qpos/ball"][:, 3:], clean["qpos/ball"][:, 3:])
-    assert np.array_equal(scaled["qvel/ball"][:, 3:], clean["qvel/ball"][:, 3:])
 
 
 # -- errors ----------------------------------------------------------------------------------------
