@@ -89,7 +89,12 @@ def test_scenes_without_joints() -> None:
 
 
 @pytest.mark.parametrize(
-    ("domain", "task"), [("humanoid", "run"), ("quadruped", "fetch"), ("swimmer", "swimmer6")]
+    ("domain", "task"),
+    [
+        ("humanoid", "run"),
+        pytest.param("quadruped", "fetch", marks=pytest.mark.slow),
+        ("swimmer", "swimmer6"),
+    ],
 )
 def test_warp_on_chaotic_scenes(domain: str, task: str) -> None:
     """tools/corpus_suite.py does this for all tasks."""

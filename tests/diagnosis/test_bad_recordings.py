@@ -40,6 +40,7 @@ def _diagnosed(scene: orbisim.Scene, runs: list[Recording]) -> orbisim.Diagnosis
     return orbisim.diagnose(scene, runs, settings=SETTINGS, progress=False)
 
 
+@pytest.mark.slow
 def test_clipped_positions(arm: orbisim.Scene, clean: list[Recording]) -> None:
     limit = 0.7 * min(np.abs(one["qpos/elbow"]).max() for one in clean)
     found = _diagnosed(arm, _each(clean, lambda q: np.clip(q, -limit, limit)))

@@ -196,6 +196,7 @@ def test_what_acts_in_impacts_alone_pays_if_it_makes_all_windows_good() -> None:
     assert unpaid(Settings(), before, worse) is not None
 
 
+@pytest.mark.slow
 def test_a_payload_stands_in_for_the_parts_it_was_found_in(arm: orbisim.Scene) -> None:
     state = search(bench_of(arm, LOAD, LIMIT, noise=1e-3))
     parts = (

@@ -12,10 +12,12 @@ from pathlib import Path
 import pytest
 
 _PARENT = """
-import sys, time
+import signal, sys, time
 from pathlib import Path
 from orbisim.tasks import pool
 {before}
+signal.signal(signal.SIGINT, signal.default_int_handler)  # shells let background jobs ignore it
+
 def work(folder):
     import os
     (folder / str(os.getpid())).touch()

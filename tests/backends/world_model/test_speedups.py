@@ -85,6 +85,7 @@ def test_networks_without_tokens_are_left_as_they_are() -> None:
     assert type(stepper.model.network) is type(model.network)
 
 
+@pytest.mark.slow  # torch's compiler takes over half a minute
 @pytest.mark.skipif(shutil.which("g++") is None, reason="torch compiles for a CPU with g++")
 def test_the_compiled_step_is_the_same_step() -> None:
     model = Stepper(_trained_looking(BOX), CPU, Speedups()).model
