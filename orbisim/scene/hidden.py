@@ -7,6 +7,7 @@ the declared joints fits the augmented scene too.
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import mujoco
 
@@ -17,17 +18,27 @@ TEXT_NAME = "orbisim:hidden"
 
 def hide_joint(spec: mujoco.MjSpec, name: str) -> None:
     """Adds a joint to the list in the document."""
-    names = [
-        known for text in spec.texts if text.name == TEXT_NAME for known in json.loads(text.data)
-    ]
+    names = [known for text in spec.texts if text.name == TEXT_NAME for known in _parsed(text.data)]
     replace_text(spec, TEXT_NAME, [*names, name])
 
 
 def hidden_joints(model: mujoco.MjModel) -> tuple[str, ...]:
     """Names of the joints that effects have added; none if the list is not readable."""
     try:
-        names = read_text(model, TEXT_NAME)
+        names = _strings(read_text(model, TEXT_NAME))
     except ValueError:
         return ()
     known = {model.joint(i).name for i in range(model.njnt)}
-    return tuple(str(n) for n in names if n in known) if isinstance(names, list) else ()
+    return tuple(name for name in names if name in known)
+
+
+def _parsed(text: str) -> list[str]:
+    try:
+        return _strings(json.loads(text))
+    except ValueError:
+        return []
+
+
+def _strings(names: Any) -> list[str]:
+    """The names in a list; what else a document may hold there is passed over."""
+    return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
