@@ -130,15 +130,18 @@ def joint_rows(model: mujoco.MjModel, bodies: Sequence[int]) -> Floats:
 
 
 def actuator_rows(model: mujoco.MjModel) -> Floats:
-    """[nu, columns `ACTUATOR_COLUMNS`]."""
+    """[nu, columns `ACTUATOR_COLUMNS`]: of the actuator that reads each control."""
     rows = np.zeros((model.nu, len(ACTUATOR_COLUMNS)))
     kinds = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-    for index in range(model.nu):
-        on_joint = mujoco.mjtTrn(model.actuator_trntype[index]) in kinds
-        row = rows[index]
-        row[0] = model.actuator_trnid[index, 0] if on_joint else -1
-        row[1], row[2] = model.actuator_gear[index, 0], model.actuator_gainprm[index, 0]
-        row[3:6] = model.actuator_biasprm[index, :3]
-        row[6] = model.actuator_ctrllimited[index]
-        row[7:9] = model.actuator_ctrlrange[index]
+    for index in range(model.nactuator):
+        first = int(model.actuator_ctrladr[index])
+        for control in range(first, first + int(model.actuator_ctrlnum[index])):
+            on_joint = mujoco.mjtTrn(model.actuator_trntype[index]) in kinds
+            row = rows[control]
+            row[0] = model.actuator_trnid[index, 0] if on_joint else -1
+            row[1] = model.actuator_gear[model.actuator_outadr[index], 0]
+            row[2] = model.actuator_gainprm[index, 0]
+            row[3:6] = model.actuator_biasprm[index, :3]
+            row[6] = model.actuator_ctrllimited[control]
+            row[7:9] = model.actuator_ctrlrange[control]
     return rows
