@@ -6,9 +6,10 @@ A package offers its own with
     mine = "my_package:MyBackend"
 
 The groups are `orbisim.backends`, `orbisim.renderers`, `orbisim.readers` (scene formats, named by
-suffix), `orbisim.scenes` and `orbisim.episodes` (names such as `suite:cheetah-run`, by their
-prefix), `orbisim.texts` (what a scene carries in `<custom><text>`), `orbisim.effects` and
-`orbisim.reports`. What OrbiSim brings along is found in the same way.
+suffix), `orbisim.recordings` (log formats, by suffix, too), `orbisim.scenes` and
+`orbisim.episodes` (names such as `suite:cheetah-run`, by their prefix), `orbisim.texts` (what a
+scene carries in `<custom><text>`), `orbisim.effects` and `orbisim.reports`. What OrbiSim brings
+along is found in the same way.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ EXTRAS = {
     "usda": "usd",
     "usdc": "usd",
     "usdz": "usd",
+    "h5": "logs",
+    "hdf5": "logs",
 }
 """The extra that installs what OrbiSim's own plug-ins need, where they need one."""
 

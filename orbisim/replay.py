@@ -22,6 +22,7 @@ from orbisim.files.writing import make_folder, write_json
 from orbisim.freerun import WORLDS, Prepared, free_run
 from orbisim.recording import Recording, bind
 from orbisim.recording.bound import Bound
+from orbisim.recording.clocks import slow
 from orbisim.recording.initial import Velocities, starts
 from orbisim.recording.windows import cut
 from orbisim.registry import make_backend
@@ -159,7 +160,8 @@ def prepare(bound: Bound, window: float, velocities: Velocities = "recorded") ->
         raise RecordingError(
             bound.recording.source,
             "no window can start: at no sample are all joint positions known",
-            remedy="missing samples are bridged over up to 256 sampling intervals",
+            remedy=slow(bound.time)
+            or "missing samples are bridged over up to 256 sampling intervals",
         )
     late = len(set(cut(bound.time, window)) - set(windows))
     notes = [f"{late} windows start later or are left out, as the state is not known before"]

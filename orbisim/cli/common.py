@@ -62,6 +62,18 @@ def writable_folder(
     return value
 
 
+def map_option(function: F) -> F:
+    """Adds --map."""
+    return click.option(
+        "--map",
+        "mapping",
+        type=click.Path(path_type=Path),
+        default=None,
+        metavar="FILE",
+        help="Which column of the recordings is which signal (see: orbisim recording init).",
+    )(function)
+
+
 def emit_json(value: dict[str, Any]) -> None:
     """Prints one JSON object; NaN and infinity become null."""
     click.echo(json.dumps(_strict(value), indent=1, allow_nan=False))

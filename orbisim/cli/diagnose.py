@@ -11,6 +11,7 @@ from orbisim.cli.common import (
     emit_json,
     engine_command,
     json_option,
+    map_option,
     note,
     print_table,
     seed_option,
@@ -79,6 +80,7 @@ from orbisim.cli.common import (
     show_default=True,
     help="Seconds after which no further effect is looked for.",
 )
+@map_option
 @seed_option
 @json_option
 @engine_command
@@ -95,6 +97,7 @@ def command(
     learn_rest: bool,
     out: Path | None,
     patience: float,
+    mapping: Path | None,
     seed: int,
     as_json: bool,
 ) -> None:
@@ -105,6 +108,7 @@ def command(
     """
     from orbisim.diagnosis import Settings, diagnose
     from orbisim.effects import find
+    from orbisim.recording import load_recordings
 
     for name in effects:
         find(name)
@@ -115,8 +119,10 @@ def command(
         patience=patience,
         seed=seed,
     )
+    measured = load_recordings(recordings, mapping)
+    unseen = load_recordings(held_out, mapping)
     result = diagnose(
-        scene, list(recordings), list(held_out) or None, window=window, residual=residual,
+        scene, measured, unseen or None, window=window, residual=residual,
         backend=backend, settings=settings, learn_rest=learn_rest, out=out,
     )  # fmt: skip
     if out is not None:

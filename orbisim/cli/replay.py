@@ -15,6 +15,7 @@ from orbisim.cli.common import (
     emit_json,
     engine_command,
     json_option,
+    map_option,
     note,
     print_table,
     writable_folder,
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     callback=writable_folder,
     help="Folder for report.html and .json.",
 )
+@map_option
 @device_option
 @json_option
 @engine_command
@@ -60,20 +62,24 @@ def command(
     window: float,
     velocities: Any,
     out: Path | None,
+    mapping: Path | None,
     device: str | None,
     as_json: bool,
 ) -> None:
     """Simulate windows of each RECORDING from its recorded states and compare.
 
-    A recording is an .npz, .csv or .parquet file with time and named signals in SI units. Each
-    window starts from the recorded state and runs free under the recorded controls to its end.
+    A recording is an .npz, .csv, .parquet or HDF5 file, a ROS bag, an MCAP file or a LeRobot folder
+    with time and named signals; columns with other names are signals by a map. Each window starts
+    from the recorded state and runs free under the recorded controls to its end.
     Prints the error of each signal; with --out, writes a report with plots.
     """
+    from orbisim.recording import load_recordings
     from orbisim.replay import replay
 
     with _held_back():
+        loaded = load_recordings(recordings, mapping)
         result = replay(
-            scene, recordings, backend=backend, window=window, device=device, velocities=velocities
+            scene, loaded, backend=backend, window=window, device=device, velocities=velocities
         )
     for text in result.notes:
         note(f"note: {text}")

@@ -10,7 +10,7 @@ from orbisim.recording.motion import (
     smooth_rotation,
 )
 from orbisim.recording.noise import noise_std
-from orbisim.recording.recording import Recording
+from orbisim.recording.recording import Recording, load_recordings
 from orbisim.recording.resampling import resample
 from orbisim.recording.smoothing import Smoothed, smooth
 
@@ -23,6 +23,7 @@ __all__ = [
     "bind",
     "capture",
     "estimate_motion",
+    "load_recordings",
     "noise_std",
     "resample",
     "smooth",

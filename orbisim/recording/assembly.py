@@ -11,7 +11,7 @@ from orbisim.errors import RecordingError, UnknownNameError
 from orbisim.recording import names
 from orbisim.recording.quaternions import continuous
 from orbisim.recording.recording import Recording
-from orbisim.recording.units import check_unit
+from orbisim.recording.signal_units import check_unit
 from orbisim.scene import Scene
 from orbisim.scene.hidden import hidden_joints
 

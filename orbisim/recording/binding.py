@@ -14,7 +14,9 @@ from orbisim.recording.actuators import Actuator, actuators
 from orbisim.recording.assembly import Assembly
 from orbisim.recording.bound import Bound
 from orbisim.recording.checks import suspicions
+from orbisim.recording.formats.log import Column
 from orbisim.recording.joints import Joint, body_label, joints
+from orbisim.recording.matching import matches
 from orbisim.recording.recording import Recording
 from orbisim.recording.sensors import reads_state, sensors
 from orbisim.recording.zero_order_hold import filled
@@ -23,6 +25,11 @@ from orbisim.scene.hidden import hidden_joints
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
+
+_MOST_COLUMNS = 20
+"""Columns of the file that an error lists."""
+_MOST_LOOKED_AT = 500
+"""Columns that are compared with the signals of the scene."""
 
 
 def bind(recording: Recording, scene: Scene) -> Bound:
@@ -195,7 +202,24 @@ class _Binder(Assembly):
         raise RecordingError(
             self.recording.source,
             f"{plural} {labels} of scene {self.scene.name!r} not recorded, {why}",
-            remedy=remedy,
+            remedy=remedy + self.unused(),
+        )
+
+    def unused(self) -> str:
+        """What else the file holds, and which signals of the scene that may be."""
+        columns = self.recording.columns
+        if not columns:
+            return ""
+        shown = ", ".join(repr(name) for name in columns[:_MOST_COLUMNS])
+        more = f" and {len(columns) - _MOST_COLUMNS} more" if len(columns) > _MOST_COLUMNS else ""
+        given = [Column(name) for name in columns[:_MOST_LOOKED_AT]]
+        like = [m for m in matches(given, self.model, table=True) if m.likeness < 1.0]
+        pairs = ", ".join(f"{m.column.name!r} is {m.signal!r}" for m in like[:_MOST_COLUMNS])
+        hint = f" (perhaps {pairs})" if pairs else ""
+        return (
+            f". The file has the columns {shown}{more}, which are not named as signals: say in a "
+            f"map which ones they are{hint}; 'orbisim recording init LOG --scene SCENE' writes a "
+            "first one"
         )
 
     # -- what drives the scene ---------------------------------------------------------------------

@@ -16,7 +16,7 @@ from orbisim.recording.actuators import actuators
 from orbisim.recording.interpolation import Between, linear, positions
 from orbisim.recording.joints import joints
 from orbisim.recording.recording import Recording
-from orbisim.recording.units import unit_of
+from orbisim.recording.signal_units import unit_of
 from orbisim.scene import Scene
 from orbisim.trajectory import Trajectory
 

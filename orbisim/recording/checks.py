@@ -11,6 +11,7 @@ from orbisim.errors import RecordingError
 from orbisim.recording import quaternions as quat
 from orbisim.recording.actuators import actuators
 from orbisim.recording.bound import Bound, Suspicion
+from orbisim.recording.clocks import slow
 from orbisim.recording.joints import Joint, Kind, body_label, joints
 
 Floats = npt.NDArray[np.float64]
@@ -28,6 +29,8 @@ def suspicions(bound: Bound) -> list[Suspicion]:
       RecordingError: a quaternion is x, y, z, w, as its recorded angular velocity shows.
     """
     found: list[Suspicion] = []
+    if (text := slow(bound.time)) is not None:
+        found.append(Suspicion(f"'time': {text}"))
     for joint in joints(bound.model):
         if joint.scalar:
             found += _range(bound, joint)

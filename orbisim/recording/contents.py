@@ -19,6 +19,7 @@ class Contents:
     Attributes:
       time: [T]. signals: [T] or [T, n] by name.
       units, metadata: what the file says of them. source: its name. notes: what was ignored.
+      columns: what else the file holds, under names that are not those of signals.
     """
 
     time: Floats
@@ -27,3 +28,4 @@ class Contents:
     metadata: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     source: str = "recording"
     notes: tuple[str, ...] = ()
+    columns: tuple[str, ...] = ()

@@ -1,60 +1,16 @@
-"""What the file formats share: the header that `save` writes, and the making of a recording."""
+"""The header that `Recording.save` writes: units and metadata as JSON."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from orbisim.errors import RecordingError
-from orbisim.recording import names
 from orbisim.recording.contents import Contents
 
 SCHEMA = "orbisim.recording/1"
-
-
-def assemble(
-    path: Path,
-    arrays: Mapping[str, npt.ArrayLike],
-    header: Mapping[str, Any],
-    ignored: Iterable[str],
-) -> Contents:
-    """A recording from the arrays of a file.
-
-    Raises:
-      RecordingError: there is no time, or an array does not fit.
-    """
-    if "time" not in arrays:
-        raise RecordingError(
-            str(path), "has no 'time'", remedy="give the time of each sample in seconds"
-        )
-    own = {name: _as_own(values) for name, values in arrays.items()}
-    return Contents(
-        time=own.pop("time"),
-        signals=own,
-        units=header.get("units", {}),
-        metadata=header.get("metadata", {}),
-        source=str(path),
-        notes=tuple(_ignored_note(name) for name in ignored),
-    )
-
-
-def _as_own(values: npt.ArrayLike) -> npt.NDArray[Any]:
-    """An array that nobody else writes into, so that it need not be copied."""
-    array = np.asarray(values)
-    array.flags.writeable = False
-    return array
-
-
-def _ignored_note(name: str) -> str:
-    kind, _, target = name.partition("/")
-    if not target and kind in names.KINDS:
-        return f"ignored {name!r}: a signal is named {kind}/<{names.KINDS[kind]}>"
-    return f"ignored {name!r}: not the name of a signal"
 
 
 def header_of(recording: Contents) -> str:
@@ -83,6 +39,8 @@ def parse_header(path: Path, text: str | bytes) -> Mapping[str, Any]:
         units, metadata = header.get("units", {}), header.get("metadata", {})
         if not (isinstance(units, dict) and isinstance(metadata, dict)):
             raise ValueError("units and metadata must be objects")
-    except ValueError as error:
+        if not all(isinstance(unit, str) for unit in units.values()):
+            raise ValueError("units must be text")
+    except (ValueError, RecursionError) as error:
         raise RecordingError(str(path), f"its header cannot be read: {error}") from None
     return header

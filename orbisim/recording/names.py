@@ -63,6 +63,12 @@ def is_signal(name: str) -> bool:
     return True
 
 
+def is_component(name: str) -> bool:
+    """Whether this is the name of a signal, or of a column that holds one component of it."""
+    indexed = _INDEX.fullmatch(name)
+    return is_signal(name) or bool(indexed and is_signal(indexed[1]))
+
+
 def columns(name: str, width: int | None) -> list[str]:
     """Names of the columns of a signal [T] (width None) or [T, width]."""
     kind, _ = split(name)

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from orbisim.errors import RecordingError
 from orbisim.recording import files, names
 from orbisim.recording.contents import Contents
+from orbisim.recording.mapping import SignalMap
 from orbisim.recording.windows import cut
 
 Floats = npt.NDArray[np.float64]
@@ -33,6 +34,7 @@ class Recording(Contents):
       metadata: whatever else the source says (JSON values).
       source: where it came from, for messages.
       notes: what was ignored or assumed when it was read.
+      columns: of the file that it was read from, those that were not used.
     """
 
     def __post_init__(self) -> None:
@@ -73,7 +75,7 @@ class Recording(Contents):
 
     def __reduce__(self) -> tuple[Any, ...]:
         plain = (self.time, dict(self.signals), dict(self.units), dict(self.metadata))
-        return (Recording, (*plain, self.source, self.notes))
+        return (Recording, (*plain, self.source, self.notes, self.columns))
 
     @property
     def duration(self) -> float:
@@ -83,13 +85,20 @@ class Recording(Contents):
     # -- files -------------------------------------------------------------------------------------
 
     @classmethod
-    def load(cls, path: str | Path) -> Recording:
-        """Reads `.npz`, `.csv` or `.parquet`. Nothing in the file is executed.
+    def load(cls, path: str | Path, mapping: str | Path | SignalMap | None = None) -> Recording:
+        """Reads a log: `.npz`, `.csv`, `.parquet`, HDF5, ROS bags, MCAP, LeRobot folders.
+
+        Nothing in the file is executed. Units that a header or the format names are converted.
+
+        Args:
+          path: of a file or folder; of a folder of several episodes, `folder#3`.
+          mapping: a `map.yaml`, or what was read from one: which column is which signal.
 
         Raises:
           RecordingError: the file is not a recording; the message says what is wrong and where.
+          MissingDependencyError: its format needs packages that are not installed.
         """
-        read = files.load(Path(path))
+        read = files.load(path, mapping)
         return cls(**{f.name: getattr(read, f.name) for f in dataclasses.fields(read)})
 
     def save(self, path: str | Path) -> None:
@@ -149,6 +158,18 @@ class Recording(Contents):
             known = ", ".join(sorted(self.signals)) or "nothing"
             raise RecordingError(self.source, f"{name!r} is not recorded; recorded: {known}")
         return self.signals[name]
+
+
+def load_recordings(
+    paths: Iterable[str | Path], mapping: str | Path | None = None
+) -> list[Recording]:
+    """Reads several logs with one map.
+
+    Raises:
+      RecordingError, MissingDependencyError: see `Recording.load`.
+    """
+    chosen = None if mapping is None else SignalMap.load(mapping)
+    return [Recording.load(path, chosen) for path in paths]
 
 
 def _frozen(array: Floats) -> Floats:

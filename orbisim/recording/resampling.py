@@ -6,11 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.errors import InputError
-from orbisim.recording import names
-from orbisim.recording import quaternions as quat
 from orbisim.recording.joints import joints
 from orbisim.recording.recording import Recording
-from orbisim.recording.zero_order_hold import Held
+from orbisim.recording.sampling import resampled
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
@@ -38,48 +36,16 @@ def resample(recording: Recording, time: Floats, scene: Scene | None = None) -> 
             f"{time.max():.6g} s"
         )
     signals = {
-        name: _signal(recording, name, values, time, scene)
+        name: resampled(recording.time, name, values, time, _quaternions(name, scene))
         for name, values in recording.signals.items()
     }
     return recording.replace(time=time, signals=signals)
 
 
-def _signal(
-    recording: Recording, name: str, values: Floats, time: Floats, scene: Scene | None
-) -> Floats:
-    columns = values.reshape(len(values), -1)
-    kind, _ = names.split(name)
-    if kind in names.HELD:
-        found = Held(recording.time, columns).at(time)
-    else:
-        found = _interpolated(recording.time, columns, time, _quaternions(name, columns, scene))
-    return found.reshape(len(time), *values.shape[1:])
-
-
-def _quaternions(name: str, columns: Floats, scene: Scene | None) -> list[slice]:
-    """Columns of a signal that form quaternions."""
-    kind, target = names.split(name)
-    if kind == "xquat":
-        return [slice(0, 4)]
-    if kind != "qpos":
-        return []
-    if target:
-        return {4: [slice(0, 4)], 7: [slice(3, 7)]}.get(columns.shape[1], [])
+def _quaternions(name: str, scene: Scene | None) -> list[slice] | None:
+    """Columns of the whole array `qpos` that form quaternions; None for all other signals."""
+    if name != "qpos":
+        return None
     if scene is None:
         raise InputError("to resample the array 'qpos', pass the scene: it says what it holds")
     return [j.quat for j in joints(scene.model) if j.quat is not None]
-
-
-def _interpolated(before: Floats, values: Floats, time: Floats, quaternions: list[slice]) -> Floats:
-    row = np.clip(np.searchsorted(before, time, side="right") - 1, 0, max(len(before) - 2, 0))
-    if len(before) == 1:
-        return values[row]
-    part = ((time - before[row]) / (before[row + 1] - before[row]))[:, None]
-    low, high = values[row], values[row + 1]
-    found = np.where(part == 0, low, np.where(part == 1, high, low + part * (high - low)))
-    for place in quaternions:
-        turn = quat.log(quat.multiply(quat.conjugate(low[:, place]), high[:, place]))
-        arc = quat.multiply(low[:, place], quat.exp(part * turn))
-        exact = (part == 0) | (part == 1)
-        found[:, place] = np.where(exact, found[:, place], arc)
-    return np.asarray(found)

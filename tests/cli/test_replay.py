@@ -104,7 +104,7 @@ def test_a_page_about_a_simulation_that_diverges(folder: Path, tmp_path: Path) -
     [
         ("scene.xml", "nothing.npz", [], "nothing.npz: no such file"),
         ("nothing.xml", "a.npz", [], "nothing.xml: no such file"),
-        ("scene.xml", "scene.xml", [], "suffixes .npz, .csv, .parquet"),
+        ("scene.xml", "scene.xml", [], "a recording has one of the suffixes"),
         ("scene.xml", "text.npz", [], "text.npz: is not an .npz file"),
         ("scene.xml", "late.csv", [], "late.csv: "),
         ("scene.xml", "empty.csv", [], "empty.csv: the file is empty"),

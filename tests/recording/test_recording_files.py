@@ -152,7 +152,6 @@ BAD = {
     "words.npz": (npz(time=T, **{"qpos/a": ["a", "b", "c"]}), "must hold numbers"),
     "complex.npz": (npz(time=T, **{"qpos/a": [1j, 2, 3]}), "must hold numbers; got complex128"),
     "headless.csv": (text(b"0,1\n1,2\n"), "has no 'time'"),
-    "semicolon.csv": (text(b"time;qpos/a\n0;1\n"), "not separated by commas"),
     "word.csv": (text(b"time,qpos/a\n0,1\n1,two\n"), "column 'qpos/a'.*'two'"),
     "ragged.csv": (text(b"time,qpos/a\n0,1\n1\n"), "Expected 2 columns, got 1"),
     "binary.csv": (text(bytes(range(256))), "is not a table"),
@@ -162,13 +161,14 @@ BAD = {
     "back.csv": (text(b"time\n0\n2\n1\n"), "row 2 is 1.0 after 2.0"),
     "text.parquet": (text(b"hello"), "is not a .parquet file"),
     "stamps.parquet": (
-        parquet({"time": pyarrow.array([0, 1], pyarrow.timestamp("ms"))}),
-        "must hold numbers; got timestamp.*time is in seconds",
+        parquet({"time": pyarrow.array([0, None], pyarrow.timestamp("ms"))}),
+        "'time': has rows without a time",
     ),
     "lists.parquet": (
-        parquet({"time": [0.0, 1.0], "qpos/a": [[1.0], [2.0]]}),
-        "must hold numbers; got list",
+        parquet({"time": [0.0, 1.0], "qpos/a": [[1.0], [2.0, 3.0]]}),
+        "'qpos/a': must hold lists of equal length",
     ),
+    "words.parquet": (parquet({"time": [0.0], "qpos/a": ["a"]}), "must hold numbers; got string"),
 }  # fmt: skip
 
 
@@ -190,7 +190,7 @@ def test_missing_files_and_other_suffixes(tmp_path):
     with pytest.raises(RecordingError, match="is not a file"):
         (tmp_path / "folder.npz").mkdir()
         Recording.load(tmp_path / "folder.npz")
-    with pytest.raises(RecordingError, match=r"suffixes .npz, .csv, .parquet; got '.mat'"):
+    with pytest.raises(RecordingError, match=r"suffixes .*\.csv.*got '\.mat'"):
         Recording.load(tmp_path / "a.mat")
     with pytest.raises(RecordingError, match="suffixes"):
         Recording([0.0], {}).save(tmp_path / "a.pkl")
@@ -206,7 +206,7 @@ class Bomb:
 def test_pickles_are_not_executed(tmp_path):
     path = tmp_path / "a.npz"
     np.savez(path, time=[0.0], **{"qpos/a": np.array([Bomb()], object)})
-    with pytest.raises(RecordingError, match=r"'qpos/a': cannot be read.*allow_pickle"):
+    with pytest.raises(RecordingError, match=r"'qpos/a' cannot be read.*Python objects"):
         Recording.load(path)
     path.write_bytes(pickle.dumps(Bomb()))
     with pytest.raises(RecordingError, match=r"not an \.npz"):
@@ -221,7 +221,7 @@ def test_a_huge_array_in_a_small_file_is_refused(tmp_path):
     npy = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(64)
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
         archive.writestr("time.npy", npy)
-    with pytest.raises(RecordingError, match="'time': cannot be read"):
+    with pytest.raises(RecordingError, match="'time' cannot be read"):
         Recording.load(tmp_path / "a.npz")
 
 

@@ -1,0 +1,1 @@
+"""Files that recordings are read from: a reader for each format, found by entry point."""
