@@ -32,6 +32,10 @@ EXTRAS = {
     "usdz": "usd",
     "h5": "logs",
     "hdf5": "logs",
+    "bag": "logs",
+    "db3": "logs",
+    "mcap": "logs",
+    "metadata.yaml": "logs",
 }
 """The extra that installs what OrbiSim's own plug-ins need, where they need one."""
 

@@ -57,8 +57,7 @@ def contents_of(log: Log, mapping: SignalMap | None = None) -> Contents:
     picks = _named(log) if mapping is None else _mapped(log, mapping)
     times = [pick for pick in picks if pick.signal == TIME]
     signals = [pick for pick in picks if pick.signal != TIME]
-    if len(times) > 1:
-        _refuse_two(log, times[0], times[1])
+    _check_apart(log, picks)
     chosen = times[0] if times else None
     groups = list(dict.fromkeys(pick.column.group for pick in signals)) or [""]
     if chosen is None and groups == [""] and log.clocks and "" not in log.clocks:
@@ -135,6 +134,15 @@ def _unit(log: Log, column: Column, stated: str | None) -> Unit | None:
         ) from None
 
 
+def _check_apart(log: Log, picks: Sequence[Pick]) -> None:
+    """Raises `RecordingError` if two columns are the same signal."""
+    seen: dict[str, Pick] = {}
+    for pick in picks:
+        if pick.signal in seen:
+            _refuse_two(log, seen[pick.signal], pick)
+        seen[pick.signal] = pick
+
+
 def _refuse_two(log: Log, one: Pick, other: Pick) -> None:
     raise RecordingError(
         log.source,
@@ -190,11 +198,8 @@ def _signals(
     whole: dict[str, Array] = {}
     parts: dict[str, Array] = {}
     stated: dict[str, str] = {}
-    seen: dict[str, Pick] = {}
+    seen = {pick.signal: pick for pick in picks}
     for pick in picks:
-        if pick.signal in seen:
-            _refuse_two(log, seen[pick.signal], pick)
-        seen[pick.signal] = pick
         values = _converted(pick, _component(log, pick, arrays))
         one = values.ndim == 1 and (log.table or pick.entry is not None)
         (parts if one else whole)[pick.signal] = values

@@ -95,9 +95,16 @@ def _at(part: Contents, name: str, values: Floats, time: Floats) -> Floats:
         gaps = np.diff(before)
         wide = gaps[row] > _GAP * np.median(gaps)
         inside &= ~wide | (time == before[row]) | (time == before[row + 1])
+    if not inside.any():
+        raise RecordingError(
+            part.source,
+            f"its times, {before[0]:.6g} to {before[-1]:.6g} s, do not meet those of the other "
+            f"signals, {time[0]:.6g} to {time[-1]:.6g} s",
+            element=repr(name),
+            remedy="leave it out of the map, or make its clock that of the others",
+        )
     found = np.full((len(time), *values.shape[1:]), np.nan)
-    if inside.any():
-        found[inside] = resampled(before, name, values, time[inside])
+    found[inside] = resampled(before, name, values, time[inside])
     return found
 
 

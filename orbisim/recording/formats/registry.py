@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from orbisim import plugins
-from orbisim.errors import InputError, RecordingError
+from orbisim.errors import InputError, MissingDependencyError, RecordingError
 from orbisim.recording.formats.log import Log, LogReader
 
 GROUP = "orbisim.recordings"
@@ -39,6 +39,10 @@ def open_log(path: str | Path) -> Log:
         raise
     except InputError as error:
         raise as_recording_error(where, error) from None
+    except ModuleNotFoundError as error:
+        extra = plugins.EXTRAS.get(name, "logs")
+        missing = f"no module {error.name!r}"
+        raise MissingDependencyError(f"{where.name!r}", extra, missing) from error
 
 
 def as_recording_error(path: str | Path, error: InputError) -> RecordingError:
