@@ -33,6 +33,9 @@ SCHEMA = "orbisim.replay/1"
 
 __all__ = ["Replay", "SignalError", "Window", "prepare", "replay"]
 
+_MOST_STEPS = 100_000
+"""Timesteps between two samples: minutes, at usual timesteps; no measurement is so sparse."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Replay:
@@ -154,6 +157,7 @@ def prepare(bound: Bound, window: float, velocities: Velocities = "recorded") ->
     Raises:
       RecordingError: the state is nowhere known.
     """
+    _check_interval(bound, window)
     states = starts(bound, velocities)
     windows = cut(bound.time, window, states.usable)
     if not windows:
@@ -166,6 +170,27 @@ def prepare(bound: Bound, window: float, velocities: Velocities = "recorded") ->
     late = len(set(cut(bound.time, window)) - set(windows))
     notes = [f"{late} windows start later or are left out, as the state is not known before"]
     return Prepared(bound, states, tuple(windows), tuple(notes if late else ()))
+
+
+def _check_interval(bound: Bound, window: float) -> None:
+    """Refuses samples that are too far apart for windows, or for any simulation between them."""
+    if len(bound.time) < 2:
+        return
+    interval = float(np.median(np.diff(bound.time)))
+    steps = interval / bound.model.opt.timestep
+    if steps > _MOST_STEPS:
+        raise RecordingError(
+            bound.recording.source,
+            f"samples are {interval:.4g} s apart, {steps:.3g} timesteps of the scene",
+            element="'time'",
+            remedy="time is in seconds; is it in other units?",
+        )
+    if window > 0 and not cut(bound.time, window):
+        raise RecordingError(
+            bound.recording.source,
+            f"no window of {window:g} s holds two samples: they are {interval:.4g} s apart",
+            remedy="give a longer window; time is in seconds",
+        )
 
 
 def _load_all(recordings: Any) -> list[Recording]:

@@ -381,6 +381,22 @@ def test_json_is_the_contract(tmp_path, recording):
     assert result.recordings == (str(tmp_path / "a.npz"), str(tmp_path / "b.csv"))
 
 
+@pytest.mark.parametrize(
+    ("factor", "window", "message"),
+    [
+        (1e3, 0.5, "samples are 2 s apart|holds two samples: they are 2 s apart"),
+        (1e6, 0.5, "timesteps of the scene; time is in seconds"),
+        (1e6, 0.0, "timesteps of the scene; time is in seconds"),
+        (1e12, 0.5, "timesteps of the scene; time is in seconds"),
+    ],
+)
+def test_time_in_other_units(scene, recording, factor, window, message):
+    """Windows are as many as samples at most, not as time has half seconds."""
+    scaled = recording.replace(time=recording.time * factor)
+    with pytest.raises(RecordingError, match=message):
+        orbisim.replay(scene, scaled, window=window)
+
+
 def test_wrong_arguments(scene, recording):
     with pytest.raises(InputError, match="at least one recording"):
         orbisim.replay(scene, [])

@@ -99,7 +99,7 @@ class EffectInstance:
             values = {str(k): float(v) for k, v in data["parameters"].items()}
             options = {str(k): str(v) for k, v in data.get("options", {}).items()}
             return EffectInstance(str(data["effect"]), str(data["target"]), values, options)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
             raise InputError(f"not an effect: {data!r} ({error!r})") from None
 
     def replace(self, **values: float) -> EffectInstance:
@@ -213,6 +213,14 @@ class Effect(abc.ABC):
             raise UnknownNameError(self.kind, instance.target, names, f"needed by {self.name}")
         if not self.possible(model, instance.target):
             raise InputError(f"{self.name} is not possible at {self.kind} {instance.target!r}")
+        self.check_values(model, instance)
+
+    def check_values(self, model: mujoco.MjModel, instance: EffectInstance) -> None:
+        """Raises if a value is impossible.
+
+        Raises:
+          InputError: a parameter is missing, unknown or out of bounds.
+        """
         known = {p.name: p for p in self.parameters(model, instance.target)}
         for name, value in instance.values.items():
             if name not in known:

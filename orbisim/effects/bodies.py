@@ -274,8 +274,7 @@ class PeriodicDisturbance(Effect):
             super().check(model, instance)
             return
         index_of(model, "body", instance.target)
-        for parameter in self.parameters(model, instance.target):
-            parameter.check(self.name, instance.target, instance.values[parameter.name])
+        self.check_values(model, instance)
 
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Periodic(model, instance)

@@ -38,8 +38,7 @@ class MeasurementEffect(Effect):
             raise UnknownNameError("joint or sensor", instance.target, known)
         if instance.target not in names_of_kind(model, "joint"):
             axis_of(instance, _sensor(model, instance.target).width)
-        for parameter in self.parameters(model, instance.target):
-            parameter.check(self.name, instance.target, instance.values[parameter.name])
+        self.check_values(model, instance)
 
     def known_targets(self, model: mujoco.MjModel) -> tuple[str, ...]:
         """Joints (free ones too) and sensors."""

@@ -34,6 +34,8 @@ Array = npt.NDArray[Any]
 _NUMBERS_AND_STRINGS = "biufS"
 _MOST_AXES = 8
 _MOST_TEXT = 16 * 2**20
+_MOST_CHUNKS, _LEAST_CHUNK = 10_000, 1024
+"""HDF5 takes 4 KB of memory for each chunk, however small; many small ones are refused."""
 _DEEPEST = 16
 _MOST_NAMES = 10_000
 """Below one group; groups may be linked to each other in circles."""
@@ -127,6 +129,7 @@ class Reader:
         dataset = self._dataset(place)
         nbytes = self._checked(dataset, place)
         (allowance or self.allowance()).take(nbytes, place)
+        self._check_chunks(dataset, place, nbytes)
         with self._errors(place):
             return np.asarray(dataset[()])
 
@@ -146,6 +149,15 @@ class Reader:
         if len(shape) > _MOST_AXES:
             raise self._error(place, f"has {len(shape)} axes; at most {_MOST_AXES} are read")
         return math.prod(map(int, shape)) * int(kind.itemsize)
+
+    def _check_chunks(self, dataset: Any, place: str, nbytes: int) -> None:
+        with self._errors(place):
+            shape, chunks = dataset.shape, dataset.chunks
+        if chunks is None:
+            return
+        count = math.prod(-(-n // c) for n, c in zip(shape, chunks, strict=True))
+        if count > _MOST_CHUNKS and nbytes < _LEAST_CHUNK * count:
+            raise self._error(place, f"is cut into {count} chunks of a few bytes")
 
     # -- attributes ----------------------------------------------------------------------------
 

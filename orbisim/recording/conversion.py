@@ -201,6 +201,10 @@ def _signals(
     seen = {pick.signal: pick for pick in picks}
     for pick in picks:
         values = _converted(pick, _component(log, pick, arrays))
+        if values.dtype.kind not in "fiub":
+            raise RecordingError(
+                log.source, f"must hold numbers; got {values.dtype}", element=repr(pick.column.name)
+            )
         one = values.ndim == 1 and (log.table or pick.entry is not None)
         (parts if one else whole)[pick.signal] = values
         if pick.unit is not None and pick.unit.si != units.AS_IT_IS:

@@ -51,15 +51,26 @@ def cut(time: Floats, duration: float, usable: npt.NDArray[np.bool_] | None = No
     interval = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     total = float(time[-1] - time[0])
     short = min(_SHORT * interval, 0.5 * duration)
-    count = int(np.floor((total + short) / duration)) if duration > 0 else 0
-    borders = time[0] + duration * np.arange(count + 1) if count else time[[0, -1]]
+    count = np.floor((total + short) / duration) if duration > 0 else 0
+    starts, ends = _borders(time, duration, count) if count else (time[:1], time[-1:])
     slack = 1e-6 * interval
-    first = np.searchsorted(time, borders[:-1] - slack, side="left")
-    last = np.searchsorted(time, borders[1:] + slack, side="right")
+    first = np.searchsorted(time, starts - slack, side="left")
+    last = np.searchsorted(time, ends + slack, side="right")
     windows = [Rows(int(a), int(b)) for a, b in zip(first, last, strict=True)]
     if usable is not None:
         windows = [_from_usable(window, usable) for window in windows]
     return [window for window in windows if len(window) >= 2]
+
+
+def _borders(time: Floats, duration: float, count: float) -> tuple[Floats, Floats]:
+    """Starts and ends of the windows 0 to count - 1 that hold a sample, or have one beside them.
+
+    There may be far more windows than samples: time may be in microseconds.
+    """
+    number = np.floor((time - time[0]) / duration)
+    near = np.unique(np.concatenate([number - 1, number, number + 1]))
+    near = near[(near >= 0) & (near < count)]
+    return time[0] + duration * near, time[0] + duration * (near + 1)
 
 
 def _from_usable(window: Rows, usable: npt.NDArray[np.bool_]) -> Rows:

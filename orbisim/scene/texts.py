@@ -38,7 +38,10 @@ def read_text(model: mujoco.MjModel, name: str) -> Any:
         return None
     start, size = int(model.text_adr[index]), int(model.text_size[index])
     raw = bytes(model.text_data[start : start + size]).split(b"\0")[0]
-    data = json.loads(raw.decode())
+    try:
+        data = json.loads(raw.decode())
+    except RecursionError:
+        raise ValueError("JSON that is nested too deeply") from None
     if data is None:
         raise ValueError("expected a list or an object, got null")
     return data

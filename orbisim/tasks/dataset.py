@@ -190,14 +190,14 @@ class EpisodeFile:
         return f"episodes/{self._keys[index]}"
 
     def _read(self, place: str, name: str, steps: int, allowance: Allowance) -> Array:
-        array = self._file.array(f"{place}/{name}", allowance)
+        shape = self._file.shape(f"{place}/{name}")
         expected = steps if name in PER_STEP else steps + 1
-        if not is_static(name) and array.shape[:1] != (expected,):
+        if not is_static(name) and shape[:1] != (expected,):
             raise InputError(
-                f"{self.path}: {place}/{name} has shape {array.shape}; an episode of {steps} steps "
+                f"{self.path}: {place}/{name} has shape {shape}; an episode of {steps} steps "
                 f"has {expected} rows of it"
             )
-        return array
+        return self._file.array(f"{place}/{name}", allowance)
 
 
 def _pad(arrays: Sequence[Array]) -> tuple[Array, npt.NDArray[np.bool_]]:

@@ -20,6 +20,9 @@ Array = npt.NDArray[np.float64]
 _LOOP = 2201
 """three.js's LoopRepeat."""
 
+_MOST_FRAMES = 10_000_000
+"""Hours at any rate; the page for them would have gigabytes."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Frames:
@@ -68,6 +71,11 @@ def frames_of(
     if (np.diff(elapsed) <= 0).any():
         step = int(np.argmax(np.diff(elapsed) <= 0))
         raise InputError(f"the {what}'s time does not increase from step {step - 1} to {step}")
+    if elapsed[-1] * fps > _MOST_FRAMES:
+        raise InputError(
+            f"the {what} lasts {elapsed[-1]:.4g} s, which is {elapsed[-1] * fps:.3g} frames at "
+            f"{fps:g} for each second; at most {_MOST_FRAMES} are shown"
+        )
     chosen = nearest_to_grid(elapsed, fps)
     stopped_at = None if count == len(usable) else _stop(time, count)
     return Frames(elapsed[chosen], qpos[chosen], _mocap(trajectory, world), stopped_at)

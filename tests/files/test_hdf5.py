@@ -66,6 +66,10 @@ def _huge(file: Any, secret: Path) -> None:
     file.create_dataset("x", (10**6, 10**6), "f8", chunks=(10, 10))
 
 
+def _crumbs(file: Any, secret: Path) -> None:
+    file.create_dataset("x", (10**7,), "f8", chunks=(8,))
+
+
 def _bomb(file: Any, secret: Path) -> None:
     file.create_dataset("x", (2**17, 1024), "f8", chunks=(1024, 1024), compression="gzip")
 
@@ -91,6 +95,7 @@ REFUSED: dict[Callable[[Any, Path], None], str] = {
     _objects: "expected numbers or strings of fixed length",
     _compound: "expected numbers",
     _huge: "out of proportion",
+    _crumbs: "chunks of a few bytes",
     _bomb: "out of proportion",
     _axes: "has 12 axes",
     _group: "expected a dataset",

@@ -20,6 +20,7 @@ from hypothesis.extra import numpy as hnp
 from orbisim import Recording
 from orbisim.errors import RecordingError
 
+from ..clock import Stopwatch
 from .test_names import signals as named_widths
 
 FORMATS = (".npz", ".csv", ".parquet")
@@ -289,3 +290,32 @@ def test_ten_million_rows_take_little_more_memory_than_their_numbers(tmp_path):
     path.unlink()
     assert count == rows
     assert taken < 2 * (3 * 8 * rows)
+
+
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        ('{"schema": "orbisim.recording/1", "units": {"qpos/a": 1}}', "units must be text"),
+        ('{"schema": "orbisim.recording/1", "units": ' + "[" * 100_000, "header cannot be read"),
+    ],
+)
+def test_headers_that_are_none(tmp_path, header, message):
+    np.savez(tmp_path / "a.npz", time=[0.0], **{"qpos/a": [0.0], "header": np.array(header)})
+    with pytest.raises(RecordingError, match=message):
+        Recording.load(tmp_path / "a.npz")
+
+
+def test_a_table_with_very_many_columns_is_read_in_time(tmp_path):
+    names = [f"qpos/j{i}" for i in range(100_000)]
+    (tmp_path / "a.csv").write_text(",".join([*names, names[0]]) + "\n")
+    watch = Stopwatch()
+    with pytest.raises(RecordingError, match="stands in two columns"):
+        Recording.load(tmp_path / "a.csv")
+    assert watch.seconds < 20.0  # it was minutes
+
+
+def test_a_component_that_is_no_number_is_named(tmp_path):
+    columns = {"time": [0.0, 1.0], "qpos[0]": [1.0, 2.0], "qpos[1]": np.zeros(2, "M8[ns]")}
+    pyarrow.parquet.write_table(pyarrow.table(columns), tmp_path / "a.parquet")
+    with pytest.raises(RecordingError, match=r"'qpos\[1\]': must hold numbers; got datetime"):
+        Recording.load(tmp_path / "a.parquet")

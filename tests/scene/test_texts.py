@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from xml.sax.saxutils import quoteattr
+
 import mujoco
 import pytest
 from hypothesis import given
@@ -65,3 +67,32 @@ def test_what_we_carry_is_checked_by_those_who_know_it() -> None:
     with pytest.raises(SceneError, match=r"there: .*not an effect"):
         check_texts(spec.compile(), "there")
     check_texts(load_scene(PLAIN).model, "there")
+
+
+CARRYING = """
+<mujoco>
+  <worldbody><body name="b"><joint name="j"/><geom size="0.1"/></body></worldbody>
+  <sensor><jointpos name="s" joint="j"/></sensor>
+  <custom><text name="orbisim:effects" data={}/></custom>
+</mujoco>
+"""
+_HUGE = "1" + "0" * 400
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[" * 100_000, "nested too deeply"),
+        ('{"a":' * 100_000, "nested too deeply"),
+        ('[{"effect": "sensor_bias", "target": "s", "parameters": {}}]', "lacks offset"),
+        ('[{"effect": "sensor_delay", "target": "j", "parameters": {"x": 1}}]', "unknown param"),
+        ('[{"effect": "periodic_disturbance", "target": "b", "parameters": {}}]', "lacks ampl"),
+        (
+            f'[{{"effect": "backlash", "target": "j", "parameters": {{"width": {_HUGE}}}}}]',
+            "not an effect",
+        ),
+    ],
+)
+def test_effects_that_are_none(text: str, message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        load_scene(CARRYING.format(quoteattr(text)))

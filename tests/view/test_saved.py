@@ -179,6 +179,11 @@ def test_no_steps() -> None:
     assert not any(c["type"] == "set_animation" for c in commands_of(still))
 
 
+def test_time_must_not_be_endless() -> None:
+    with pytest.raises(InputError, match="at most 10000000 are shown"):
+        view.trajectory_html(SCENE, dataclasses.replace(RUN, time=RUN.time * 1e9))
+
+
 def test_time_must_increase() -> None:
     time = RUN.time.copy()
     time[:, 5] = time[:, 3]
