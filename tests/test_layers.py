@@ -25,7 +25,7 @@ LAYERS = (
     {"scene"},
     # State
     {"state"},
-    {"trajectory", "arguments", "tangent"},
+    {"trajectory", "arguments", "tangent", "cameras"},
     # Backend, Renderer
     {"backend", "renderer"},
     {"registry", "gradients"},

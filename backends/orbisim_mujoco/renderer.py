@@ -10,7 +10,8 @@ from typing import Any
 import mujoco
 import numpy.typing as npt
 
-from orbisim.errors import InputError, RenderingUnavailableError, UnknownNameError
+from orbisim.cameras import camera_number
+from orbisim.errors import InputError, RenderingUnavailableError
 from orbisim.host import gl
 from orbisim.renderer import MODES, Mode, Renderer
 from orbisim.scene import Scene
@@ -88,17 +89,7 @@ class MujocoRenderer(Renderer):
         model = self._scene.model
         if isinstance(camera, mujoco.MjvCamera):
             return camera
-        if isinstance(camera, str):
-            names = [model.camera(i).name for i in range(model.ncam)]
-            if camera not in names:
-                raise UnknownNameError("camera", camera, filter(None, names))
-            return names.index(camera)
-        if not -1 <= camera < model.ncam:
-            raise InputError(
-                f"camera {camera} does not exist; scene {self._scene.name!r} has {model.ncam}, and "
-                "-1 is the free camera"
-            )
-        return camera
+        return camera_number(model, camera, self._scene.name)
 
     def _renderer_of(self, height: int, width: int) -> mujoco.Renderer:
         if self._renderer is None or self._size != (height, width):

@@ -29,8 +29,16 @@ from orbisim.errors import InputError
 @click.option(
     "--out", type=click.Path(path_type=Path), required=True, help="The file; it must not exist."
 )
-@click.option("--frames", "camera", default=None, help="Also images from this camera.")
+@click.option(
+    "--frames",
+    "camera",
+    default=None,
+    help="Also images from this camera; `random`: from one drawn anew for each episode.",
+)
 @click.option("--size", default=128, show_default=True, help="Height and width of the images.")
+@click.option(
+    "--buffers/--no-buffers", default=True, help="With images also depth and segmentation."
+)
 @click.option(
     "--set",
     "settings",
@@ -50,6 +58,7 @@ def command(
     out: Path,
     camera: str | None,
     size: int,
+    buffers: bool,
     settings: tuple[str, ...],
     ray: bool,
     seed: int,
@@ -70,7 +79,7 @@ def command(
         seed=seed,
         workers=workers,
         subtask=subtask,
-        camera=Camera(camera, size) if camera else None,
+        camera=Camera(camera, size, buffers) if camera else None,
         changes=dict(_setting(text) for text in settings),
         ray=ray,
     )

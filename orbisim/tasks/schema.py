@@ -7,6 +7,9 @@ SCHEMA = "orbisim.episodes/1"
 PER_STEP = frozenset({"ctrl", "action"})
 """Datasets with T rows; all others that run over time have T + 1."""
 
+IMAGES = ("frames/", "depth/", "segmentation/")
+"""Beginnings of the names of datasets with an image for each time."""
+
 STATIC_PREFIXES = ("descriptor/", "entities/")
 """Datasets that do not run over time."""
 

@@ -12,7 +12,7 @@ from typing import Any
 from orbisim.errors import InputError, MissingDependencyError, OutputError
 from orbisim.files.writing import check_place, writing
 from orbisim.tasks.episode import Episode
-from orbisim.tasks.schema import SCHEMA
+from orbisim.tasks.schema import IMAGES, SCHEMA
 
 _LIBVER = ("v110", "v110")
 _PACKAGES = ("orbisim", "mujoco", "numpy", "dm-control", "h5py")
@@ -80,7 +80,7 @@ def write_episode(group: Any, episode: Episode) -> None:
     for name in sorted(episode.arrays):
         array = episode.arrays[name]
         options: dict[str, Any] = {}
-        if name.startswith("frames/"):
+        if name.startswith(IMAGES):
             options = {"chunks": (min(16, len(array)), *array.shape[1:]), "compression": "gzip"}
         dataset = group.create_dataset(name, data=array, track_times=False, **options)
         if name in episode.columns:

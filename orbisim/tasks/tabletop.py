@@ -30,6 +30,7 @@ class TabletopConfig:
       cube_half: half side of a cube, m. density: kg/m^3.
       cube_friction: of a cube with another one and, where it is the larger, with the fingers.
       table_friction: between the table and whatever lies on it.
+      aspect: width over length of a box that has a cube's place; 1 is a cube.
       x, y: where cubes stand, m.
     """
 
@@ -37,6 +38,7 @@ class TabletopConfig:
     density: Range = (150.0, 900.0)
     cube_friction: Range = (0.2, 0.6)
     table_friction: Range = (0.2, 0.6)
+    aspect: Range = (1.0, 1.0)
     x: Range = (0.38, 0.64)
     y: Range = (-0.2, 0.2)
 
@@ -47,12 +49,14 @@ class Cube:
 
     Attributes:
       half: half side, m. density: kg/m^3. friction: sliding coefficient. colour: red, green, blue.
+      aspect: width over length.
     """
 
     half: float
     density: float
     friction: float
     colour: tuple[float, float, float]
+    aspect: float = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,7 +82,9 @@ def _draw_cube(config: TabletopConfig, rng: np.random.Generator) -> Cube:
     density = rng.uniform(*config.density)
     friction = rng.uniform(*config.cube_friction)
     red, green, blue = (float(value) for value in rng.uniform(0.1, 0.9, 3))
-    return Cube(half, density, friction, (red, green, blue))
+    low, high = config.aspect
+    aspect = low if low == high else rng.uniform(low, high)  # cubes draw the same numbers as ever
+    return Cube(half, density, friction, (red, green, blue), float(aspect))
 
 
 def build(asset: str, setting: Setting, label: str, qpos: Floats, ctrl: Floats) -> Scene:
@@ -103,7 +109,7 @@ def _write_cube(spec: mujoco.MjSpec, name: str, cube: Cube) -> None:
         body.add_freejoint(name=name)
         body.add_geom(spec.find_default("cube"), name=name)
     geom = body.geoms[0]
-    geom.size = [cube.half] * 3
+    geom.size = [cube.half, cube.half * cube.aspect, cube.half]
     geom.density = cube.density
     geom.friction = [cube.friction, 0.005, 0.0001]
     geom.rgba = [*cube.colour, 1.0]
