@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
@@ -22,10 +23,12 @@ class Renderer(abc.ABC):
     Attributes:
       name: the name under which the renderer is registered.
       modes: what it can render.
+      memory: names in `State.memory` of what `observe` remembers.
     """
 
     name: ClassVar[str] = ""
     modes: frozenset[Mode] = frozenset({"rgb"})
+    memory: ClassVar[frozenset[str]] = frozenset()
 
     @abc.abstractmethod
     def load(self, scene: Scene) -> None:
@@ -66,6 +69,16 @@ class Renderer(abc.ABC):
         """Renders every world: [nworld, height, width, ...]."""
         images = [self.render(state, world=world, **options) for world in range(state.nworld)]
         return np.stack(images)
+
+    def observe(
+        self, state: State, **options: Any
+    ) -> tuple[npt.NDArray[Any], Mapping[str, npt.NDArray[Any]]]:
+        """Every world's image, and what the next ones depend on beside their states.
+
+        Renderers whose images continue earlier ones return it for `State.with_memory`; nothing is
+        kept between calls.
+        """
+        return self.render_batch(state, **options), {}
 
     def check_mode(self, mode: str) -> None:
         """Raises `InputError` if this renderer does not have the mode."""

@@ -49,10 +49,13 @@ LAYERS = (
 """Packages and modules of the core, from the ground up; each may import those below it, and
 itself. Those of one layer do not import each other."""
 
-PLUGINS = ("orbisim_mujoco", "orbisim_warp", "orbisim_world_model")
+PLUGINS = ("orbisim_mujoco", "orbisim_warp", "orbisim_world_model", "orbisim_diffusion")
 """They may import all of the core but the command line; of each other, what `BESIDE` says."""
 
-BESIDE = {("orbisim_world_model", "orbisim_mujoco"): "the hybrid corrects C MuJoCo's own step"}
+BESIDE = {
+    ("orbisim_world_model", "orbisim_mujoco"): "the hybrid corrects C MuJoCo's own step",
+    ("orbisim_diffusion", "orbisim_world_model"): "manifests are read by the same checks",
+}
 
 DEFERRED = {
     "orbisim.cli": "a command loads engines when it runs, so that --help stays fast",

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import types
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
@@ -48,6 +49,7 @@ class _Switchable:
     _backend_name: str = _NATIVE
     _renderer: Renderer | None = None
     _renderer_name: str = _NATIVE
+    _shown: Mapping[str, Any] = types.MappingProxyType({})
     _scene: Scene | None = None
     if TYPE_CHECKING:  # of dm_control's Physics
         model: Any
@@ -100,6 +102,7 @@ class _Switchable:
           UnknownNameError: no renderer has this name.
           RenderingUnavailableError: this machine cannot use it.
         """
+        self._shown = {}
         if renderer == _NATIVE:
             self._renderer, self._renderer_name = None, _NATIVE
             return
@@ -115,10 +118,9 @@ class _Switchable:
         return self._current_scene()
 
     def snapshot(self) -> State:
-        """The state as a value, with one world, memory of the backend included."""
-        if self._mirror is not None:
-            return self._mirror.state()
-        return read_state(self.data.ptr)
+        """The state as a value, with one world, memory of backend and renderer included."""
+        state = read_state(self.data.ptr) if self._mirror is None else self._mirror.state()
+        return state.with_memory(**self._shown) if self._shown else state
 
     def restore(self, state: State) -> None:
         """Puts a state taken by `snapshot` back; what follows is what followed then.
@@ -129,6 +131,7 @@ class _Switchable:
         if state.nworld != 1:
             raise InputError(f"Physics holds one world; got a state of {state.nworld}")
         write_state(self.data.ptr, state)
+        self._shown = self._shown_in(state)
         if self._mirror is not None:
             self._mirror.restore(state)
             return
@@ -193,9 +196,11 @@ class _Switchable:
                 f"renderer {self._renderer_name!r} does not support {', '.join(asked)}"
             )
         mode: Any = "depth" if depth else "segmentation" if segmentation else "rgb"
-        return self._renderer.render(
+        images, shown = self._renderer.observe(
             self.snapshot(), camera=camera_id, height=height, width=width, mode=mode
         )
+        self._shown = dict(shown)
+        return np.asarray(images[0])
 
     def copy(self, share_model: bool = False) -> Self:
         """A copy with the same backend and renderer."""
@@ -206,11 +211,17 @@ class _Switchable:
 
     # -- inner workings ------------------------------------------------------------------------
 
+    def _shown_in(self, state: State) -> Mapping[str, Any]:
+        """What the renderer in use remembers in a state."""
+        names = self._renderer.memory if self._renderer is not None else ()
+        return {name: state.memory[name] for name in names if name in state.memory}
+
     def _adopt_switches(self, other: _Switchable) -> None:
         if other._mirror is not None:
             self._backend_name = other._backend_name
             self._mirror = other._mirror.copy_for(self)
         self._renderer, self._renderer_name = other._renderer, other._renderer_name
+        self._shown = other._shown
 
     def _reload_from_data(self, data: Any) -> None:
         backend = self._mirror.backend if self._mirror is not None else None

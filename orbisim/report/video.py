@@ -76,10 +76,13 @@ def frames_of(
     """
     steps = np.searchsorted(time, np.arange(time[0], time[-1] + 1e-9, 1.0 / fps))
     frames: list[Frames] = []
+    memory: dict[str, Any] = {}
     for step in np.minimum(steps, len(time) - 1):
         if frames and not np.isfinite(qpos[step]).all():
             frames.append(frames[-1])
             continue
         state = base.replace(time=time[step : step + 1], qpos=qpos[step : step + 1])
-        frames.append(renderer.render(state, **options))
+        images, shown = renderer.observe(state.with_memory(**memory), **options)
+        memory = dict(shown)  # a renderer may continue its own images
+        frames.append(images[0])
     return frames

@@ -12,6 +12,12 @@ COLUMNS = (*("type", "size_x", "size_y", "size_z", "red", "green", "blue", "enti
 """MuJoCo's number of the geom's type and its sizes (m), its colour, what it belongs to (`STATIC`,
 `ROBOT`, or from 1 on the number of the free body in the order of the joints), its number."""
 
+LIGHT_COLUMNS = (
+    *("pos_x", "pos_y", "pos_z", "dir_x", "dir_y", "dir_z", "directional", "cutoff", "shadow"),
+)
+"""Where a light is in the world frame, m, and where it points; whether it shines from infinitely
+far; half angle of a spot light's cone, degrees; whether what it shines on throws shadows."""
+
 STATIC, ROBOT = -1, 0
 """Of the column `entity`: what no joint moves, what hangs on a joint that is not free."""
 
@@ -49,6 +55,27 @@ def colour(model: mujoco.MjModel, geom: int) -> Floats:
     material = int(model.geom_matid[geom])
     rgba = model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
     return np.asarray(rgba, np.float64)
+
+
+def lights(model: mujoco.MjModel) -> Floats:
+    """[L, columns]: `LIGHT_COLUMNS` of each light that is on, as the scene stands at `qpos0`."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_camlight(model, data)
+    directional = int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    found = [
+        (
+            *data.light_xpos[light],
+            *data.light_xdir[light],
+            float(model.light_type[light] == directional),
+            float(model.light_cutoff[light]),
+            float(model.light_castshadow[light]),
+        )
+        for light in range(model.nlight)
+        if model.light_active[light]
+    ]
+    return np.array(found, np.float64).reshape(len(found), len(LIGHT_COLUMNS))
 
 
 def entity_of_body(model: mujoco.MjModel) -> npt.NDArray[np.int64]:

@@ -72,7 +72,12 @@ def with_frames(episode: Episode, scene: Scene, camera: Camera) -> Episode:
     arrays |= _viewpoints(episode, scene, camera)
     arrays |= visible.poses(scene.model, episode.arrays["qpos"])
     arrays["descriptor/geoms"] = visible.rows(scene.model)
-    columns = {**episode.columns, "descriptor/geoms": visible.COLUMNS}
+    arrays["descriptor/lights"] = visible.lights(scene.model)
+    columns = {
+        **episode.columns,
+        "descriptor/geoms": visible.COLUMNS,
+        "descriptor/lights": visible.LIGHT_COLUMNS,
+    }
     return dataclasses.replace(episode, arrays={**episode.arrays, **arrays}, columns=columns)
 
 

@@ -1,0 +1,220 @@
+"""Checkpoints: fp16 weights in safetensors, a file a part, and a manifest with their hashes."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import torch
+from orbisim_world_model.plain import checked
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from orbisim.errors import InputError
+from orbisim.files.reading import read_json, size_of
+from orbisim.files.writing import make_folder, write_json, writing
+from orbisim_diffusion.autoencoder import Autoencoder
+from orbisim_diffusion.config import AutoencoderConfig, Config, DenoiserConfig
+from orbisim_diffusion.denoiser import Denoiser
+from orbisim_diffusion.scope import Scope
+
+SCHEMA, MANIFEST = "orbisim.vision/1", "manifest.json"
+AUTOENCODER, DENOISER, ONE_STEP = "autoencoder", "denoiser", "one_step"
+_MOST_PARAMETERS = 2**28
+"""A gigabyte; what has been trained has some millions."""
+_MOST_WIDTH, _MOST_BLOCKS = 4096, 64
+_TYPES = ("F16", "F32")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """A trained model and what is known about it.
+
+    Attributes:
+      autoencoder: in evaluation mode, as are the others, float32, on the CPU.
+      denoiser: for any number of steps. one_step: tuned for one; None if there is none.
+      config, scope: of the model and of its training data.
+      manifest: everything else. path: the folder.
+    """
+
+    autoencoder: Autoencoder
+    denoiser: Denoiser
+    one_step: Denoiser | None
+    config: Config
+    scope: Scope
+    manifest: dict[str, Any]
+    path: Path
+
+
+def save_checkpoint(
+    folder: Path,
+    parts: dict[str, nn.Module],
+    config: Config,
+    scope: Scope,
+    notes: dict[str, Any],
+) -> None:
+    """Writes parts and manifest; the manifest, which makes a checkpoint of them, comes last."""
+    make_folder(folder)
+    files = {}
+    for name, module in parts.items():
+        path = folder / f"{name}.safetensors"
+        with writing(path, announce=False) as part:
+            save_file({n: _stored(t) for n, t in module.state_dict().items()}, str(part))
+        files[name] = {"sha256": digest(path), "bytes": path.stat().st_size}
+    manifest = {
+        "schema": SCHEMA,
+        "config": dataclasses.asdict(config),
+        "scope": dataclasses.asdict(scope),
+        "files": files,
+        "parameters": {n: sum(p.numel() for p in m.parameters()) for n, m in parts.items()},
+        **notes,
+    }
+    write_json(folder / MANIFEST, manifest, announce=False)
+
+
+def read_manifest(folder: str | Path) -> dict[str, Any]:
+    """The manifest of a checkpoint.
+
+    Raises:
+      InputError: there is none, or it is of another kind.
+    """
+    path = Path(folder) / MANIFEST
+    try:
+        manifest = read_json(path)
+    except InputError as error:
+        raise InputError(f"{folder}: not a checkpoint of a vision model ({error})") from None
+    if manifest.get("schema") != SCHEMA:
+        raise InputError(f"{path}: not the manifest of a vision model ({SCHEMA})")
+    return manifest
+
+
+def read_config(manifest: dict[str, Any], where: str) -> Config:
+    """The configuration, held against bounds before anything is built from it.
+
+    Raises:
+      InputError: an entry is missing, unknown, of the wrong type or out of bounds.
+    """
+    config = checked(Config, manifest.get("config"), f"{where}: config")
+    a, d = config.autoencoder, config.denoiser
+    sizes = (*a.widths, a.channels, *d.widths, d.token)
+    if not (all(1 <= size <= _MOST_WIDTH for size in sizes) and 8 <= config.size <= 2048):
+        raise InputError(f"{where}: config: widths are 1 to {_MOST_WIDTH}, images 8 to 2048 pixels")
+    if not all(1 <= blocks <= _MOST_BLOCKS for blocks in (a.blocks, d.blocks)):
+        raise InputError(f"{where}: config: blocks are 1 to {_MOST_BLOCKS}")
+    if d.heads < 1 or d.widths[1] % d.heads:
+        raise InputError(f"{where}: config: heads must divide the width {d.widths[1]}")
+    return config
+
+
+def load_checkpoint(folder: str | Path) -> Checkpoint:
+    """Reads a checkpoint.
+
+    Raises:
+      InputError: a file is missing, damaged, or another than the manifest's.
+    """
+    path = Path(folder)
+    manifest = read_manifest(path)
+    where = str(path / MANIFEST)
+    config = read_config(manifest, where)
+    scope = checked(Scope, manifest.get("scope"), f"{where}: scope")
+    files = checked(dict[str, Any], manifest.get("files"), f"{where}: files")
+    channels = config.autoencoder.channels
+    found: dict[str, Any] = {}
+    for name in (AUTOENCODER, DENOISER, ONE_STEP):
+        if name in files:
+            found[name] = load_part(path, name, files[name], _maker(name, config, channels))
+    for name in (AUTOENCODER, DENOISER):
+        if name not in found:
+            raise InputError(f"{where}: files has no entry {name!r}")
+    return Checkpoint(
+        found[AUTOENCODER],
+        found[DENOISER],
+        found.get(ONE_STEP),
+        config,
+        scope,
+        manifest,
+        path,
+    )
+
+
+def _maker(name: str, config: Config, channels: int) -> Any:
+    if name == AUTOENCODER:
+        return lambda: Autoencoder(config.autoencoder)
+    return lambda: Denoiser(config.denoiser, channels)
+
+
+def load_part(folder: Path, name: str, entry: Any, make: Any) -> nn.Module:
+    """One part: a module of that shape, with the weights of its file.
+
+    Args:
+      folder: of the checkpoint. name: of the part. entry: what the manifest says of its file.
+      make: builds the module; first without memory, to compare shapes.
+
+    Raises:
+      InputError: the file is missing, damaged, or another than the manifest's.
+    """
+    path = folder / f"{name}.safetensors"
+    size_of(path)
+    if not isinstance(entry, dict) or entry.get("sha256") != digest(path):
+        raise InputError(
+            f"{path}: is not the file that the manifest names (its sha256 differs); get both from "
+            "one place"
+        )
+    with torch.device("meta"):
+        expected = {n: tuple(t.shape) for n, t in make().state_dict().items()}
+    if sum(map(math.prod, expected.values())) > _MOST_PARAMETERS:
+        raise InputError(f"{path}: more than {_MOST_PARAMETERS} parameters are not read")
+    try:
+        tensors = _weights(path, expected)
+        module: nn.Module = make()
+        module.load_state_dict({n: t.float() for n, t in tensors.items()})
+    except (OSError, SafetensorError, LookupError, ValueError, RuntimeError) as error:
+        raise InputError(f"{path}: damaged ({' '.join(str(error).split())[:200]})") from None
+    return module.eval().requires_grad_(False)
+
+
+def _weights(path: Path, expected: dict[str, tuple[int, ...]]) -> dict[str, Tensor]:
+    with safe_open(str(path), framework="pt") as file:
+        names = set(file.keys())
+        if strange := sorted(names ^ expected.keys()):
+            raise ValueError(f"{strange[0]} is in the file or in the model alone")
+        for name in names:
+            part = file.get_slice(name)
+            if tuple(part.get_shape()) != expected[name] or part.get_dtype() not in _TYPES:
+                raise ValueError(f"{name} is {part.get_dtype()} of shape {part.get_shape()}")
+        tensors = {name: file.get_tensor(name) for name in names}
+    for name, tensor in tensors.items():
+        if not torch.isfinite(tensor).all():
+            raise ValueError(f"{name} is not finite")
+    return tensors
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    found = hashlib.sha256()
+    with path.open("rb") as file:
+        while piece := file.read(2**20):
+            found.update(piece)
+    return found.hexdigest()
+
+
+def card_lines(manifest: dict[str, Any]) -> list[str]:
+    """What a checkpoint is, in a few lines."""
+    sizes = ", ".join(f"{n} {count:,}" for n, count in manifest["parameters"].items())
+    return [f"configuration {manifest['config']['name']}", f"parameters: {sizes}"] + [
+        f"{name}: {json.dumps(value)}" for name, value in manifest.get("metrics", {}).items()
+    ]
+
+
+def _stored(tensor: Tensor) -> Tensor:
+    return tensor.detach().half().cpu().contiguous()
+
+
+def parts_of(config: Config) -> tuple[AutoencoderConfig, DenoiserConfig]:
+    """The configurations of the networks."""
+    return config.autoencoder, config.denoiser

@@ -1,0 +1,93 @@
+"""What the denoiser sees of states and descriptors: spatial condition maps and object tokens."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from orbisim.scene.visible import ROBOT, STATIC
+from orbisim_diffusion.raycast import cast, shade
+from orbisim_diffusion.solids import ABSENT, Lamps, Solids, View, project
+
+Meshes = Mapping[int, Tensor] | None
+
+GEOMETRY_CHANNELS = 15
+"""Colour 3, normal 3, inverse depth 1, position 3, shares of static, robot and object geoms 3,
+light 2."""
+HEATMAP_CHANNELS = 8
+"""Heat of robot and objects 2, their colours 3, their depth 1, position on the image 2."""
+TOKEN_FEATURES = 27
+"""Of each geom: type 8, size 3, colour 3, position 3, orientation 6, on the image 2, depth 1, kind
+1."""
+_TYPES = 8
+_ORIGIN = (0.5, 0.0, 0.0)
+"""Middle of the tasks' tables, m: positions are seen from there, in units of half a metre."""
+_HEAT = 0.03
+"""Standard deviation of a heat map's Gaussian, image heights (four pixels of 128)."""
+
+
+def geometry_maps(
+    solids: Solids, view: View, lamps: Lamps, height: int, width: int, meshes: Meshes = None
+) -> Tensor:
+    """Spatial condition maps [B, 15, H, W] of geometry buffers (configuration `default`)."""
+    buffers = cast(solids, view, height, width, meshes)
+    free, lit = shade(buffers, solids, view, lamps, meshes)
+    entity = solids.entity
+    kinds = torch.stack([entity == STATIC, entity == ROBOT, entity > ROBOT], 1)
+    shares = torch.einsum("bkg,bghw->bkhw", kinds.to(buffers.weight.dtype), buffers.weight)
+    there = buffers.weight.sum(1, keepdim=True)
+    depth = buffers.depth[:, None] / there.clamp_min(1e-3)
+    inverse = there / depth.clamp_min(0.1)
+    origin = buffers.point.new_tensor(_ORIGIN)[None, :, None, None]
+    point = 2.0 * (buffers.point - origin * there)
+    return torch.cat(
+        [
+            *(2.0 * buffers.colour - 1.0, buffers.normal, inverse - 1.0, point.clamp(-4, 4)),
+            *(shares, free[:, None], lit[:, None]),
+        ],
+        dim=1,
+    )
+
+
+def heatmaps(solids: Solids, view: View, height: int, width: int) -> Tensor:
+    """Spatial condition maps [B, 8, H, W] of entities' centres (configuration `paper`).
+
+    One Gaussian for each moving geom at its projected centre, and depth-like and colour maps in
+    the same form.
+    """
+    place, depth = project(view, solids.pos)  # [B, G, 2], [B, G]
+    x = (torch.arange(width, device=place.device) + 0.5 - width / 2) / height
+    y = (torch.arange(height, device=place.device) + 0.5 - height / 2) / height
+    apart = (place[..., 0, None, None] - x) ** 2 + (place[..., 1, None, None] - y[:, None]) ** 2
+    moving = (solids.entity >= ROBOT) & (depth > 0)
+    heat = torch.exp(-0.5 * apart / _HEAT**2) * moving[..., None, None]  # [B, G, H, W]
+    objects = heat * (solids.entity > ROBOT)[..., None, None]
+    robot = heat - objects
+    total = heat.sum(1, keepdim=True)
+    colour = torch.einsum("bghw,bgc->bchw", heat, solids.colour) / (total + 0.1)
+    near = torch.einsum("bghw,bg->bhw", heat, 1.0 / depth.clamp_min(0.1))[:, None] / (total + 0.1)
+    grid = torch.stack(torch.broadcast_tensors(x, y[:, None]))[None].expand(len(place), -1, -1, -1)
+    return torch.cat(
+        [robot.amax(1, keepdim=True), objects.amax(1, keepdim=True), colour, near, grid], dim=1
+    )
+
+
+def object_tokens(solids: Solids, view: View) -> tuple[Tensor, Tensor]:
+    """Object-level tokens: features [B, G, 27] of each geom, and which are there [B, G]."""
+    place, depth = project(view, solids.pos)
+    kind = torch.nn.functional.one_hot(solids.kind.clamp(0, _TYPES - 1), _TYPES)
+    origin = solids.pos.new_tensor(_ORIGIN)
+    parts = [
+        kind.to(solids.pos.dtype),
+        10.0 * solids.size.clamp(max=1.0),
+        2.0 * solids.colour - 1.0,
+        2.0 * (solids.pos - origin),
+        solids.rot[..., :2].flatten(-2),
+        2.0 * place.clamp(-2, 2),
+        depth[..., None] - 1.0,
+        solids.entity[..., None].clamp(-1, 1).to(solids.pos.dtype),
+    ]
+    there = solids.entity != ABSENT
+    return torch.cat(parts, dim=-1) * there[..., None], there

@@ -1,0 +1,96 @@
+"""`orbisim eval vision`: images of rollouts against the true ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from orbisim_diffusion.features import Features, frechet_video_distance, perceptual_distance
+from orbisim_diffusion.model import Painter
+from orbisim_diffusion.predictions import with_predictions
+from orbisim_diffusion.quality import psnr, ssim
+from orbisim_diffusion.store import Store, load
+from orbisim_diffusion.workflows import Workflow, rollout
+
+WORKFLOWS: tuple[Workflow, ...] = ("GT-first", "GT-state", "Recon-first", "Recon-all")
+COPY = "copy first frame"
+"""The baseline that shows nothing but the first image."""
+HORIZONS = (10, 100)
+_BATCH = 32
+"""Episodes at a time."""
+
+
+def evaluate(
+    painter: Painter,
+    path: Path,
+    *,
+    episodes: int = 200,
+    workflows: Sequence[Workflow] = WORKFLOWS,
+    steps: Sequence[int] = (1,),
+    horizons: Sequence[int] = HORIZONS,
+    features: Features | None = None,
+    workers: int = 1,
+    backend: str = "learned",
+    report: Callable[[str], None] = print,
+) -> dict[str, Any]:
+    """Quality of rollouts on the episodes of a file.
+
+    Args:
+      painter: the model. path: the file. episodes: at most so many, from its beginning.
+      workflows: see `orbisim_diffusion.workflows`; GT-first and Recon-first use states that
+        `backend` predicts from the first one.
+      steps: of the sampler. horizons: frames over which figures are means.
+      features: for EffNet-PD and EffNet-FVD; None leaves them out. workers: processes.
+      report: is told what was measured.
+
+    Returns:
+      By workflow and steps: PSNR, SSIM (and EffNet-PD) by horizon, and EffNet-FVD.
+    """
+    store = load([path], painter.device, workers=workers, limit=episodes)
+    chosen = range(len(store.first))
+    horizon = min(max(horizons), int(store.length.min()) - 1)
+    predicted = store
+    if {"GT-first", "Recon-first"} & set(workflows):
+        predicted = with_predictions(store, path, chosen, workers, backend)
+    true = _true(store, horizon)
+    spans = sorted({min(h, horizon) for h in horizons})
+    found: dict[str, Any] = {COPY: _scores(true[:, :1].expand_as(true), true, spans, features)}
+    for workflow in workflows:
+        states = predicted if workflow in ("GT-first", "Recon-first") else store
+        for count in steps:
+            parts = [
+                rollout(painter, states, part, workflow, horizon, count)
+                for part in torch.arange(len(store.first), device=store.device).split(_BATCH)
+            ]
+            key = f"{workflow}, {count} steps"
+            found[key] = _scores(torch.cat(parts), true[:, 1:], spans, features)
+            report(f"{path.name} {key}: {found[key]}")
+    return {"file": path.name, "episodes": len(store.first), "frames": horizon, "rows": found}
+
+
+def _true(store: Store, horizon: int) -> Tensor:
+    steps = torch.arange(horizon + 1, device=store.device)
+    return store.frames[store.first[:, None] + steps]
+
+
+def _scores(
+    found: Tensor, true: Tensor, horizons: Sequence[int], features: Features | None
+) -> dict[str, float]:
+    """Means over episodes and over the frames of each horizon; videos are [E, T, H, W, 3]."""
+    scores: dict[str, float] = {}
+    for horizon in horizons:
+        a, b = found[:, :horizon].flatten(0, 1), true[:, :horizon].flatten(0, 1)
+        pairs = list(zip(a.split(256), b.split(256), strict=True))
+        scores[f"PSNR{horizon}"] = float(torch.cat([psnr(*pair) for pair in pairs]).mean())
+        scores[f"SSIM{horizon}"] = float(torch.cat([ssim(*pair) for pair in pairs]).mean())
+        if features is not None:
+            apart = torch.cat([perceptual_distance(features, *pair) for pair in pairs])
+            scores[f"EffNet-PD{horizon}"] = float(apart.mean())
+    if features is not None:
+        distance, clips = frechet_video_distance(features, found, true)
+        scores["EffNet-FVD"], scores["clips"] = distance, clips
+    return {name: round(value, 4) for name, value in scores.items()}

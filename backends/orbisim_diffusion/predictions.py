@@ -1,0 +1,85 @@
+"""Poses of the geoms of recorded episodes as a backend predicts them from their first states."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import multiprocessing
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from orbisim.host.progress import track
+from orbisim.registry import make_backend
+from orbisim.scene import visible
+from orbisim.state import State
+from orbisim.tasks.dataset import EpisodeFile
+from orbisim.tasks.registry import make
+from orbisim_diffusion.store import Store
+
+Arrays = dict[str, npt.NDArray[np.float32]]
+
+
+def predicted_episode(path: Path, index: int, backend: str = "learned") -> Arrays:
+    """`geoms/pos` and `geoms/quat` [T+1, G, ...] of one episode, free-running.
+
+    The episode's own scene is drawn again from its task and seed; the backend gets its first state
+    and its controls.
+    """
+    torch.set_num_threads(1)
+    with EpisodeFile(path) as file:
+        known = file.attributes(index)
+        arrays = file.episode(index, ["time", "qpos", "qvel", "act", "ctrl"])
+        scene = make(file.task, **_changes(file.config)).scene(known["subtask"], known["seed"])
+    options: dict[str, Any] = {"native": False} if backend == "learned" else {}
+    engine = make_backend(backend, scene, **options)
+    start = State(*(arrays[name][:1] for name in ("time", "qpos", "qvel", "act")))  # type: ignore[arg-type]
+    nstep = round(float(arrays["time"][1] - arrays["time"][0]) / engine.timestep)
+    run = engine.rollout(start, arrays["ctrl"][None], nstep=nstep, sensors=False)
+    qpos = np.concatenate([arrays["qpos"][:1], np.asarray(run.qpos)[0]])
+    lost = ~np.isfinite(qpos).all(1)
+    if lost.any():  # a rollout that diverged stays where it was last
+        qpos[lost] = qpos[np.argmax(lost) - 1]
+    return visible.poses(scene.model, qpos)
+
+
+def _changes(config: dict[str, Any]) -> dict[str, Any]:
+    """The task's configuration as it was collected with."""
+    return {name: tuple(v) if isinstance(v, list) else v for name, v in config.items()}
+
+
+def with_predictions(
+    store: Store, path: Path, episodes: Sequence[int], workers: int = 1, backend: str = "learned"
+) -> Store:
+    """The store of one file, with predicted poses in the place of the true ones.
+
+    Args:
+      store: of the file's first episodes. path: the file. episodes: which are predicted.
+      workers: processes. backend: what predicts.
+    """
+    pos, quat = store.pos.clone(), store.quat.clone()
+    found = _all(path, episodes, workers, backend)
+    for index, arrays in zip(episodes, track(found, "predicting", len(episodes)), strict=True):
+        first, length = int(store.first[index]), int(store.length[index])
+        for into, name in ((pos, "geoms/pos"), (quat, "geoms/quat")):
+            values: Tensor = torch.as_tensor(arrays[name]).to(store.device)
+            into[first : first + length, : values.shape[1]] = values
+    return store.with_poses(pos, quat)
+
+
+def _all(path: Path, episodes: Sequence[int], workers: int, backend: str) -> Any:
+    if workers == 1:
+        yield from (predicted_episode(path, index, backend) for index in episodes)
+        return
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # for the processes that are started now
+    context = multiprocessing.get_context("spawn")
+    with concurrent.futures.ProcessPoolExecutor(workers, mp_context=context) as pool:
+        count = len(episodes)
+        yield from pool.map(
+            predicted_episode, [path] * count, episodes, [backend] * count, chunksize=2
+        )

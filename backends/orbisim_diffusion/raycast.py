@@ -1,0 +1,160 @@
+"""Geometry buffers by differentiable ray casting, for any camera.
+
+The nearest surfaces along each ray are put over each other with soft silhouettes, about a pixel
+wide, so that pixels have gradients to poses, sizes and cameras also where an outline moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from orbisim_diffusion.shapes import MESH, PRIMITIVES, mesh
+from orbisim_diffusion.solids import ABSENT, Lamps, Solids, View, rays
+
+LAYERS = 3
+"""Surfaces along a ray that are put over each other; at an outline there are two."""
+_EDGE = 0.35
+"""Width of a soft outline, pixels: it falls from 0.95 to 0.05 within two."""
+_NEAR = 1e-3
+"""What is nearer is not seen, m; of the way to a light: what is nearer casts no shadow."""
+_LIFT, _FAR = 2e-3, 10.0
+"""Shadow rays start so far above the surface, m, and reach so far towards directional lights."""
+
+
+class Buffers(NamedTuple):
+    """What the rays see; 0 where they meet nothing.
+
+    Attributes:
+      depth: [B, H, W] along the line of sight's axis, m. normal: [B, 3, H, W] in the camera's
+      frame. colour: [B, 3, H, W]. point: [B, 3, H, W] in the world frame, m.
+      weight: [B, G, H, W] share of each geom in the pixel (instance).
+    """
+
+    depth: Tensor
+    normal: Tensor
+    colour: Tensor
+    point: Tensor
+    weight: Tensor
+
+
+def cast(
+    solids: Solids,
+    view: View,
+    height: int,
+    width: int,
+    meshes: Mapping[int, Tensor] | None = None,
+) -> Buffers:
+    """Casts a ray through the middle of each pixel.
+
+    Args:
+      solids: the geoms.
+      view: the cameras.
+      height, width: pixels.
+      meshes: triangles [F, 3, 3] by the geom's place G, the same in every view.
+    """
+    ray = rays(view, height, width)  # [B, P, 3]
+    eye = view.pos[:, None].expand_as(ray)
+    t, inside, normal = _meet(solids, eye, ray, meshes or {})  # [B, G, P (, 3)]
+    pixel = t.abs() / (height * view.focal[:, None, 1:])  # m at that depth
+    cover = torch.sigmoid(inside / (_EDGE * pixel.clamp_min(1e-6)))
+    seen = (t > _NEAR) & (cover > 1e-3)
+    weights, order = _layers(torch.where(seen, t, torch.inf), torch.where(seen, cover, 0.0))
+
+    def blended(values: Tensor) -> Tensor:
+        """Of [B, G, P, C] to [B, C, H, W]."""
+        index = order[..., None].expand(*order.shape, values.shape[-1])
+        found = (weights[..., None] * values.gather(1, index)).sum(1)
+        return found.transpose(1, 2).unflatten(-1, (height, width))
+
+    count = ray.shape[1]
+    colour = solids.colour[:, :, None].expand(-1, -1, count, -1)
+    point = view.pos[:, None, None] + t[..., None] * ray[:, None]
+    share = torch.zeros_like(t).scatter_add(1, order, weights)
+    return Buffers(
+        depth=blended(t[..., None])[:, 0],
+        normal=blended(normal @ view.rot[:, None]),
+        colour=blended(colour),
+        point=blended(point),
+        weight=share.unflatten(-1, (height, width)),
+    )
+
+
+def shade(
+    buffers: Buffers,
+    solids: Solids,
+    view: View,
+    lamps: Lamps,
+    meshes: Mapping[int, Tensor] | None = None,
+) -> tuple[Tensor, Tensor]:
+    """How much light falls on what is seen: [B, H, W] each, mean over the lights.
+
+    Returns:
+      The share of the lights that nothing is in the way of, and that share times the cosine of
+      the angle of incidence.
+    """
+    height, width = buffers.depth.shape[-2:]
+    normal = view.rot @ buffers.normal.flatten(2)  # [B, 3, P], world frame
+    point = (buffers.point.flatten(2) + _LIFT * normal).transpose(1, 2)
+    size = buffers.depth.flatten(1).clamp_min(0.1) / (height * view.focal[:, 1:])
+    free, lit = torch.zeros_like(size), torch.zeros_like(size)
+    for light in range(lamps.rows.shape[1]):
+        far = -_FAR * lamps.direction[:, light, None]
+        near = lamps.pos[:, light, None] - point
+        ray = torch.where(lamps.directional[:, light, None, None] > 0, far, near)
+        t, inside, _ = _meet(solids, point, ray, meshes or {})
+        cover = torch.sigmoid(inside / (_EDGE * size[:, None]))
+        blocked = torch.where((t > _NEAR) & (t < 1.0), cover, 0.0)
+        open_ = 1.0 - lamps.shadow[:, light, None] * (1.0 - (1.0 - blocked).prod(1))
+        cosine = (ray * normal.transpose(1, 2)).sum(-1) / ray.norm(dim=-1).clamp_min(1e-6)
+        free, lit = free + open_, lit + open_ * cosine.clamp_min(0.0)
+    count = max(1, lamps.rows.shape[1])
+    there = buffers.weight.sum(1)
+    return tuple(x.unflatten(-1, (height, width)) * there / count for x in (free, lit))
+
+
+def _layers(t: Tensor, cover: Tensor) -> tuple[Tensor, Tensor]:
+    """Weights and places [B, LAYERS, P] of the nearest surfaces, front to back."""
+    left, weights, places = torch.ones_like(t[:, 0]), [], []
+    for _ in range(min(LAYERS, t.shape[1])):
+        place = t.argmin(1, keepdim=True)
+        share = cover.gather(1, place)[:, 0]
+        weights.append(left * share)
+        left = left * (1.0 - share)
+        places.append(place[:, 0])
+        t = t.scatter(1, place, torch.inf)
+    return torch.stack(weights, 1), torch.stack(places, 1)
+
+
+def _meet(
+    solids: Solids, eye: Tensor, ray: Tensor, meshes: Mapping[int, Tensor]
+) -> tuple[Tensor, Tensor, Tensor]:
+    """t, inside, and normals in the world frame, of every geom and ray (from `eye` [B, P, 3])."""
+    shape = (*solids.kind.shape, ray.shape[1])
+    t, inside = ray.new_zeros(shape), ray.new_full(shape, -1.0)
+    normal = ray.new_zeros((*shape, 3))
+    there = solids.entity != ABSENT
+    for kind, meet in PRIMITIVES.items():
+        b, g = ((solids.kind == kind) & there).nonzero(as_tuple=True)
+        if len(b):
+            rot = solids.rot[b, g]
+            origin, local = _local(solids, eye, ray, b, g)
+            found = meet(origin, local, solids.size[b, g])
+            t, inside = t.index_put((b, g), found[0]), inside.index_put((b, g), found[1])
+            normal = normal.index_put((b, g), found[2] @ rot.transpose(-1, -2))
+    for b, g in ((solids.kind == MESH) & there).nonzero().tolist():
+        where = torch.tensor([b], device=ray.device), torch.tensor([g], device=ray.device)
+        origin, local = _local(solids, eye, ray, *where)
+        found = mesh(origin[0], local[0], meshes[g])
+        t, inside = t.index_put(where, found[0][None]), inside.index_put(where, found[1][None])
+        normal = normal.index_put(where, (found[2] @ solids.rot[b, g].T)[None])
+    return t, inside, normal
+
+
+def _local(solids: Solids, eye: Tensor, ray: Tensor, b: Tensor, g: Tensor) -> tuple[Tensor, Tensor]:
+    """Origins and directions [M, P, 3] in the frames of the geoms (b, g)."""
+    rot = solids.rot[b, g]
+    return (eye[b] - solids.pos[b, g][:, None]) @ rot, ray[b] @ rot

@@ -1,0 +1,300 @@
+"""`DiffusionRenderer`: OrbiSim-Vision as a renderer like any other."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from orbisim import cameras
+from orbisim.errors import InputError, UnsupportedSceneError
+from orbisim.renderer import Mode, Renderer
+from orbisim.scene import Scene
+from orbisim.state import State
+from orbisim_diffusion import zoo
+from orbisim_diffusion.autoencoder import to_bytes, to_float
+from orbisim_diffusion.checkpoint import Checkpoint, load_checkpoint
+from orbisim_diffusion.conditions import object_tokens
+from orbisim_diffusion.config import MOST_CONTEXT, PATCH
+from orbisim_diffusion.denoiser import Condition
+from orbisim_diffusion.kinematics import Kinematics
+from orbisim_diffusion.loop import mixed
+from orbisim_diffusion.model import MOST_STEPS, Painter
+from orbisim_diffusion.scope import scene_concerns, scene_problem, view_problem
+from orbisim_diffusion.solids import View
+from orbisim_diffusion.store import condition_maps
+
+LATENTS, TIMES, VIEWS = "diffusion_latents", "diffusion_times", "diffusion_views"
+"""Names in `State.memory`: latents of past frames [nworld, 6, C, h, w], when they were shown
+[nworld, 6] (infinity: empty), and by which camera [nworld, 6, 14]."""
+_WIDEST = 4.0
+"""Largest ratio of an image's sides."""
+_SAME_VIEW = 1e-4
+
+
+class OutsideTrainingWarning(UserWarning):
+    """A scene lies outside what a checkpoint was trained to show."""
+
+
+class Frame(NamedTuple):
+    """What is asked for: number of the camera, and the size of the image in pixels."""
+
+    camera: int
+    height: int
+    width: int
+
+
+class DiffusionRenderer(Renderer):
+    """Renders states with a latent diffusion model that sees their geometry.
+
+    `render` is a function of the state alone: the frames shown before, which the model continues,
+    are in `State.memory`, where `observe` puts them. The same state gives the same image.
+
+    Args:
+      argument: folder of a checkpoint (`diffusion:PATH`); the zoo's that fits the scene if None.
+      steps: of the sampler; 1 uses the one-step model where the checkpoint has one.
+      seed: of the noise that sampling starts from.
+      context: whether earlier frames are continued; else each is made from its state alone.
+      device: `cpu`, `cuda`, `cuda:1`; None for the GPU, if there is one.
+    """
+
+    name = "diffusion"
+    modes: frozenset[Mode] = frozenset({"rgb"})
+    memory = frozenset({LATENTS, TIMES, VIEWS})
+
+    def __init__(
+        self,
+        *,
+        argument: str | None = None,
+        steps: int = 1,
+        seed: int = 0,
+        context: bool = True,
+        device: str | None = None,
+    ) -> None:
+        if not 1 <= steps <= MOST_STEPS:
+            raise InputError(f"a sampler takes 1 to {MOST_STEPS} steps; got {steps}")
+        if seed < 0:
+            raise InputError(f"a seed is at least 0; got {seed}")
+        self._folder = Path(argument) if argument else None
+        self._steps, self._seed, self._context = steps, seed, context
+        self._device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
+        self._checkpoint: Checkpoint | None = None
+
+    @property
+    def checkpoint(self) -> Checkpoint:
+        """The checkpoint in use.
+
+        Raises:
+          InputError: no scene was loaded.
+        """
+        if self._checkpoint is None:
+            raise InputError("renderer 'diffusion' has no scene yet; call load first")
+        return self._checkpoint
+
+    def load(self, scene: Scene) -> None:
+        """Finds the checkpoint and prepares to see the scene's geoms.
+
+        Raises:
+          UnsupportedSceneError: the checkpoint was trained on other scenes.
+          InputError: the checkpoint cannot be read.
+        """
+        kinematics = Kinematics(scene, self._device)
+        folder = self._folder or zoo.find(scene, kinematics.rows)
+        if self._checkpoint is None or self._checkpoint.path != folder:
+            checkpoint = load_checkpoint(folder)
+            self.painter = Painter.of(checkpoint, self._device)
+        else:
+            checkpoint = self._checkpoint
+        if problem := scene_problem(checkpoint.scope, kinematics.rows):
+            raise UnsupportedSceneError(
+                scene.source,
+                f"{folder}: {problem}",
+                remedy="train a checkpoint on it (orbisim train vision) or use 'mujoco'",
+            )
+        for concern in scene_concerns(checkpoint.scope, kinematics.rows):
+            text = f"renderer 'diffusion', scene {scene.name!r}: {concern}"
+            warnings.warn(text, OutsideTrainingWarning, stacklevel=2)
+        self._checkpoint, self.kinematics, self._scene = checkpoint, kinematics, scene
+
+    def render(
+        self,
+        state: State,
+        *,
+        world: int = 0,
+        camera: int | str = -1,
+        height: int = 240,
+        width: int = 320,
+        mode: Mode = "rgb",
+    ) -> npt.NDArray[Any]:
+        """Renders one world (see `orbisim.renderer.Renderer.render`)."""
+        if not 0 <= world < state.nworld:
+            raise InputError(f"world {world} is not among the state's {state.nworld} worlds")
+        return self.observe(state[world], camera=camera, height=height, width=width, mode=mode)[0][
+            0
+        ]
+
+    def render_batch(self, state: State, **options: Any) -> npt.NDArray[Any]:
+        """Renders every world at once: [nworld, height, width, 3]."""
+        return self.observe(state, **options)[0]
+
+    def observe(  # type: ignore[override]
+        self,
+        state: State,
+        *,
+        camera: int | str = -1,
+        height: int = 240,
+        width: int = 320,
+        mode: Mode = "rgb",
+    ) -> tuple[npt.NDArray[Any], Mapping[str, npt.NDArray[Any]]]:
+        """Every world's image, and the memory with which the next one continues it."""
+        self.check_mode(mode)
+        frame = self._frame(camera, height, width)
+        state = state.numpy()
+        with torch.no_grad(), mixed(self._device):
+            qpos = torch.as_tensor(state.qpos, dtype=torch.float32, device=self._device)
+            view = self._view(qpos, frame)
+            latents = self._latents(qpos, view, state, frame).float()
+            images = resized(self.painter.decode(latents).float(), height, width)
+        return to_bytes(images).cpu().numpy(), self._remembered(state, latents, view)
+
+    def latents(
+        self, qpos: Tensor, *, camera: int | str = -1, height: int = 240, width: int = 320
+    ) -> Tensor:
+        """The latents [B, C, h, w] of coordinates [B, nq], with gradients to them.
+
+        Without context; `painter.decode` makes images [B, 3, H, W] from -1 to 1 of them.
+        """
+        frame = self._frame(camera, height, width)
+        count = len(qpos)
+        blank = State(
+            np.zeros(count), np.zeros((count, 1)), np.zeros((count, 1)), np.zeros((count, 0))
+        )
+        return self._latents(qpos, self._view(qpos, frame), blank, frame)
+
+    def remembering(self, state: State, image: npt.NDArray[np.uint8], camera: int | str) -> State:
+        """The state with an image [H, W, 3] of it, from wherever, as the frame shown last.
+
+        Raises:
+          InputError: the image is not of the size that the checkpoint works at, or the state has
+            more than one world.
+        """
+        size = self.checkpoint.config.size
+        if image.ndim != 3 or image.shape[0] != size or image.shape[1] % PATCH or state.nworld != 1:
+            raise InputError(
+                f"an image of one world, {size} pixels high and a multiple of {PATCH} wide, can be "
+                f"remembered; got {image.shape} and {state.nworld} worlds"
+            )
+        frame = self._frame(camera, *image.shape[:2])
+        host = state.numpy()
+        with torch.no_grad():
+            qpos = torch.as_tensor(host.qpos, dtype=torch.float32, device=self._device)
+            pixels = torch.as_tensor(np.array(image), device=self._device)
+            latents = self.painter.encode(to_float(pixels[None]))
+        return host.with_memory(**self._remembered(host, latents, self._view(qpos, frame)))
+
+    # -- inner workings ------------------------------------------------------------------------
+
+    def _frame(self, camera: int | str, height: int, width: int) -> Frame:
+        number = cameras.camera_number(self.kinematics.model, camera, self._scene.name)
+        if min(height, width) < 1 or not 1 / _WIDEST <= width / height <= _WIDEST:
+            raise InputError(
+                f"images are at most {_WIDEST:g} times as long as wide; got {height} x {width}"
+            )
+        size = self.checkpoint.config.size
+        return Frame(number, size, max(1, round(size * width / height / PATCH)) * PATCH)
+
+    def _view(self, qpos: Tensor, frame: Frame) -> View:
+        view = self.kinematics.view(qpos, frame.camera)
+        pos, rot, focal = (v[0].detach().cpu().double().numpy() for v in view[:3])
+        camera = cameras.Camera(pos, rot, (float(focal[0]), float(focal[1])))
+        if problem := view_problem(self.checkpoint.scope, camera):
+            raise InputError(f"renderer 'diffusion', {self.checkpoint.path}: {problem}")
+        return view
+
+    def _latents(self, qpos: Tensor, view: View, state: State, frame: Frame) -> Tensor:
+        """Of all worlds; those with equally many frames to continue are made together."""
+        solids, lamps = self.kinematics.solids(qpos), self.kinematics.lamps(len(qpos))
+        settings = self.painter.config.denoiser
+        maps = condition_maps(
+            solids, view, lamps, frame.height, frame.width, settings.maps, self.kinematics.meshes
+        )
+        tokens, there = object_tokens(solids, view)
+        past = self._past(state, view, self.painter.shape(1, maps))
+        noise = self._noise(state, self.painter.shape(len(qpos), maps))
+        found: list[tuple[int, Tensor]] = []
+        for count in sorted({len(frames) for frames in past}):
+            worlds = [i for i, frames in enumerate(past) if len(frames) == count]
+            frames = [torch.stack([past[i][k] for i in worlds]) for k in range(count)]
+            given = Condition(
+                *self.painter.history(frames, len(worlds), maps),
+                *(maps[worlds], tokens[worlds], there[worlds]),
+            )
+            made = self.painter.paint(given, noise[worlds], self._steps)
+            found += zip(worlds, made, strict=True)
+        return torch.stack([latent for _, latent in sorted(found, key=lambda pair: pair[0])])
+
+    def _past(self, state: State, view: View, shape: tuple[int, ...]) -> list[list[Tensor]]:
+        """For each world the latents to continue: earlier ones, of this camera, oldest first."""
+        memory = state.memory
+        nothing: list[list[Tensor]] = [[] for _ in range(state.nworld)]
+        if not self._context or not self.memory <= memory.keys():
+            return nothing
+        latents, times, views = (memory[name] for name in (LATENTS, TIMES, VIEWS))
+        if latents.shape[2:] != shape[1:]:
+            return nothing
+        rows = _view_rows(view)
+        for world, found in enumerate(nothing):
+            same = np.abs(views[world] - rows[world]).max(1) < _SAME_VIEW
+            earlier = times[world] < state.time[world] - 1e-9
+            for k in np.flatnonzero(same & earlier):
+                found.append(
+                    torch.as_tensor(latents[world, k], dtype=torch.float32, device=self._device)
+                )
+        return nothing
+
+    def _remembered(self, state: State, latents: Tensor, view: View) -> dict[str, npt.NDArray[Any]]:
+        """The memory with these latents after what is still earlier."""
+        made, rows = latents.detach().float().cpu().numpy(), _view_rows(view)
+        kept = self._past(state, view, (1, *made.shape[1:]))
+        count = state.nworld
+        frames = np.zeros((count, MOST_CONTEXT, *made.shape[1:]), np.float32)
+        times = np.full((count, MOST_CONTEXT), np.inf)
+        views = np.tile(rows[:, None], (1, MOST_CONTEXT, 1))
+        for world, past in enumerate(kept):
+            before = np.sort(state.memory[TIMES][world]) if past else np.zeros(0)
+            before = before[before < state.time[world] - 1e-9][-len(past) :] if past else before
+            rows_ = [*(p.cpu().numpy() for p in past), made[world]][-MOST_CONTEXT:]
+            stamps = [*before, float(state.time[world])][-MOST_CONTEXT:]
+            frames[world, : len(rows_)] = rows_
+            times[world, : len(stamps)] = stamps
+        return {LATENTS: frames, TIMES: times, VIEWS: views}
+
+    def _noise(self, state: State, shape: tuple[int, ...]) -> Tensor:
+        """Unit noise [B, C, h, w]: a function of the seed and of each world's time."""
+        rows = []
+        for time in np.asarray(state.time, np.float64):
+            microseconds = round(abs(float(time)) * 1e6) % 2**40
+            rng = np.random.default_rng([self._seed, microseconds])
+            rows.append(rng.standard_normal(shape[1:], np.float32))
+        return torch.as_tensor(np.stack(rows), device=self._device)
+
+
+def resized(images: Tensor, height: int, width: int) -> Tensor:
+    """Images [N, 3, H, W] at another size."""
+    if images.shape[-2:] == (height, width):
+        return images
+    return torch.nn.functional.interpolate(
+        images, (height, width), mode="bicubic", antialias=True, align_corners=False
+    )
+
+
+def _view_rows(view: View) -> npt.NDArray[np.float64]:
+    """[B, 14]: position, rotation, focal lengths."""
+    rows = torch.cat([view.pos, view.rot.flatten(1), view.focal], dim=1)
+    return rows.detach().cpu().double().numpy()

@@ -1,0 +1,136 @@
+"""`orbisim train vision`: the three trainings one after another, with a checkpoint after each."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from orbisim.errors import InputError
+from orbisim.tasks.dataset import EpisodeFile
+from orbisim.tasks.storage import versions
+from orbisim_diffusion.checkpoint import AUTOENCODER, DENOISER, ONE_STEP, save_checkpoint
+from orbisim_diffusion.config import Config
+from orbisim_diffusion.loop import Loop
+from orbisim_diffusion.measures import reconstruction, single_frames
+from orbisim_diffusion.model import Painter
+from orbisim_diffusion.scope import read_scope
+from orbisim_diffusion.store import Store, load
+from orbisim_diffusion.training import (
+    Run,
+    encoded,
+    train_autoencoder,
+    train_denoiser,
+    train_one_step,
+)
+
+SHARES = (0.3, 0.5, 0.2)
+"""Of the time: autoencoder, denoiser, one-step renderer."""
+_KEEP_MAPS = 0.65
+"""Share of a GPU's memory that condition maps of all frames may take."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """A training.
+
+    Attributes:
+      data: episode files with images. held: files to measure on; empty for none.
+      out: folder of the checkpoint. limits: s of each part. device: where to compute.
+      seed: of all random numbers. workers: processes that read. steps: at most so many steps of
+        each part. resume: go on with the training that stands in `out`.
+    """
+
+    data: tuple[Path, ...]
+    held: tuple[Path, ...]
+    out: Path
+    limits: tuple[float, float, float]
+    device: str = "cpu"
+    seed: int = 0
+    workers: int = 1
+    steps: int | None = None
+    resume: bool = False
+
+
+def train(config: Config, job: Job, report: Callable[[str], None] = print) -> dict[str, Any]:
+    """Trains a vision model; leaves a checkpoint in `job.out` after the denoiser and at the end.
+
+    Returns:
+      Its metrics on the held-out files.
+
+    Raises:
+      InputError: the data have no images, or another size than the configuration's.
+    """
+    device = torch.device(job.device)
+    progress = job.out / "progress"
+    if progress.exists() and not job.resume:
+        raise InputError(f"{progress}: there is an unfinished training; --resume goes on with it")
+    store = load(job.data, device, workers=job.workers)
+    held = load(job.held, device, workers=job.workers, limit=_HELD) if job.held else store
+    if store.size != config.size:
+        raise InputError(f"images of {store.size} pixels; the configuration is for {config.size}")
+    runs = [
+        Run(limit, job.steps, progress / f"{name}.safetensors", job.seed)
+        for name, limit in zip((AUTOENCODER, DENOISER, ONE_STEP), job.limits, strict=True)
+    ]
+    scope, notes = read_scope(store), _notes(job, store)
+    metrics: dict[str, Any] = {}
+
+    autoencoder, loop = train_autoencoder(config, runs[0], lambda: store, report)
+    metrics[AUTOENCODER] = {**reconstruction(autoencoder, held), **_spent(loop)}
+    report(f"autoencoder: {metrics[AUTOENCODER]}")
+    store = _with_maps(encoded(autoencoder, store), config, report)
+    denoiser, loop = train_denoiser(config, runs[1], store, report)
+    painter = Painter(autoencoder, denoiser, None, config, device)
+    metrics[DENOISER] = {**single_frames(painter, held), **_spent(loop)}
+    report(f"denoiser: {metrics[DENOISER]}")
+    parts: dict[str, Any] = {AUTOENCODER: autoencoder, DENOISER: denoiser}
+    save_checkpoint(job.out, parts, config, scope, {**notes, "metrics": metrics})
+    if job.limits[2] > 0:
+        one_step, loop = train_one_step(config, runs[2], store, autoencoder, denoiser, report)
+        painter = Painter(autoencoder, denoiser, one_step, config, device)
+        metrics[ONE_STEP] = {**single_frames(painter, held, steps=(1,)), **_spent(loop)}
+        report(f"one_step: {metrics[ONE_STEP]}")
+        parts[ONE_STEP] = one_step
+        save_checkpoint(job.out, parts, config, scope, {**notes, "metrics": metrics})
+    return metrics
+
+
+_HELD = 40
+"""Episodes of each held-out file that a training is measured on as it goes."""
+
+
+def _with_maps(store: Store, config: Config, report: Callable[[str], None]) -> Store:
+    """Condition maps of all frames, where the device has the room."""
+    if store.device.type != "cuda":
+        return store
+    one = store.conditions(
+        torch.zeros(1, dtype=torch.long, device=store.device), config.denoiser.maps
+    )
+    need = 2 * one[0].numel() * len(store)
+    room = torch.cuda.mem_get_info(store.device)[0]
+    if need > _KEEP_MAPS * room:
+        report(f"condition maps of {need / 1e9:.0f} GB are computed as they are needed")
+        return store
+    return store.with_maps(config.denoiser.maps)
+
+
+def _spent(loop: Loop) -> dict[str, float]:
+    return {"steps": loop.step, "seconds": round(loop.seconds, 1)}
+
+
+def _notes(job: Job, store: Store) -> dict[str, Any]:
+    sources = []
+    for path in job.data:
+        with EpisodeFile(path) as file:
+            sources.append({"file": path.name, "task": file.task, "episodes": len(file)})
+    name = torch.cuda.get_device_name() if store.device.type == "cuda" else "cpu"
+    return {
+        "data": {"sources": sources, "frames": len(store)},
+        "training": {"seed": job.seed, "device": name, "cores": os.cpu_count()},
+        "versions": {**versions(), "torch": torch.__version__},
+    }

@@ -1,0 +1,283 @@
+"""Episodes with images, on the device: where training and evaluation take their samples from."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import dataclasses
+import multiprocessing
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from orbisim.cameras import Camera
+from orbisim.errors import InputError
+from orbisim.host.progress import track
+from orbisim.scene import visible
+from orbisim.tasks.dataset import EpisodeFile
+from orbisim_diffusion.conditions import Meshes, geometry_maps, heatmaps, object_tokens
+from orbisim_diffusion.shapes import PRIMITIVES
+from orbisim_diffusion.solids import ABSENT, Lamps, Solids, View, matrices
+
+Arrays = dict[str, npt.NDArray[Any]]
+_STEP = 64
+"""Views whose rays are cast at a time: 64 views of 18 geoms take 3 GB."""
+_FRAMES = "frames/"
+_EXTRAS = ("robot/qpos", "robot/pos", "robot/quat")
+"""What is kept of the robot, where there is one."""
+
+
+def read_episode(path: Path, index: int) -> Arrays:
+    """One episode with images, as arrays by short names.
+
+    Raises:
+      InputError: it has no images, or geoms that cannot be seen by ray casting without their mesh.
+    """
+    with EpisodeFile(path) as file:
+        names = file.names(index)
+        cameras = [name.removeprefix(_FRAMES) for name in names if name.startswith(_FRAMES)]
+        if not cameras or "geoms/pos" not in names:
+            raise InputError(f"{path}: has no images; collect it with --frames")
+        camera = cameras[0]
+        found = file.episode(
+            index,
+            [
+                *(f"{_FRAMES}{camera}", f"cameras/{camera}/pos", f"cameras/{camera}/rot"),
+                *(f"descriptor/intrinsics/{camera}", "descriptor/geoms", "descriptor/lights"),
+                *("geoms/pos", "geoms/quat", *(name for name in _EXTRAS if name in names)),
+            ],
+        )
+    geoms = found["descriptor/geoms"]
+    if strange := set(geoms[:, 0].astype(int)) - set(PRIMITIVES):
+        raise InputError(
+            f"{path}: has geoms of type {min(strange)} (mujoco.mjtGeom); primitives are known"
+        )
+    images = found[f"{_FRAMES}{camera}"]
+    lens = Camera.from_intrinsics(
+        np.zeros(3), np.eye(3), found[f"descriptor/intrinsics/{camera}"], *images.shape[1:3]
+    )
+    return {
+        "frames": images,
+        "view_pos": found[f"cameras/{camera}/pos"].astype(np.float32),
+        "view_rot": found[f"cameras/{camera}/rot"].astype(np.float32),
+        "lens": np.array([*lens.focal, *lens.offset], np.float32),
+        "geoms": geoms.astype(np.float32),
+        "pos": found["geoms/pos"],
+        "quat": found["geoms/quat"],
+        "lights": found["descriptor/lights"].astype(np.float32),
+        **{name: found[name] for name in _EXTRAS if name in found},
+    }
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Store:
+    """E episodes, N frames of all of them after one another.
+
+    Attributes:
+      frames: [N, H, W, 3] uint8. episode: [N] which episode a frame belongs to.
+      first, length: [E] its frames. task: [E] number of the file that it comes from.
+      geoms: [E, G, columns] as in `orbisim.scene.visible`, `entity` being `ABSENT` in padding.
+      lights: [E, L, columns] as in `orbisim.scene.visible`.
+      pos, quat: [N, G, 3 | 4] of the geoms. view_pos, view_rot: [N, 3], [N, 3, 3].
+      lens: [E, 4] focal lengths and offsets. extras: [N, ...] of the robot, by name.
+      latents: [N, C, h, w], once they were computed. maps: [N, M, H, W], likewise.
+    """
+
+    frames: Tensor
+    episode: Tensor
+    first: Tensor
+    length: Tensor
+    task: Tensor
+    geoms: Tensor
+    pos: Tensor
+    quat: Tensor
+    view_pos: Tensor
+    view_rot: Tensor
+    lens: Tensor
+    lights: Tensor
+    extras: dict[str, list[Tensor]]
+    latents: Tensor | None = None
+    maps: Tensor | None = None
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    @property
+    def size(self) -> int:
+        """Height of the images, pixels."""
+        return int(self.frames.shape[1])
+
+    @property
+    def device(self) -> torch.device:
+        """Where it is."""
+        return self.frames.device
+
+    def solids(self, index: Tensor) -> Solids:
+        """The geoms of frames [B]."""
+        rows = self.geoms[self.episode[index]]
+        return Solids(
+            kind=rows[..., 0].long(),
+            size=rows[..., 1:4],
+            colour=rows[..., 4:7],
+            entity=rows[..., 7].long(),
+            pos=self.pos[index],
+            rot=matrices(self.quat[index]),
+        )
+
+    def view(self, index: Tensor) -> View:
+        """The cameras of frames [B]."""
+        lens = self.lens[self.episode[index]]
+        return View(self.view_pos[index], self.view_rot[index], lens[:, :2], lens[:, 2:])
+
+    def lamps(self, index: Tensor) -> Lamps:
+        """The lights of frames [B]."""
+        return Lamps(self.lights[self.episode[index]])
+
+    @torch.no_grad()  # type: ignore[untyped-decorator]
+    def conditions(self, index: Tensor, maps: str) -> tuple[Tensor, Tensor, Tensor]:
+        """Condition maps, object tokens and which of them are there, of frames [B]."""
+        parts = [self._conditions(part, maps) for part in index.split(_STEP)]
+        found, tokens, there = (torch.cat(field) for field in zip(*parts, strict=True))
+        return found, tokens, there
+
+    def _conditions(self, index: Tensor, maps: str) -> tuple[Tensor, Tensor, Tensor]:
+        solids, view = self.solids(index), self.view(index)
+        tokens, there = object_tokens(solids, view)
+        if self.maps is not None:
+            return self.maps[index].float(), tokens, there
+        lamps, size = self.lamps(index), self.size
+        return condition_maps(solids, view, lamps, size, size, maps), tokens, there
+
+    def with_maps(self, maps: str) -> Store:
+        """The same with the condition maps of all frames in half precision: 0.5 MB each at 128."""
+        found = [
+            self.conditions(index, maps)[0].half()
+            for index in torch.arange(len(self), device=self.device).split(_STEP)
+        ]
+        return dataclasses.replace(self, maps=torch.cat(found))
+
+    def with_poses(self, pos: Tensor, quat: Tensor) -> Store:
+        """The same frames with other poses of the geoms (predicted ones)."""
+        return dataclasses.replace(self, pos=pos, quat=quat, maps=None)
+
+
+def condition_maps(
+    solids: Solids,
+    view: View,
+    lamps: Lamps,
+    height: int,
+    width: int,
+    maps: str,
+    meshes: Meshes = None,
+) -> Tensor:
+    """Spatial condition maps [B, M, H, W] of a kind (see `DenoiserConfig.maps`)."""
+    if maps == "heatmaps":
+        return heatmaps(solids, view, height, width)
+    return geometry_maps(solids, view, lamps, height, width, meshes)
+
+
+def load(
+    paths: Sequence[Path],
+    device: torch.device,
+    *,
+    workers: int = 1,
+    limit: int | None = None,
+    pixels: bool = True,
+) -> Store:
+    """Reads episode files into a store.
+
+    Args:
+      paths: the files. device: where to. workers: processes that read.
+      limit: at most so many episodes of each file, from its beginning.
+      pixels: whether images are kept.
+
+    Raises:
+      InputError: a file has no images, or their sizes differ.
+    """
+    jobs = []
+    for number, path in enumerate(paths):
+        with EpisodeFile(path) as file:
+            jobs += [(number, Path(path), i) for i in range(min(len(file), limit or len(file)))]
+    episodes = list(track(_read_all(jobs, workers), "reading episodes", len(jobs)))
+    sizes = {episode["frames"].shape[1:] for episode in episodes}
+    if len(sizes) != 1:
+        raise InputError(f"images of different sizes: {sorted(sizes)}; train on one size")
+    return _assembled(episodes, [job[0] for job in jobs], device)
+
+
+def _read_all(jobs: Sequence[tuple[int, Path, int]], workers: int) -> Any:
+    if workers == 1 or len(jobs) < 2:
+        yield from (read_episode(path, index) for _, path, index in jobs)
+        return
+    context = multiprocessing.get_context("spawn")  # a fork would copy a device's context
+    with concurrent.futures.ProcessPoolExecutor(workers, mp_context=context) as pool:
+        yield from pool.map(read_episode, [j[1] for j in jobs], [j[2] for j in jobs], chunksize=2)
+
+
+def _assembled(episodes: list[Arrays], task: list[int], device: torch.device) -> Store:
+    lengths = np.array([len(episode["frames"]) for episode in episodes])
+    most = max(len(episode["geoms"]) for episode in episodes)
+    geoms = np.zeros((len(episodes), most, len(visible.COLUMNS)), np.float32)
+    geoms[..., visible.COLUMNS.index("entity")] = ABSENT
+    for row, episode in zip(geoms, episodes, strict=True):
+        row[: len(episode["geoms"])] = episode["geoms"]
+
+    def joined(name: str) -> Tensor:
+        return torch.cat([torch.as_tensor(episode[name]) for episode in episodes]).to(device)
+
+    def padded(name: str) -> Tensor:
+        size = episodes[0][name].shape[-1]
+        out = np.zeros((int(lengths.sum()), most, size), np.float32)
+        out[..., 0] = name == "quat"  # padding has a rotation, too
+        row = 0
+        for episode in episodes:
+            values = episode[name]
+            out[row : row + len(values), : values.shape[1]] = values
+            row += len(values)
+        return torch.as_tensor(out).to(device)
+
+    lights = np.zeros((len(episodes), max(len(e["lights"]) for e in episodes), 9), np.float32)
+    for row, episode in zip(lights, episodes, strict=True):
+        row[: len(episode["lights"])] = episode["lights"]
+    extras = {
+        name: [torch.as_tensor(e[name]).to(device) for e in episodes]
+        for name in _EXTRAS
+        if all(name in e for e in episodes)
+    }
+    return Store(
+        frames=joined("frames"),
+        episode=torch.as_tensor(np.repeat(np.arange(len(episodes)), lengths)).to(device),
+        first=torch.as_tensor(np.cumsum([0, *lengths[:-1]])).to(device),
+        length=torch.as_tensor(lengths).to(device),
+        task=torch.as_tensor(task).to(device),
+        geoms=torch.as_tensor(geoms).to(device),
+        pos=padded("pos"),
+        quat=padded("quat"),
+        view_pos=joined("view_pos"),
+        view_rot=joined("view_rot"),
+        lens=torch.stack([torch.as_tensor(e["lens"]) for e in episodes]).to(device),
+        lights=torch.as_tensor(lights).to(device),
+        extras=extras,
+    )
+
+
+def draw_frames(store: Store, count: int, context: int, consecutive: float) -> Tensor:
+    """Frames [count, K + 1] in temporal order; the last is the target (paper, appendix B.2).
+
+    Args:
+      store: where from. count: samples. context: K.
+      consecutive: probability that they follow each other; else they are any of the episode's.
+    """
+    device = store.device
+    episode = torch.randint(len(store.first), (count,), device=device)
+    room = (store.length[episode] - context).clamp_min(1)
+    steps = torch.arange(context + 1, device=device)
+    start = (torch.rand(count, device=device) * room).long()
+    apart = (torch.rand(count, context + 1, device=device) * room[:, None]).long().sort(1).values
+    together = torch.rand(count, device=device) < consecutive
+    offset = torch.where(together[:, None], start[:, None], apart) + steps
+    return store.first[episode][:, None] + offset.clamp_max(store.length[episode][:, None] - 1)
