@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from orbisim_diffusion.features import Features, frechet_video_distance, perceptual_distance
+from orbisim_diffusion.features import CLIP, Features, frechet_video_distance, perceptual_distance
 from orbisim_diffusion.model import Painter
 from orbisim_diffusion.predictions import with_predictions
 from orbisim_diffusion.quality import psnr, ssim
@@ -90,7 +90,7 @@ def _scores(
         if features is not None:
             apart = torch.cat([perceptual_distance(features, *pair) for pair in pairs])
             scores[f"EffNet-PD{horizon}"] = float(apart.mean())
-    if features is not None:
+    if features is not None and found.shape[1] >= CLIP and len(found) > 1:
         distance, clips = frechet_video_distance(features, found, true)
         scores["EffNet-FVD"], scores["clips"] = distance, clips
     return {name: round(value, 4) for name, value in scores.items()}

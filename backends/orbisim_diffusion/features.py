@@ -52,11 +52,7 @@ class Features:
         """Features [N, C, h, w] of uint8 images [N, H, W, 3] at each of the taps."""
         x = (images.movedim(-1, -3).float() / 255.0 - self.mean) / self.std
         model, found = self.model, []
-        x = (
-            model._swish(model._bn0(model._conv_stem(x)))
-            if hasattr(model, "_swish")
-            else (model._relu(model._bn0(model._conv_stem(x))))
-        )
+        x = model._swish(model._bn0(model._conv_stem(x)))
         for number, block in enumerate(model._blocks, 1):
             x = block(x)
             if number in _TAPS:

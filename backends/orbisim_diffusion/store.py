@@ -19,7 +19,14 @@ from orbisim.errors import InputError
 from orbisim.host.progress import track
 from orbisim.scene import visible
 from orbisim.tasks.dataset import EpisodeFile
-from orbisim_diffusion.conditions import Meshes, geometry_maps, heatmaps, object_tokens
+from orbisim_diffusion.conditions import (
+    GEOMETRY_CHANNELS,
+    HEATMAP_CHANNELS,
+    Meshes,
+    geometry_maps,
+    heatmaps,
+    object_tokens,
+)
 from orbisim_diffusion.shapes import PRIMITIVES
 from orbisim_diffusion.solids import ABSENT, Lamps, Solids, View, matrices
 
@@ -154,11 +161,12 @@ class Store:
 
     def with_maps(self, maps: str) -> Store:
         """The same with the condition maps of all frames in half precision: 0.5 MB each at 128."""
-        found = [
-            self.conditions(index, maps)[0].half()
-            for index in torch.arange(len(self), device=self.device).split(_STEP)
-        ]
-        return dataclasses.replace(self, maps=torch.cat(found))
+        channels = GEOMETRY_CHANNELS if maps == "geometry" else HEATMAP_CHANNELS
+        shape = (len(self), channels, self.size, self.size)
+        found = torch.empty(shape, dtype=torch.float16, device=self.device)
+        for index in torch.arange(len(self), device=self.device).split(_STEP):
+            found[index] = self.conditions(index, maps)[0].half()
+        return dataclasses.replace(self, maps=found)
 
     def with_poses(self, pos: Tensor, quat: Tensor) -> Store:
         """The same frames with other poses of the geoms (predicted ones)."""

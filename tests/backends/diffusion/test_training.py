@@ -1,0 +1,113 @@
+"""Trainings learn, go on after a stop as if nothing had happened, and leave a checkpoint."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from orbisim_diffusion.autoencoder import to_bytes, to_float
+from orbisim_diffusion.config import TrainConfig, preset
+from orbisim_diffusion.inference import errors, robots, truth
+from orbisim_diffusion.loop import Loop
+from orbisim_diffusion.train_inference import inference_errors, train_inference
+from orbisim_diffusion.training import (
+    Run,
+    encoded,
+    train_autoencoder,
+    train_denoiser,
+    train_one_step,
+)
+
+from orbisim.errors import InputError
+from tests.backends.diffusion.tiny import arm, store_of
+
+TINY = preset("tiny")
+
+
+def _store() -> object:
+    """Frames of one colour each, so that there is something to learn in seconds."""
+    store = store_of(arm(), frames=8, episodes=2)
+    shade = torch.arange(len(store)) * 12
+    return dataclasses.replace(
+        store, frames=shade[:, None, None, None].expand(-1, 32, 32, 3).byte()
+    )
+
+
+@pytest.mark.parametrize("name", ["default", "paper"])
+def test_each_part_learns(name: str) -> None:
+    store = _store()
+    denoiser = preset(name).denoiser
+    config = dataclasses.replace(
+        TINY,
+        train_autoencoder=TrainConfig(batch=8, rate=1e-2, warmup=5, average=0.9),
+        denoiser=dataclasses.replace(
+            TINY.denoiser, maps=denoiser.maps, noisy_context=denoiser.noisy_context
+        ),
+    )
+    lines: list[str] = []
+    vae, loop = train_autoencoder(config, Run(200, 150), lambda: store, lines.append)
+    assert loop.step == 150
+    error = (vae.decode(vae.encode(to_float(store.frames))) - to_float(store.frames)).abs().mean()
+    assert float(error) < 0.3  # of a range of 2; an untrained one has 0.5
+    store = encoded(vae, store)
+    assert float(store.latents.float().std()) == pytest.approx(1.0, abs=0.35)
+    model, loop = train_denoiser(config, Run(100, 3), store, lines.append)
+    one, loop = train_one_step(config, Run(100, 2), store, vae, model, lines.append)
+    assert loop.history[-1]["loss"] > 0
+    assert any((a != b).any() for a, b in zip(one.parameters(), model.parameters(), strict=True))
+
+
+def test_a_training_that_was_stopped_goes_on(tmp_path: Path) -> None:
+    def run(path: Path, count: int) -> torch.Tensor:
+        torch.manual_seed(1)
+        layer = torch.nn.Linear(3, 2)
+        loop = Loop(layer, TrainConfig(warmup=1), 1e6, path, count)
+        loop._rate_share = lambda: 0.5  # type: ignore[method-assign]
+        loop.run(lambda step: (layer(torch.full((4, 3), float(step))) ** 2).mean())
+        return loop.average.weight
+
+    whole = run(tmp_path / "a", 8)
+    run(tmp_path / "b", 3)
+    torch.testing.assert_close(run(tmp_path / "b", 8), whole)
+    (tmp_path / "b").write_bytes(b"nonsense")
+    with pytest.raises(InputError, match="damaged"):
+        run(tmp_path / "b", 8)
+
+
+def test_a_loss_that_is_not_finite_ends_the_training() -> None:
+    layer = torch.nn.Linear(1, 1)
+    loop = Loop(layer, TrainConfig(), 1e6, None, 2)
+    with pytest.raises(InputError, match="lower the rate"):
+        loop.run(lambda _: layer(torch.full((1, 1), torch.nan)).sum())
+
+
+def test_state_inference_learns_and_measures_in_the_papers_units() -> None:
+    store = encoded(train_autoencoder(TINY, Run(100, 2), _store)[0], _store())
+    model, _ = train_inference(TINY, Run(100, 3), store)
+    found = inference_errors(model, store, 8)
+    assert json.dumps(found)
+    assert found["object_position_mm"] > 0
+    index = torch.arange(4)
+    true = truth(store, robots(store), index)
+    guess = model(store.latents[index].float())
+    exact = guess._replace(
+        hand_pos=true.hand_pos,
+        hand_rot=true.hand_rot,
+        joints=true.joints,
+        present=torch.where(true.there, 9.0, -9.0),
+        pos=true.pos,
+        rot=true.rot,
+        size=true.size,
+        colour=true.colour,
+    )
+    perfect = errors(exact, true)
+    assert perfect.pop("count_right_percent") == 100.0
+    assert max(perfect.values()) < 1e-3
+
+
+def test_bytes_and_floats_there_and_back() -> None:
+    images = torch.randint(0, 256, (2, 4, 5, 3), dtype=torch.uint8)
+    assert torch.equal(to_bytes(to_float(images)), images)
