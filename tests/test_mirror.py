@@ -28,11 +28,13 @@ SEEN_THROUGH = {
         "scene/safety/test_meshformats.py",
         "an exception that every check raises",
     ),
+    "orbisim.scene.visible": ("tasks/test_frames.py", "rows and poses are seen against images"),
     "orbisim.scene.urdf": ("scene/urdf", "a reader is called with a document"),
     "orbisim.scene.usd": ("scene/usd", "a reader is called with a document"),
     "orbisim.testing": ("conformance", "tests for others are held by our own plug-ins"),
     "orbisim.view": ("view", "a page is seen in the browser"),
     "orbisim_mujoco.renderer": ("conformance/test_renderers.py", "images against each other"),
+    "orbisim_diffusion": ("backends/diffusion", "parts are seen in the renderer and its training"),
     "orbisim_warp.kernels": ("backends/warp/test_backend.py", "run on Warp's arrays only"),
     "orbisim_world_model": ("backends/world_model", "parts are seen in the model's step"),
 }
