@@ -36,10 +36,8 @@ from orbisim.cli.common import (
 @click.option(
     "--residual",
     type=click.Choice(["motion", "force"]),
-    default="motion",
-    show_default=True,
     help="What to explain: free runs over windows, or the joint forces that the measured motion "
-    "needs (for controlled machines whose joint forces are recorded).",
+    "needs. Default: the forces of an arm of which all are recorded and many effects are missing.",
 )
 @click.option(
     "--backend",
@@ -89,7 +87,7 @@ def command(
     recordings: tuple[str, ...],
     held_out: tuple[str, ...],
     window: float,
-    residual: Literal["motion", "force"],
+    residual: Literal["motion", "force"] | None,
     backend: str,
     effects: tuple[str, ...],
     most_effects: int,

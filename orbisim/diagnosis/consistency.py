@@ -7,14 +7,17 @@ than late. Each window's share of the fit says which values it would prefer.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench
 from orbisim.diagnosis.refine import Judged, thinned
-from orbisim.diagnosis.sensible import absurd
+from orbisim.diagnosis.samples import Samples, extent
 from orbisim.diagnosis.settings import Settings
-from orbisim.effects import find
+from orbisim.effects import EffectInstance, find
 from orbisim.effects.base import index_of, is_scalar_joint
 
 Floats = npt.NDArray[np.float64]
@@ -71,6 +74,15 @@ def doubtful(
     instance = judged.hypothesis.effects[number]
     problem = absurd(bench.scene.model, instance, bench.samples)
     return problem or inconsistency(bench, judged, number, tolerance)
+
+
+def absurd(
+    model: mujoco.MjModel, instance: EffectInstance, samples: Sequence[Samples]
+) -> str | None:
+    """Why an effect with these numbers cannot be believed to act on a machine; None if it can."""
+    if find(instance.effect).log_prior(model, instance, extent(samples)) > -np.inf:
+        return None
+    return f"{instance} is nothing that this machine can have"
 
 
 def _neutral(bench: Bench, judged: Judged, number: int) -> Floats:

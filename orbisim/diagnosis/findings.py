@@ -13,6 +13,7 @@ from orbisim.diagnosis.bench import Bench, Hypothesis, Noise
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.confidence import confidence
 from orbisim.diagnosis.confounds import advice, standing
+from orbisim.diagnosis.evidence import Gain, probabilities
 from orbisim.diagnosis.fits import Fit
 from orbisim.diagnosis.found import Alternative, Candidate, Estimate, FoundEffect, Retuned, Verdict
 from orbisim.diagnosis.paying import enough
@@ -261,6 +262,38 @@ def alternatives_of(found: Attribution) -> tuple[Alternative, ...]:
             if not any(a.effect == other for a in result) and other not in {t[0] for t in taken}:
                 result.append(Alternative(other, "", None, f"known to look alike; {text}"))
     return tuple(result)
+
+
+def suspected(
+    suspects: Sequence[tuple[tuple[str, str] | None, tuple[str, str] | None, Gain]],
+) -> list[Alternative]:
+    """What could stand in the place of an effect, or be added where nothing surely pays.
+
+    Args:
+      suspects: each with the effect in whose place it would stand, None for none, and what it is
+        worth more.
+    """
+    found: dict[tuple[str, str], Alternative] = {}
+    places: dict[tuple[str, str] | None, list[tuple[tuple[str, str], Gain]]] = {}
+    for one, place, gain in suspects:
+        if one is not None:
+            places.setdefault(place, []).append((one, gain))
+    for key, rivals in places.items():
+        shares = probabilities(np.array([0.0, *(gain.total for _, gain in rivals)]))[1:]
+        for (one, gain), share in zip(rivals, shares, strict=True):
+            if share < _UNLIKELY or one in found:
+                continue
+            text, tip = "may be missing; the gain is not sure", None
+            if key is not None:
+                text = f"may stand in the place of {key[0]} at {key[1]}"
+                tip = advice(key[0], one[0])
+            text += f"; to tell them apart, {tip}" if tip else ""
+            found[one] = Alternative(*one, -2 * gain.total, text, round(float(share), 4))
+    return sorted(found.values(), key=lambda one: -(one.probability or 0.0))[:_MOST_SUSPECTS]
+
+
+_UNLIKELY = 0.005
+_MOST_SUSPECTS = 12
 
 
 def _own_places(found: Attribution) -> dict[int, float]:

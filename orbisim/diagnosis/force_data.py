@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis
+from orbisim.diagnosis.evidence import Blocks, independent_share
 from orbisim.diagnosis.force import force_residual
 from orbisim.diagnosis.linear import IntervalMap
 from orbisim.diagnosis.regress import Normal, normal_of
@@ -23,7 +25,7 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 _MOST_ROWS = 2500
-_BLOCKS = 12
+_BLOCKS = 24
 _SHORTEST = 24
 
 
@@ -137,16 +139,56 @@ def _offered(name: str) -> bool:
     return effect.kind in ("joint", "body", "world") or name == "torque_bias"
 
 
+def spread(data: ForceData, force: Floats) -> Floats:
+    """[N, nv]: standard deviation of a missing force: what is typical of its joint, and what the
+    motion's noise adds where it is not known well."""
+    known = _known(data)
+    typical = _TO_SIGMA * np.nanmedian(np.abs(force - np.nanmedian(force, axis=0)), axis=0)
+    usual = np.maximum(np.maximum(typical, known), 1e-12)
+    return np.asarray(np.sqrt(usual**2 + np.maximum(np.nan_to_num(data.std) ** 2 - known**2, 0.0)))
+
+
+def _known(data: ForceData) -> Floats:
+    """[nv]: how well forces are known where they are known well."""
+    flattened = _FLATTENED * np.sqrt(np.nanmean(data.total**2, axis=0))
+    return np.asarray(np.hypot(np.nanmedian(data.std, axis=0), flattened))
+
+
+_FLATTENED = 0.01
+"""Share of the force that a motion needs which smoothing of its acceleration may take away."""
+_TO_SIGMA = 1.4826
+"""Standard deviation over the median absolute value of a normal distribution."""
+
+
 def normals(data: ForceData, columns: Floats, sigma: Floats) -> list[Normal]:
-    """Normal equations of each stretch.
+    """Normal equations of each joint in each stretch, those of a stretch together.
 
     Args:
-      columns: [N, nv, C]. sigma: [nv] by which forces are divided.
+      columns: [N, nv, C]. sigma: [N, nv] by which forces are divided.
     """
     found = []
-    for number in range(data.blocks):
+    for number, dof in itertools.product(range(data.blocks), range(sigma.shape[1])):
         own = data.block == number
-        design = (columns[own] / sigma[:, None]).reshape(-1, columns.shape[2])
-        target = (np.nan_to_num(data.force[own]) / sigma).ravel()
+        design = columns[own, dof] / sigma[own, dof][:, None]
+        target = np.nan_to_num(data.force[own, dof]) / sigma[own, dof]
         found.append(normal_of(design, target, len(target)))
     return found
+
+
+def counts(data: ForceData, left: Floats, sigma: Floats) -> Blocks:
+    """How the data of each joint in each stretch count.
+
+    Args:
+      left: [N, nv] what is left, whose autocorrelation says how many data are independent.
+    """
+    nv = sigma.shape[1]
+    rows = np.bincount(data.block, minlength=data.blocks)
+    floor = _known(data) / np.nanmedian(sigma, axis=0)
+    share = np.array(
+        [
+            independent_share([left[data.block == b, dof] for b in range(data.blocks)])
+            for dof in range(nv)
+        ]
+    )
+    size = np.maximum(rows[:, None] * share, 1.0)
+    return Blocks(size.ravel(), np.tile(np.arange(nv), data.blocks), np.tile(floor, data.blocks))

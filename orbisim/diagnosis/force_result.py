@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.confounds import standing
-from orbisim.diagnosis.findings import effects_of, noise_of
+from orbisim.diagnosis.findings import effects_of, noise_of, suspected
 from orbisim.diagnosis.force import force_residual
 from orbisim.diagnosis.force_search import ForceAttribution, attribute_forces
 from orbisim.diagnosis.found import Alternative, Verdict
@@ -52,7 +51,6 @@ def diagnose_forces(
     found = attribute_forces(scene, samples, settings, say)
     say("checking on held-out data")
     fitted, kept = _Errors(scene, samples), _Errors(scene, unseen)
-    found = _confirmed(found, kept)
     return Diagnosis(
         scene=scene,
         source=source,
@@ -91,18 +89,6 @@ class _Errors:
         return float(np.linalg.norm(self.by_dof(hypothesis)))
 
 
-def _confirmed(found: ForceAttribution, kept: _Errors) -> ForceAttribution:
-    """The finding, or none if it does not lower the missing force of data it has not seen."""
-    effects = found.hypothesis.effects
-    if not effects or kept.of(found.hypothesis) < kept.of(Hypothesis()):
-        return found
-    doubt = tuple((effect, "it does not help on held-out data") for effect in effects)
-    return dataclasses.replace(
-        found, hypothesis=Hypothesis(), evidence=(), rejected=(*found.rejected, *doubt),
-        ratio_after=found.ratio,
-    )  # fmt: skip
-
-
 def _verdict(found: ForceAttribution, settings: Settings) -> Verdict:
     if not found.hypothesis.effects:
         return "unexplained" if found.ratio > settings.enough else "no_residual"
@@ -123,10 +109,12 @@ def _residual(scene: Scene, found: ForceAttribution, settings: Settings) -> dict
 
 
 def _alternatives(found: ForceAttribution) -> tuple[Alternative, ...]:
+    """Suspects with their probabilities, and effects that are known to look like those found."""
     result = [
         Alternative(effect.effect, effect.target, None, f"not believed: {problem}")
         for effect, problem in found.rejected
     ]
+    result += suspected(found.suspects)
     chosen = {effect.effect for effect in found.hypothesis.effects}
     for name in sorted(chosen):
         for other, text in standing(name)[:2]:

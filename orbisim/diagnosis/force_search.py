@@ -11,33 +11,40 @@ inverse dynamics of the scene that has them.
 from __future__ import annotations
 
 import dataclasses
-import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis
+from orbisim.diagnosis.evidence import Gain
 from orbisim.diagnosis.fits import Fit
-from orbisim.diagnosis.force_data import ForceData, candidates, force_data, normals
-from orbisim.diagnosis.regress import total
-from orbisim.diagnosis.samples import Samples
+from orbisim.diagnosis.force_data import (
+    ForceData,
+    candidates,
+    counts,
+    force_data,
+    normals,
+    spread,
+)
+from orbisim.diagnosis.samples import Samples, extent
 from orbisim.diagnosis.screening import bounded_instance
-from orbisim.diagnosis.selection import Group, Rule, Selected, groups_of, select, without
-from orbisim.diagnosis.sensible import extent, sensible
+from orbisim.diagnosis.selection import Group, Selected, data_of, groups_of, select
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.state import Rival
-from orbisim.effects import EffectInstance
+from orbisim.effects import EffectInstance, find
+from orbisim.effects.screening import Candidate
 from orbisim.errors import OrbiSimError
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
+Suspicion = tuple[tuple[str, str] | None, tuple[str, str] | None, Gain]
+"""An effect and its target, that in whose place it would stand if any, and what that is worth."""
 
 _ROUNDS = 3
 _ITERATIONS = 3
 _FITTED = 600
-_EACH = 6
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -47,23 +54,25 @@ class ForceAttribution:
     Attributes:
       data: the missing forces. hypothesis: the effects, with fitted values.
       fit: of the hypothesis; one window for each stretch.
-      sigma: [nv] by which forces are weighted.
       ratio, ratio_after: missing force over its noise (root mean square over joints).
-      left: share of the weighted residual's amplitude that remains on stretches that the
-        coefficients were not fitted to.
-      evidence: for each effect the drop in information criterion that it brings.
+      gains: what each effect is worth beside the others.
+      suspects: what could stand in an effect's place, or be added, with its gain; nearest first.
       rejected: effects that were not believed, with the reason.
     """
 
     data: ForceData
     hypothesis: Hypothesis
     fit: Fit
-    sigma: Floats
     ratio: float
     ratio_after: float
-    left: float
-    evidence: tuple[float, ...]
-    rejected: tuple[tuple[EffectInstance, str], ...]
+    gains: tuple[Gain, ...] = ()
+    suspects: tuple[Suspicion, ...] = ()
+    rejected: tuple[tuple[EffectInstance, str], ...] = ()
+
+    @property
+    def evidence(self) -> tuple[float, ...]:
+        """For each effect twice the log predictive score that it brings."""
+        return tuple(2 * one.total for one in self.gains)
 
     @property
     def rivals(self) -> tuple[Rival, ...]:
@@ -87,92 +96,121 @@ def attribute_forces(
     say("inverse dynamics along the recordings")
     data = force_data(scene, samples)
     ratio = _ratio(data, data.force)
-    sigma = _spread(data.force)
     if ratio <= settings.enough:
-        return _nothing(data, sigma, ratio, ())
+        return _nothing(data, ratio, ())
     say("what effects would give along the recordings")
-    chosen, sigma = _selected(data, settings, say)
-    instances = _instances(data, chosen)
-    left = float(np.sqrt(chosen.predicted.sum() / max(chosen.before.sum(), 1e-300)))
-    if not instances:
-        return _nothing(data, sigma, ratio, ())
-    if left > settings.most_left:
-        doubt = f"{100 * left:.0f} % of the missing force's amplitude remains"
-        return _nothing(data, sigma, ratio, tuple((one, doubt) for one in instances))
+    chosen = _selected(data, settings, say)
+    suspects = _suspects(chosen)
+    known = [(one, worth) for one, worth in _instances(data, chosen) if one is not None]
+    if not known:
+        return _nothing(data, ratio, suspects)
     say("fitting the effects to the inverse dynamics")
     few = force_data(scene, samples, _FITTED)
-    hypothesis, fit = fit_forces(few, Hypothesis(instances), sigma)
-    after = _ratio(data, data.left(hypothesis))
-    evidence = tuple(
-        _evidence(g, data, x) for g, x in zip(chosen.gains, chosen.groups, strict=True)
-    )
-    return ForceAttribution(data, hypothesis, fit, sigma, ratio, after, left, evidence, ())
+    while known:
+        hypothesis = Hypothesis(tuple(one for one, _ in known))
+        hypothesis, fit = fit_forces(few, hypothesis, spread(few, few.left(hypothesis)))
+        there = [not _idle(hypothesis, fit, number, scene) for number in range(len(known))]
+        fitted = zip(hypothesis.effects, (worth for _, worth in known), there, strict=True)
+        known = [(one, worth) for one, worth, kept in fitted if kept]
+        if all(there):
+            after, gains = _ratio(data, data.left(hypothesis)), tuple(worth for _, worth in known)
+            return ForceAttribution(data, hypothesis, fit, ratio, after, gains, suspects)
+    return _nothing(data, ratio, suspects)
 
 
-def _selected(data: ForceData, settings: Settings, say: Progress) -> tuple[Selected, Floats]:
+def _idle(hypothesis: Hypothesis, fit: Fit, number: int, scene: Scene) -> bool:
+    """Whether an effect's numbers cannot be told from those that change nothing (Wald's test)."""
+    free = hypothesis.free(scene)
+    own = [k for k, (i, _) in enumerate(free) if i == number]
+    instance = hypothesis.effects[number]
+    known = find(instance.effect).parameters(scene.model, instance.target)
+    neutral = {one.name: one.neutral for one in known}
+    away = fit.values[own] - np.array([neutral.get(free[k][1], 0.0) for k in own])
+    inverse = np.linalg.pinv(fit.covariance[np.ix_(own, own)], rcond=1e-12, hermitian=True)
+    return bool(away @ inverse @ away < _TOLD**2 * len(own))
+
+
+_TOLD = 2.0
+"""Standard deviations by which an effect's numbers must differ from nothing."""
+
+
+def _selected(data: ForceData, settings: Settings, say: Progress) -> Selected:
     """Effects, selected with weights that follow from what they leave."""
     found, columns = candidates(data, settings.effects)
-    duration, travel = extent(data.samples)
-    possible = functools.partial(sensible, data.scene.model, duration=duration, travel=travel)
-    sigma = _spread(data.force)
-    rule = Rule(gain=_GAIN, most=max(settings.most_effects, _FORCES))
+    model, known = data.scene.model, extent(data.samples)
+
+    def prior(instance: EffectInstance) -> float:
+        return find(instance.effect).log_prior(model, instance, known)
+
+    left = _common(data, found, columns)
     for number in range(_ROUNDS):
         say(f"selecting effects, round {number + 1}")
-        blocks = normals(data, columns, sigma)
-        groups = groups_of(found, total(blocks), possible)
-        chosen = select(blocks, groups, rule)
-        left = data.force.copy()
+        sigma = spread(data, left)
+        blocks = data_of(normals(data, columns, sigma), counts(data, left, sigma))
+        chosen = select(blocks, groups_of(model, found, blocks.whole(), prior))
+        before, left = left, data.force.copy()
         for group, x in zip(chosen.groups, chosen.coefficients, strict=True):
             left -= columns[:, :, list(group.index)] @ x
-        before, sigma = sigma, _spread(left)
-        if np.all(np.abs(sigma / before - 1) < _SETTLED) or number == _ROUNDS - 1:
+        if np.all(np.abs(_size(left) / _size(before) - 1) < _SETTLED):
             break
-    paying = without(chosen, lambda g, gain: _evidence(gain, data, g) > settings.margin, blocks)
-    return paying.ordered(), before
+    return chosen
 
 
-_FORCES = 24
-"""Effects at most: a six-joint arm may well lack two at each joint and a few on its links."""
-_GAIN = 0.004
 _SETTLED = 0.1
 
 
-def _instances(data: ForceData, chosen: Selected) -> tuple[EffectInstance, ...]:
-    found = []
-    for group, x in zip(chosen.groups, chosen.coefficients, strict=True):
+def _common(data: ForceData, found: Sequence[Candidate], columns: Floats) -> Floats:
+    """[N, nv]: what all common effects together leave. What is missing is no noise: weights and
+    the share of independent data are to be those of what effects cannot explain."""
+    rare = [find(one.effect).rarity < _RARE for one in found for _ in one.columns]
+    flat = columns[:, :, ~np.array(rare)].reshape(-1, len(rare) - sum(rare))
+    scale, force = np.maximum(np.linalg.norm(flat, axis=0), 1e-300), np.nan_to_num(data.force)
+    x = np.linalg.lstsq(flat / scale, force.ravel(), rcond=_FLAT)[0]
+    return np.asarray(force - (flat / scale @ x).reshape(force.shape))
+
+
+_FLAT = 1e-4
+_RARE = -1.0
+"""Singular values, in units of the largest, that all columns together may do without."""
+
+
+def _instances(data: ForceData, chosen: Selected) -> Iterator[tuple[EffectInstance | None, Gain]]:
+    for group, x, worth in zip(chosen.groups, chosen.coefficients, chosen.gains, strict=True):
         one = group.instance(x)
-        one = None if one is None else bounded_instance(data.scene, one)
-        if one is not None:
-            found.append(one)
-    return tuple(found)
+        yield None if one is None else bounded_instance(data.scene, one), worth
 
 
-def _spread(force: Floats) -> Floats:
+def _suspects(chosen: Selected) -> tuple[Suspicion, ...]:
+    return tuple((_named(o.group), _named(o.instead_of), o.gain) for o in chosen.rivals)
+
+
+def _named(group: Group) -> tuple[str, str] | None:
+    return (group.key[0], group.key[1]) if group.key else None
+
+
+def _size(force: Floats) -> Floats:
     """[nv]: root mean square of each joint's missing force."""
     return np.maximum(np.sqrt(np.nanmean(force**2, axis=0)), 1e-12)
 
 
 def _ratio(data: ForceData, force: Floats) -> float:
-    """Missing force over its standard deviation."""
-    noise = np.sqrt(np.nanmean(data.std**2, axis=0))
-    return float(np.sqrt(np.mean((_spread(force) / np.maximum(noise, 1e-12)) ** 2)))
+    """Missing force over its standard deviation, typical of rows and joints."""
+    noise = np.maximum(np.nan_to_num(data.std, nan=np.inf), 1e-12)
+    return float(np.sqrt(np.mean(np.nanmedian((force / noise) ** 2, axis=0)) / _MEDIAN))
 
 
-def _evidence(gain: float, data: ForceData, group: Group) -> float:
-    """Drop in information criterion; neighbouring samples are not independent."""
-    independent = data.blocks * _EACH * data.force.shape[1]
-    left = max(1.0 - gain, 1e-12)
-    return float(-independent * np.log(left) - (len(group.index) + 1) * np.log(independent))
+_MEDIAN = 0.455
+"""Median of the square of a standard normal variable."""
 
 
 def _nothing(
     data: ForceData,
-    sigma: Floats,
     ratio: float,
-    rejected: tuple[tuple[EffectInstance, str], ...],
+    suspects: tuple[Suspicion, ...],
 ) -> ForceAttribution:
-    fit = _fit_of(data, data.force / sigma, np.zeros((*data.force.shape, 0)), np.zeros(0))
-    return ForceAttribution(data, Hypothesis(), fit, sigma, ratio, ratio, 1.0, (), rejected)
+    left = np.nan_to_num(data.force / spread(data, data.force))
+    fit = _fit_of(data, left, np.zeros((*data.force.shape, 0)), np.zeros(0))
+    return ForceAttribution(data, Hypothesis(), fit, ratio, ratio, (), suspects)
 
 
 # -- the fit -----------------------------------------------------------------------------------

@@ -42,13 +42,20 @@ class FoundEffect:
 
 @dataclasses.dataclass(frozen=True)
 class Alternative:
-    """Another explanation. delta_bic: how much worse it is. reason: why it was not chosen, and what
-    to record to be sure."""
+    """Another explanation.
+
+    Attributes:
+      effect, target: as in the catalogue. delta_bic: how much worse it is.
+      reason: why it was not chosen, and what to record to be sure.
+      probability: that it belongs in the place of what was chosen, or beside it where nothing was;
+        None where that is not known.
+    """
 
     effect: str
     target: str
     delta_bic: float | None
     reason: str
+    probability: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)

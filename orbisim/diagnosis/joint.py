@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
+from orbisim.diagnosis.evidence import Blocks
 from orbisim.diagnosis.holding import holding
 from orbisim.diagnosis.linear import Intervals
-from orbisim.diagnosis.regress import Normal, total
+from orbisim.diagnosis.samples import extent
 from orbisim.diagnosis.screening import bounded_instance, candidates_of, missing_force
-from orbisim.diagnosis.selection import Group, Rule, Selected, groups_of, select
-from orbisim.diagnosis.sensible import extent, sensible
+from orbisim.diagnosis.selection import Group, Selected, data_of, groups_of, select
 from orbisim.diagnosis.view import MotionView
-from orbisim.effects import EffectInstance, effect_names
+from orbisim.effects import EffectInstance, effect_names, find
 
 Floats = npt.NDArray[np.float64]
 
-_BLOCKS = 15
 _MOST_WINDOWS = 120
+_SHARE = 0.05
 
 
 def propose(
@@ -45,12 +44,17 @@ def propose(
     columns = [column for candidate in found for column in candidate.columns]
     windows = bench.windows.some(_thinned(bench.fit))
     data = holding(bench, intervals, windows, columns)
-    duration, travel = extent(bench.samples)
-    possible = functools.partial(sensible, bench.scene.model, duration=duration, travel=travel)
+    model, known = bench.scene.model, extent(bench.samples)
+
+    def prior(instance: EffectInstance) -> float:
+        return find(instance.effect).log_prior(model, instance, known)
+
     normals = data.normals(_holding(view.missing_force))
-    groups = groups_of(found, total(normals), possible)
-    chosen = select(_blocks(normals), groups, Rule(most=most))
-    return _instances(bench, chosen.ordered())
+    size = np.maximum(data.count * _SHARE, 1.0)
+    counts = Blocks(size, np.zeros(len(size), np.int64), np.ones(len(size)))
+    blocks = data_of(normals, counts)
+    chosen = select(blocks, groups_of(model, found, blocks.whole(), prior), most)
+    return _instances(bench, chosen)
 
 
 _STATED = ("hard_stop",)
@@ -68,12 +72,6 @@ def _thinned(keep: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
 def _holding(force: Floats) -> Floats:
     """[nv]: standard deviation of the force by which dry friction may hold a joint at rest."""
     return np.asarray(3 * np.sqrt(np.nanmean(force**2, axis=0)) + 1e-12)
-
-
-def _blocks(normals: Sequence[Normal]) -> list[Normal]:
-    """Neighbouring windows together."""
-    parts = np.array_split(np.arange(len(normals)), min(_BLOCKS, len(normals)))
-    return [total([normals[i] for i in part]) for part in parts]
 
 
 def _instances(bench: Bench, chosen: Selected) -> tuple[EffectInstance, ...]:

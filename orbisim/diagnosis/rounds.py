@@ -12,12 +12,11 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis, clean
 from orbisim.diagnosis.confidence import confidence
-from orbisim.diagnosis.consistency import doubtful
+from orbisim.diagnosis.consistency import absurd, doubtful
 from orbisim.diagnosis.glances import Candidate, generalizations, shortlist
 from orbisim.diagnosis.paying import few_bad, settles, unpaid
 from orbisim.diagnosis.refine import Judged, is_structural
 from orbisim.diagnosis.screening import cleaned
-from orbisim.diagnosis.sensible import hollow
 from orbisim.diagnosis.state import NEAR, Rival, SearchState
 from orbisim.diagnosis.suspects import Screening, Suspect
 from orbisim.effects import EffectInstance, effect_names, find
@@ -225,7 +224,11 @@ def _winner(
 def hollowed(state: SearchState, judged: Judged) -> str | None:
     """Why the last effect is really another one with fewer numbers, or none; None if it is not."""
     last = judged.hypothesis.effects[-1]
-    return hollow(state.bench.scene.model, last, state.bench.samples) or vague(state, judged)
+    if find(last.effect).family == "friction":
+        problem = absurd(state.bench.scene.model, last, state.bench.samples)
+        if problem is not None:
+            return problem
+    return vague(state, judged)
 
 
 def vague(state: SearchState, judged: Judged) -> str | None:

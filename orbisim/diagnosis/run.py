@@ -8,11 +8,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+import mujoco
 import numpy as np
 
 from orbisim.backend import Backend
 from orbisim.diagnosis.attribution import attribute
-from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
+from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench, touches
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.findings import (
     alternatives_of,
@@ -32,7 +33,7 @@ from orbisim.diagnosis.paying import few_bad
 from orbisim.diagnosis.refine import Judge, Judged
 from orbisim.diagnosis.rest import learn_rest as learn
 from orbisim.diagnosis.result import Diagnosis
-from orbisim.diagnosis.samples import prepare_all
+from orbisim.diagnosis.samples import Samples, prepare_all
 from orbisim.diagnosis.scoring import score
 from orbisim.diagnosis.sensing import Sensed, sense
 from orbisim.diagnosis.settings import Settings
@@ -58,7 +59,7 @@ def diagnose(
     held_out: Source | Sequence[Source] | None = None,
     *,
     window: float = 0.5,
-    residual: Literal["motion", "force"] = "motion",
+    residual: Literal["motion", "force"] | None = None,
     backend: str | Backend = "mujoco",
     settings: Settings | None = None,
     learn_rest: bool = False,
@@ -73,9 +74,10 @@ def diagnose(
       held_out: measurements that no choice and no fit may see; kept back from `recordings` if None.
       window: duration of the windows of free-running simulation, s.
       residual: what is explained: `motion`, the error of free runs over windows; or `force`, the
-        generalized force that is missing along the measured motion by inverse dynamics. The latter
-        suits recordings of a controlled machine whose joint forces are known: torques or controls
-        of actuators without dynamics.
+        generalized force that is missing along the measured motion by inverse dynamics. If None,
+        the forces of an arm of three joints or more at which all forces are known (torques, or
+        controls of actuators without dynamics) and that touches nothing, if they show as many
+        effects as joints: free runs of such a machine drift off at once. Else the motion.
       backend: what the free-running errors are computed with; the search simulates with C MuJoCo.
       settings: of the search.
       learn_rest: where no effect explains the residual, or not all of it, whether to fit a neural
@@ -91,7 +93,7 @@ def diagnose(
     """
     if not window > 0:
         raise InputError(f"window is a duration in s, greater than 0; got {window}")
-    if residual not in ("motion", "force"):
+    if residual not in ("motion", "force", None):
         raise InputError(f"residual is 'motion' or 'force'; got {residual!r}")
     if residual == "force" and learn_rest:
         raise InputError("learn_rest goes with residual='motion': it is fitted to free runs")
@@ -109,11 +111,14 @@ def diagnose(
         status("diagnosing") if progress else contextlib.nullcontext(_nothing) as say,
     ):
         say("reading the recordings")
-        if residual == "force":
+        result: Diagnosis | None = None
+        if residual == "force" or (residual is None and not learn_rest and _arm(loaded, fit)):
             engine = backend if isinstance(backend, str) else backend.name
             both = bounded(fit, notes), bounded(held, notes)
             result = diagnose_forces(loaded, named, *both, settings, engine, notes, say)
-        else:
+            if residual is None and len(result.effects) < loaded.model.nv:
+                result = None
+        if result is None:
             result = _by_motion(
                 loaded, named, fit, held, settings, window, backend, learn_rest, notes, say
             )
@@ -161,7 +166,7 @@ def _by_motion(
             unseen=unseen, seed=settings.seed, say=say,
         )  # fmt: skip
         result = dataclasses.replace(result, rest=learned)
-    if result.verdict == "unexplained" and _forces_known(bench):
+    if result.verdict == "unexplained" and not bench.contacts and _forces_known(scene, samples):
         hint = "the forces at all joints are known: residual='force' explains them instead"
         result = dataclasses.replace(result, notes=(*result.notes, hint))
     return result
@@ -178,17 +183,30 @@ def bad_windows(declared: Judged) -> str:
     )
 
 
-def _forces_known(bench: Bench) -> bool:
-    """Whether every degree of freedom is driven by an actuator or a recorded force, without
-    contacts."""
-    model = bench.scene.model
+def _arm(scene: Scene, recordings: Sequence[Recording]) -> bool:
+    """Whether the forces at all of several joints are known, and nothing touches."""
+    if scene.model.nv < _ARM or scene.model.nq != scene.model.nv:
+        return False
+    samples = prepare_all([recordings[0]], scene)
+    return _forces_known(scene, samples) and not touches(scene, samples)
+
+
+_ARM = 3
+"""Joints from which on a machine that lacks many effects drifts off in a free run at once."""
+
+
+def _forces_known(scene: Scene, samples: Sequence[Samples]) -> bool:
+    """Whether every degree of freedom is driven by a recorded force, or by an actuator whose force
+    follows from its control alone."""
+    model = scene.model
     driven = np.zeros(model.nv, bool)
-    for one in bench.samples:
+    for one in samples:
         driven |= np.asarray(one.bound.applied, bool)
     for actuator in actuators(model):
-        if actuator.driven and actuator.joint >= 0:
+        plain = model.actuator_biastype[actuator.id] == mujoco.mjtBias.mjBIAS_NONE
+        if actuator.driven and actuator.joint >= 0 and plain and not model.na:
             driven[model.jnt_dofadr[actuator.joint]] = True
-    return bool(driven.all()) and not bench.contacts
+    return bool(driven.all())
 
 
 def _sets(

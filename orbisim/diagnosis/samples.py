@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.effects.base import Extent
 from orbisim.errors import RecordingError
 from orbisim.recording import Bound, Recording, bind, estimate_motion, noise_std
 from orbisim.recording.initial import activations, histories, starts
@@ -222,3 +223,12 @@ def substeps(duration: npt.ArrayLike, timestep: float) -> Ints:
 
 
 _LONGER = 1.05
+
+
+def extent(samples: Sequence[Samples]) -> Extent:
+    """How far recordings go."""
+    longest = max(float(one.time[-1] - one.time[0]) for one in samples)
+    nv = samples[0].absolute.shape[1] // 2
+    state = np.concatenate([one.absolute[one.usable] for one in samples])
+    speed = np.sqrt(np.mean(state[:, nv:] ** 2, axis=0))
+    return Extent(longest, np.asarray(np.ptp(state[:, :nv], axis=0)), np.asarray(speed))

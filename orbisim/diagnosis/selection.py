@@ -1,25 +1,40 @@
-"""Several effects at once: forward selection with removal, judged by cross-validation.
+"""Several effects at once: the set that predicts best, from all effects at all targets.
 
-Data come as normal equations of blocks (stretches of a recording, windows, whole recordings). A
-choice is fitted to all blocks but one and scored on that one, each in turn, so that an effect pays
-only with what it predicts. One effect at a time, judged by what it leaves, fails where many are
-missing: each looks wrong as long as the others are. Here they are fitted together.
+Data come as normal equations of blocks (windows, stretches of a recording). Coefficients are fitted
+to all blocks but a few, and score these, each in turn, so that an effect pays only with what it
+predicts. Moves are to add, to remove and to exchange; `orbisim.diagnosis.evidence` says what each
+is worth. One effect at a time, judged by what it leaves, fails where many are missing: each looks
+wrong as long as the others are. Here they are fitted together.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
+import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.regress import Normal, fit, profiled, total
-from orbisim.effects import EffectInstance
+from orbisim.diagnosis.evidence import Blocks, Gain, gain, weights
+from orbisim.diagnosis.regress import Normal, fit, profiled
+from orbisim.effects import EffectInstance, find
 from orbisim.effects.screening import Candidate
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
+Prior = Callable[[EffectInstance], float]
+
+EFFECT = -3.0
+"""Logarithm of the prior odds of an effect at a target, e^-3 = 1 in 20: of some dozens that are
+possible on a machine few are there."""
+
+
+BEGINNINGS = (-1.0, np.inf)
+"""Rarities down to which an effect belongs to what a search begins with: from all that machines
+commonly have, and from nothing."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -33,6 +48,7 @@ class Group:
         not possible.
       fixed: whether the coefficients are ones instead of fitted.
       shape: number of parameters that were tried at several values.
+      prior: logarithm of the odds of the effect beside those of any.
     """
 
     index: tuple[int, ...]
@@ -40,29 +56,24 @@ class Group:
     instance: Callable[[Floats], EffectInstance | None]
     fixed: bool = False
     shape: int = 0
-
-    @property
-    def width(self) -> int:
-        """Numbers that data have to pay for."""
-        return self.shape + (0 if self.fixed else len(self.index))
+    prior: float = 0.0
 
 
 def groups_of(
-    candidates: Sequence[Candidate],
-    whole: Normal,
-    sensible: Callable[[EffectInstance], bool] = lambda _: True,
+    model: mujoco.MjModel, candidates: Sequence[Candidate], whole: Normal, prior: Prior
 ) -> list[Group]:
     """Groups for candidates whose columns stand in `whole` one after the other.
 
     Candidates with many columns are offered with fewer, too: of a payload, mass and first moments.
 
     Args:
-      sensible: whether an effect with such values can be.
+      prior: logarithm of the odds of an effect with such values; minus infinity if it cannot be.
     """
     found, start = [], 0
     for candidate in candidates:
         width = len(candidate.columns)
-        found += [_group(candidate, start, n, whole, sensible) for n in {width, min(width, _FEW)}]
+        widths = sorted({width, min(width, _FEW)})
+        found += [_group(model, candidate, start, n, whole, prior) for n in widths]
         start += width
     return [group for group in found if group.index]
 
@@ -71,11 +82,12 @@ _FEW = 4
 
 
 def _group(
+    model: mujoco.MjModel,
     candidate: Candidate,
     start: int,
     width: int,
     whole: Normal,
-    sensible: Callable[[EffectInstance], bool],
+    prior: Prior,
 ) -> Group:
     strength = np.diag(whole.gram)[start : start + width]
     felt = np.flatnonzero(strength > _FELT * strength.max(initial=0.0))
@@ -90,30 +102,82 @@ def _group(
         made = EffectInstance(
             candidate.effect, candidate.target, dict(values), dict(candidate.options)
         )
-        return made if sensible(made) else None
+        return made if prior(made) > -np.inf else None
 
     index = tuple(int(i) for i in start + felt)
     key = (candidate.effect, candidate.target)
-    return Group(index, key, instance, candidate.fixed, candidate.shape)
+    odds = find(candidate.effect).odds(model, candidate.target)
+    return Group(index, key, instance, candidate.fixed, candidate.shape, odds)
 
 
 _FELT = 1e-12
 
 
-@dataclasses.dataclass(frozen=True)
-class Rule:
-    """When a group is worth it.
+class Stack(NamedTuple):
+    """Blocks as arrays. gram: [B, C, C]. moment: [B, C]. square, data: [B]."""
+
+    gram: Floats
+    moment: Floats
+    square: Floats
+    data: Floats
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Data:
+    """What a selection goes by.
 
     Attributes:
-      gain: share of the squared residual left so far that it must predict away on unseen blocks.
-      certainty: ... and by so many standard errors over the blocks.
-      most: groups at most. tried: how many of those with the best fit are cross-validated.
+      blocks: normal equations of each. folds: [B] number of the part that a block is left out with.
+      counts: how their data count. weight: [B] by which they count in fits.
     """
 
-    gain: float = 0.01
-    certainty: float = 2.0
-    most: int = 40
-    tried: int = 10
+    blocks: tuple[Normal, ...]
+    folds: Ints
+    counts: Blocks
+    weight: Floats
+
+    @functools.cached_property
+    def stack(self) -> Stack:
+        """The blocks as arrays."""
+        return Stack(
+            np.array([one.gram for one in self.blocks]),
+            np.array([one.moment for one in self.blocks]),
+            np.array([one.square for one in self.blocks]),
+            np.array([float(max(one.count, 1)) for one in self.blocks]),
+        )
+
+    def whole(self) -> Normal:
+        """All blocks, weighed."""
+        stack, weight = self.stack, self.weight
+        gram = np.einsum("b,bij->ij", weight, stack.gram)
+        return Normal(
+            gram, weight @ stack.moment, float(weight @ stack.square), int(stack.data.sum())
+        )
+
+    def reweighed(self, squares: Floats) -> Data:
+        """With weights by what is left of each block, [B] mean squares."""
+        again = dataclasses.replace(self, weight=weights(squares, self.counts))
+        again.__dict__["stack"] = self.stack
+        return again
+
+
+def data_of(blocks: Sequence[Normal], counts: Blocks, folds: int = 10) -> Data:
+    """Blocks as they come, those of a signal that are next to each other in the same fold."""
+    number = np.zeros(len(blocks), np.int64)
+    for signal in np.unique(counts.signal):
+        own = np.flatnonzero(counts.signal == signal)
+        number[own] = np.arange(len(own)) * min(folds, len(own)) // len(own)
+    data = Data(tuple(blocks), number, counts, np.ones(len(blocks)))
+    return data.reweighed(np.array([one.square / max(one.count, 1) for one in blocks]))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Rival:
+    """What could stand in the place of a chosen group. gain: of the exchange."""
+
+    group: Group
+    instead_of: Group
+    gain: Gain
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -121,86 +185,76 @@ class Selected:
     """Result of a selection.
 
     Attributes:
-      groups: as chosen. coefficients: of each group's columns.
-      predicted: [blocks] squared residual of each block, predicted from the others.
-      before: [blocks] squared residual without any group.
-      gains: for each group the share of the squared residual, as it is without this group, that it
-        predicts away.
+      groups: as chosen, those that bring most first. coefficients: of each group's columns.
+      predicted: [B] mean squared residual of each block, predicted from the others.
+      before: the same without any group.
+      gains: what each group is worth beside the others.
+      rivals: what could stand in their places, nearest first.
     """
 
     groups: tuple[Group, ...]
     coefficients: tuple[Floats, ...]
     predicted: Floats
     before: Floats
-    gains: tuple[float, ...]
-
-    def ordered(self) -> Selected:
-        """Those that bring most first."""
-        order = sorted(range(len(self.groups)), key=lambda i: -self.gains[i])
-        return dataclasses.replace(
-            self,
-            groups=tuple(self.groups[i] for i in order),
-            coefficients=tuple(self.coefficients[i] for i in order),
-            gains=tuple(self.gains[i] for i in order),
-        )
+    gains: tuple[Gain, ...]
+    rivals: tuple[Rival, ...] = ()
 
 
-def select(blocks: Sequence[Normal], groups: Sequence[Group], rule: Rule) -> Selected:
-    """Groups that predict blocks they were not fitted to, best first."""
-    search = _Search(blocks, groups, rule)
-    while len(search.chosen) < rule.most and search.add():
-        search.remove(0.0)
-        search.swap()
-    search.remove(rule.certainty, last=True)
-    return _selected(blocks, search.chosen)
+def select(data: Data, groups: Sequence[Group], most: int = 40) -> Selected:
+    """The set of groups that predicts best.
+
+    From all that machines commonly have, as far as it is possible together, groups are removed that
+    are not surely worth it; then others are added and exchanged. That is done from several
+    beginnings, and the best end counts: from nothing alone, the first effects would stand in for
+    all others, and hide them.
+
+    Args:
+      most: groups at most.
+    """
+    best: _Search | None = None
+    for rarity in BEGINNINGS:
+        search = _Search(data, groups)
+        search.begin(rarity)
+        search.remove()
+        while len(search.chosen) < most and search.add():
+            search.reweigh()
+            search.exchange()
+            search.remove()
+        nearer = best is None or best.worth(search) > 0
+        best = search if nearer else best
+    assert best is not None
+    return best.result()
 
 
-def without(
-    selected: Selected, keep: Callable[[Group, float], bool], blocks: Sequence[Normal]
-) -> Selected:
-    """The selection less those groups that are not to be kept, by their gain, the worst first."""
-    while selected.groups:
-        poor = [
-            (gain, i)
-            for i, (group, gain) in enumerate(zip(selected.groups, selected.gains, strict=True))
-            if not keep(group, gain)
-        ]
-        if not poor:
-            break
-        number = min(poor)[1]
-        kept = [group for i, group in enumerate(selected.groups) if i != number]
-        selected = _selected(blocks, kept)
-    return selected
-
-
-def _selected(blocks: Sequence[Normal], chosen: Sequence[Group]) -> Selected:
-    """Coefficients and gains of chosen groups."""
-    now = predicted(blocks, chosen)
-    gains = []
-    for group in chosen:
-        left = predicted(blocks, [one for one in chosen if one is not group])
-        gains.append(float(1 - now.sum() / max(left.sum(), 1e-300)))
-    before = np.array([one.square for one in blocks])
-    found = coefficients(total(blocks), chosen)
-    return Selected(tuple(chosen), tuple(found), now, before, tuple(gains))
-
-
-def predicted(blocks: Sequence[Normal], chosen: Sequence[Group]) -> Floats:
-    """[blocks] squared residual of each block, with coefficients fitted to all the others."""
-    whole = total(blocks)
+def predicted(data: Data, chosen: Sequence[Group]) -> Floats:
+    """[B]: mean squared residual of each block, with coefficients fitted to the other folds."""
     free = [i for group in chosen if not group.fixed for i in group.index]
     ones = [i for group in chosen if group.fixed for i in group.index]
-    index = [*ones, *free]
-    found = np.empty(len(blocks))
-    for b, own in enumerate(blocks):
-        others = Normal(
-            whole.gram - own.gram, whole.moment - own.moment,
-            whole.square - own.square, whole.count - own.count,
-        )  # fmt: skip
-        x = np.concatenate([np.ones(len(ones)), _free(others, ones, free)])
-        gram, moment = own.gram[np.ix_(index, index)], own.moment[index]
-        found[b] = max(own.square - 2 * x @ moment + x @ gram @ x, 0.0)
-    return found
+    index, stack = np.array([*ones, *free], int), data.stack
+    gram = stack.gram[:, index[:, None], index]
+    moment, x = stack.moment[:, index], np.ones((len(stack.square), len(index)))
+    if free:
+        x[:, len(ones) :] = _by_fold(data, gram, moment, len(ones))[data.folds]
+    left = stack.square - 2 * (x * moment).sum(axis=1) + np.einsum("bi,bij,bj->b", x, gram, x)
+    return np.asarray(np.maximum(left, 0.0) / stack.data)
+
+
+def _by_fold(data: Data, gram: Floats, moment: Floats, ones: int) -> Floats:
+    """[F, P]: coefficients of the free columns, fitted to all folds but one each.
+
+    Args:
+      gram: [B, C, C]. moment: [B, C]. ones: number of columns whose coefficients are ones.
+    """
+    weight = data.weight[:, None] * (data.folds[:, None] != np.arange(data.folds.max() + 1))
+    inner = np.einsum("bf,bij->fij", weight, gram)
+    wanted = np.einsum("bf,bi->fi", weight, moment) - inner[:, :, :ones].sum(axis=2)
+    inner, wanted = inner[:, ones:, ones:], wanted[:, ones:]
+    scale = np.sqrt(np.maximum(np.einsum("fii->fi", inner), 1e-300))
+    inner = inner / (scale[:, :, None] * scale[:, None, :]) + _RIDGE * np.eye(inner.shape[1])
+    return np.asarray(np.linalg.solve(inner, (wanted / scale)[..., None])[..., 0] / scale)
+
+
+_RIDGE = 1e-9
 
 
 def coefficients(whole: Normal, chosen: Sequence[Group]) -> list[Floats]:
@@ -220,71 +274,115 @@ def _free(normal: Normal, ones: Sequence[int], free: Sequence[int]) -> Floats:
 
 
 class _Search:
-    def __init__(self, blocks: Sequence[Normal], groups: Sequence[Group], rule: Rule) -> None:
-        self.blocks, self.groups, self.rule = blocks, groups, rule
-        self.whole = total(blocks)
+    def __init__(self, data: Data, groups: Sequence[Group]) -> None:
+        self.data, self.groups = data, groups
+        self.whole = data.whole()
         self.chosen: list[Group] = []
-        self._place = {group.index: number for number, group in enumerate(groups)}
-        self.before = np.array([one.square for one in blocks])
-        self.now = self.before
-        self._price = np.log(_EACH * len(blocks)) / (_EACH * len(blocks))
+        self.before = self.now = predicted(data, [])
+
+    def reweigh(self) -> None:
+        """Blocks count by what is left of them now."""
+        self.data = self.data.reweighed(self.now)
+        self.whole = self.data.whole()
+        self.now = predicted(self.data, self.chosen)
+
+    def gain(
+        self, before: Floats, after: Floats, more: Sequence[Group], fewer: Sequence[Group] = ()
+    ) -> Gain:
+        """Of a change by which some groups come and others go."""
+        prior = sum(map(_log_prior, more)) - sum(map(_log_prior, fewer))
+        return gain(before, after, self.data.counts, float(prior))
+
+    def worth(self, other: _Search) -> float:
+        """What another end of the search is worth more."""
+        return self.gain(self.now, other.now, other.chosen, self.chosen).total
+
+    def begin(self, rarity: float) -> None:
+        """With all groups so common, less those that are not possible beside the others."""
+        first: dict[tuple[str, ...], Group] = {}
+        for group in self.groups:
+            if group.prior >= rarity and not group.fixed:
+                first.setdefault(group.key, group)
+        self.chosen = list(first.values())
+        for _ in range(_REWEIGHTED):
+            self.chosen = self._possible(self.chosen)
+            self.reweigh()
+
+    def _possible(self, trial: Sequence[Group]) -> list[Group]:
+        """Those groups that are possible beside each other: what an effect had to make up for may
+        be another one's when that comes. Of impossible ones, the least useful goes first."""
+        kept = list(trial)
+        while kept:
+            found = coefficients(self.whole, kept)
+            bad = [n for n, (g, x) in enumerate(zip(kept, found, strict=True)) if not g.instance(x)]
+            if not bad:
+                break
+            costs = self._costs(kept)
+            del kept[min(bad, key=lambda n: costs[n])]
+        return kept
+
+    def _costs(self, chosen: Sequence[Group]) -> list[float]:
+        """By how much squares grow without each of some groups."""
+        free = [group for group in chosen if not group.fixed]
+        index = [i for group in free for i in group.index]
+        ones = [i for group in chosen if group.fixed for i in group.index]
+        x = _free(self.whole, ones, index)
+        gram = self.whole.gram[np.ix_(index, index)]
+        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        inverse = np.linalg.inv(gram / np.outer(scale, scale) + _RIDGE * np.eye(len(index)))
+        found, start = {}, 0
+        for group in free:
+            own = slice(start, start + len(group.index))
+            start = own.stop
+            y = x[own] * scale[own]
+            found[id(group)] = float(y @ np.linalg.solve(inverse[own, own], y))
+        return [found.get(id(group), 0.0) for group in chosen]
 
     def add(self) -> bool:
-        """Adds the group that predicts best, if any pays."""
-        found = self._best([], self.now)
+        """Adds the group that is worth most, if any surely is."""
+        found = self._best(self.chosen)
         if found is None:
             return False
-        group, left = found
-        self.chosen, self.now = [*self.chosen, group], left
+        self.chosen, self.now, _ = found
         return True
 
-    def swap(self) -> None:
-        """Puts another group in the place of one, as long as that predicts clearly better."""
-        for _ in range(_SWAPS):
-            best, least = None, self.now
-            for group in self.chosen[:-1]:
-                found = self._best([group], least)
-                if found is not None:
-                    best, least = (group, found[0]), found[1]
-            if best is None:
+    def exchange(self) -> None:
+        """Puts another group in the place of one, as long as that is surely worth it."""
+        for _ in range(_EXCHANGES):
+            found = [
+                one for out in self.chosen[:-1] if (one := self._best(_less(self.chosen, out)))
+            ]
+            if not found:
                 return
-            self.chosen = [*(one for one in self.chosen if one is not best[0]), best[1]]
-            self.now = least
+            self.chosen, self.now, _ = max(found, key=lambda one: one[2].total)
 
-    def _best(self, instead_of: Sequence[Group], rival: Floats) -> tuple[Group, Floats] | None:
-        """The group to add, and what is left then; None if none pays.
-
-        Of those that predict as well as the best as far as the blocks can tell, the one with fewest
-        numbers to fit, then the first (Breiman et al., "Classification and regression trees",
-        1984, section 3.4).
-        """
-        kept = [one for one in self.chosen if one not in instead_of]
-        paying: list[tuple[Group, Floats]] = []
-        for group in self._promising(kept):
-            left = predicted(self.blocks, [*kept, group])
-            if self._pays(rival, left, _LOOSE) and self._makes_sense([*kept, group]):
-                paying.append((group, left))
-        if not paying:
-            return None
-        least = min(paying, key=lambda one: float(one[1].sum()))[1]
-        level = [one for one in paying if _level(one[1], least, self.rule.gain)]
-        return min(level, key=lambda one: (one[0].width, self._place[one[0].index]))
-
-    def remove(self, certainty: float, last: bool = False) -> None:
-        """Drops groups that do not pay given the others, the least useful one first."""
+    def remove(self) -> None:
+        """Drops groups that are not surely worth it beside the others, the least useful first."""
         while len(self.chosen) > 1:
-            trials: list[tuple[float, int, list[Group], Floats]] = []
-            for group in self.chosen if last else self.chosen[:-1]:
-                fewer = [one for one in self.chosen if one is not group]
-                left = predicted(self.blocks, fewer)
-                if not self._pays(left, self.now, certainty):
-                    trials.append((float(left.sum()), len(trials), fewer, left))
-            if not trials:
+            trials: list[tuple[float, int, Group]] = []
+            for number in np.argsort(self._costs(self.chosen), kind="stable")[:_LEAST]:
+                out = self.chosen[number]
+                left = predicted(self.data, _less(self.chosen, out))
+                trials.append((self.gain(left, self.now, [out]).sure, len(trials), out))
+            worth, _, out = min(trials, key=lambda one: one[:2])
+            if worth > 0:
                 return
-            _, _, self.chosen, self.now = min(trials, key=lambda one: one[:2])
+            self.chosen = self._possible(_less(self.chosen, out))
+            self.now = predicted(self.data, self.chosen)
 
-    def _promising(self, chosen: Sequence[Group]) -> list[Group]:
-        """Groups with the best fit on all blocks, given those chosen."""
+    def _best(self, kept: Sequence[Group]) -> tuple[list[Group], Floats, Gain] | None:
+        """What is best chosen with another group beside those kept, what is left then, and what
+        that is worth; None if nothing is surely better than what is chosen."""
+        best: tuple[list[Group], Floats, Gain] | None = None
+        for trial in self._promising(kept):
+            left = predicted(self.data, trial)
+            worth = self.gain(self.now, left, trial, self.chosen)
+            if worth.sure > 0 and (best is None or worth.total > best[2].total):
+                best = trial, left, worth
+        return best
+
+    def _promising(self, chosen: Sequence[Group]) -> list[list[Group]]:
+        """Choices with one group more that fit all blocks best: the new one is the last."""
         taken = {group.key for group in chosen}
         ones = [i for group in chosen if group.fixed for i in group.index]
         index = [i for group in chosen if not group.fixed for i in group.index]
@@ -307,35 +405,65 @@ class _Search:
                 left = float(rest.square - 2 * rest.moment[at].sum() + inner)
             else:
                 left = fit(rest, at)[1]
-            scored.append(
-                (np.log(max(left, 1e-300)) + group.width * self._price, len(scored), group)
-            )
-        return [group for _, _, group in sorted(scored, key=lambda s: s[:2])[: self.rule.tried]]
+            scored.append((left, len(scored), group))
+        found: list[list[Group]] = []
+        for _, _, group in sorted(scored, key=lambda s: s[:2])[:_FITTED]:
+            trial = self._possible([*chosen, group])
+            if trial and trial[-1] is group:
+                found.append(trial)
+            if len(found) == _TRIED:
+                break
+        return found
 
-    def _makes_sense(self, trial: Sequence[Group]) -> bool:
-        found = coefficients(self.whole, trial)
-        return all(group.instance(x) is not None for group, x in zip(trial, found, strict=True))
+    def result(self) -> Selected:
+        """What was chosen, and what could stand in its place."""
+        gains = []
+        for out in self.chosen:
+            left = predicted(self.data, _less(self.chosen, out))
+            gains.append(self.gain(left, self.now, [out]))
+        order = sorted(range(len(gains)), key=lambda i: -gains[i].total)
+        found = coefficients(self.whole, self.chosen)
+        return Selected(
+            tuple(self.chosen[i] for i in order),
+            tuple(found[i] for i in order),
+            self.now,
+            self.before,
+            tuple(gains[i] for i in order),
+            tuple(self._rivals()),
+        )
 
-    def _pays(self, without: Floats, with_it: Floats, certainty: float) -> bool:
-        drop = without - with_it
-        if drop.sum() <= self.rule.gain * without.sum():
-            return False
-        error = float(drop.std(ddof=1) / np.sqrt(len(drop))) if len(drop) > 1 else 0.0
-        return float(drop.mean()) > certainty * error
+    def _rivals(self) -> list[Rival]:
+        found: list[Rival] = []
+        for out in self.chosen or [_NOTHING]:
+            kept = _less(self.chosen, out)
+            for trial in self._promising(kept)[:_NEAREST]:
+                if trial[-1].key != out.key:
+                    worth = self.gain(self.now, predicted(self.data, trial), trial, self.chosen)
+                    found.append(Rival(trial[-1], out, worth))
+        return sorted(found, key=lambda one: -one.gain.total)
 
 
-def _level(left: Floats, least: Floats, gain: float) -> bool:
-    """Whether a prediction is as good as the best, as far as blocks can tell."""
-    more = left - least
-    error = float(more.std(ddof=1) / np.sqrt(len(more))) if len(more) > 1 else 0.0
-    return float(more.mean()) <= max(_TIE * error, gain * float(least.mean()))
+_NOTHING = Group((), (), lambda _: None)
 
 
-_TIE = 2.0
+def _log_prior(group: Group) -> float:
+    return EFFECT + group.prior - group.shape * np.log(_SHAPES)
+
+
+def _less(chosen: Sequence[Group], out: Group) -> list[Group]:
+    return [one for one in chosen if one is not out]
+
+
 _NEW = 1e-6
 """Share of a column that must not be in the span of those already chosen."""
-_LOOSE = 1.0
-"""Standard errors that a group must be worth on the way; in the end each must be worth more."""
-_SWAPS = 3
-_EACH = 6
-"""Independent data that a block is taken to have, where groups of several sizes are compared."""
+_TRIED = 12
+"""How many of the groups with the best fit are scored."""
+_FITTED = 60
+"""Of how many it is looked at whether they are possible."""
+_NEAREST = 4
+_LEAST = 4
+"""How many of the groups that cost least to do without are scored for removal."""
+_REWEIGHTED = 3
+_EXCHANGES = 3
+_SHAPES = 5
+"""Values at which a parameter is tried that is no coefficient."""

@@ -8,11 +8,13 @@ import numpy as np
 from orbisim.effects.base import (
     Effect,
     EffectInstance,
+    Extent,
     Hook,
     Parameter,
     StepInputs,
     actuator_unit,
     index_of,
+    only_if,
     spec_element,
 )
 from orbisim.effects.screening import Candidate, Column, Floats, MotionRegressors, keyed
@@ -54,6 +56,12 @@ class TorqueGain(ActuatorEffect):
         actuator.gainprm[:3] = np.asarray(actuator.gainprm[:3]) * gain
         actuator.biasprm[:3] = np.asarray(actuator.biasprm[:3]) * gain
 
+    def log_prior(
+        self, model: mujoco.MjModel, instance: EffectInstance, extent: Extent | None = None
+    ) -> float:
+        """A gain is not off by more than a factor of two."""
+        return only_if(0.5 <= instance.values["gain"] <= 2.0)
+
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         index = index_of(view.model, "actuator", target)
         force = _force(view, index, view.actuator_force[:, index])
@@ -64,6 +72,7 @@ class TorqueBias(ActuatorEffect):
     """A constant added to the actuator's output force."""
 
     name = "torque_bias"
+    rarity = -1.0
     phrase = "an offset in the output"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:

@@ -111,6 +111,20 @@ class EffectInstance:
         return f"{self.effect}({self.target}: {numbers})"
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Extent:
+    """How far recordings go.
+
+    Attributes:
+      duration: of the longest one, s. travel: [nv] of each degree of freedom. speed: [nv] its
+        velocity, root mean square.
+    """
+
+    duration: float
+    travel: Floats
+    speed: Floats
+
+
 class Effect(abc.ABC):
     """One entry of the catalogue.
 
@@ -121,6 +135,7 @@ class Effect(abc.ABC):
       native: whether MuJoCo expresses it; then `edit` writes it, otherwise `hook` applies it.
       measurement: whether it acts on recordings instead of the simulation.
       structural: whether `edit` changes the model's sizes (adds joints or actuator states).
+      rarity: logarithm of the odds of the effect on a machine beside those of friction at a joint.
       family: what effects share that look alike as long as they are not fitted to the end, at the
         same target; empty for none.
     """
@@ -131,6 +146,7 @@ class Effect(abc.ABC):
     native: ClassVar[bool] = True
     measurement: ClassVar[bool] = False
     structural: ClassVar[bool] = False
+    rarity: ClassVar[float] = 0.0
     family: ClassVar[str] = ""
 
     @abc.abstractmethod
@@ -164,6 +180,21 @@ class Effect(abc.ABC):
     def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
         """Parameter values from which a search by simulation may start."""
         return [{p.name: p.scale for p in self.parameters(model, target)}]
+
+    def odds(self, model: mujoco.MjModel, target: str) -> float:
+        """`rarity` at a target."""
+        return self.rarity
+
+    def log_prior(
+        self, model: mujoco.MjModel, instance: EffectInstance, extent: Extent | None = None
+    ) -> float:
+        """Logarithm of the prior odds that a machine has the effect with such values, beside what
+        each of its parameters costs; minus infinity for what no machine has.
+
+        Args:
+          extent: of the recordings, where they are known: what is periodic must come round twice.
+        """
+        return 0.0 if all(np.isfinite(v) for v in instance.values.values()) else -np.inf
 
     def scaled(self, values: Values, size: float) -> Values:
         """Values of the effect so many times as large; numbers that say where it is stay."""
@@ -308,6 +339,23 @@ _KINDS = {
     "geom": (mujoco.mjtObj.mjOBJ_GEOM, "ngeom"),
     "sensor": (mujoco.mjtObj.mjOBJ_SENSOR, "nsensor"),
 }
+
+
+def only_if(possible: bool) -> float:
+    """The logarithm of prior odds of 1, or of 0."""
+    return 0.0 if possible else -np.inf
+
+
+def reach(model: mujoco.MjModel, name: str) -> float:
+    """Distance from a body's frame to the farthest of its geoms, children and centre of mass, m."""
+    body = index_of(model, "body", name)
+    far = [float(np.linalg.norm(model.body_ipos[body]))]
+    for geom in np.flatnonzero(model.geom_bodyid == body):
+        far.append(float(np.linalg.norm(model.geom_pos[geom]) + model.geom_rbound[geom]))
+    for child in np.flatnonzero(model.body_parentid == body):
+        if child != body:
+            far.append(float(np.linalg.norm(model.body_pos[child])))
+    return max(far)
 
 
 def names_of_kind(model: mujoco.MjModel, kind: str) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from orbisim.effects.base import (
     BODY_MOTION,
     Effect,
     EffectInstance,
+    Extent,
     Hook,
     Parameter,
     StepInputs,
@@ -20,6 +21,8 @@ from orbisim.effects.base import (
     is_scalar_joint,
     joint_unit,
     names_of_kind,
+    only_if,
+    reach,
     spec_element,
 )
 from orbisim.effects.screening import (
@@ -33,6 +36,9 @@ from orbisim.effects.screening import (
 )
 
 _LARGE = 1e6
+_INSIDE = -2.0
+_BEYOND = 1.5
+"""Something fixed to a body may stick out of it by half its reach."""
 
 
 class BodyEffect(Effect):
@@ -61,6 +67,19 @@ class Payload(BodyEffect):
         body = spec_element(spec, "body", instance.target)
         position = np.array([instance.values[f"com_{axis}"] for axis in AXES])
         add_point_mass(spec, body, instance.values["mass"], position)
+
+    def odds(self, model: mujoco.MjModel, target: str) -> float:
+        """Loads sit at the ends of a machine."""
+        return 0.0 if index_of(model, "body", target) not in model.body_parentid else _INSIDE
+
+    def log_prior(
+        self, model: mujoco.MjModel, instance: EffectInstance, extent: Extent | None = None
+    ) -> float:
+        """A machine carries at most twice its own mass, fixed to the body or near it."""
+        values = instance.values
+        place = float(np.linalg.norm([values[f"com_{axis}"] for axis in AXES]))
+        near = place <= _BEYOND * reach(model, instance.target)
+        return only_if(near and values["mass"] <= 2 * float(model.body_mass.sum()))
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         """1 kg at the frame's origin, and its first and second moments about it."""
@@ -141,6 +160,7 @@ class ComOffset(BodyEffect):
     """The centre of mass lies elsewhere in the body than declared."""
 
     name = "com_offset"
+    rarity = -1.0
     phrase = "an offset of the centre of mass"
     family = "mass"
 
@@ -172,6 +192,12 @@ class ComOffset(BodyEffect):
         parts = dict(zip(AXES, offset.tolist(), strict=True))
         return [self.complete(model, special.target, parts)]
 
+    def log_prior(
+        self, model: mujoco.MjModel, instance: EffectInstance, extent: Extent | None = None
+    ) -> float:
+        """A centre of mass lies within the reach of its body."""
+        return only_if(instance.values["offset"] <= reach(model, instance.target))
+
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         mass = float(view.model.body_mass[index_of(view.model, "body", target)])
         columns = tuple(
@@ -184,6 +210,7 @@ class Buoyancy(BodyEffect):
     """The weight of a displaced mass, upwards at the centre of mass: MJCF `gravcomp`."""
 
     name = "buoyancy"
+    rarity = -3.0
     phrase = "buoyancy"
     family = "force"
 
@@ -194,6 +221,13 @@ class Buoyancy(BodyEffect):
         body = spec_element(spec, "body", instance.target)
         mass = inertial_of(spec, instance.target)[0]
         body.gravcomp += instance.values["displaced_mass"] / mass
+
+    def log_prior(
+        self, model: mujoco.MjModel, instance: EffectInstance, extent: Extent | None = None
+    ) -> float:
+        """A body displaces at most twice its own mass."""
+        mass = float(model.body_mass[index_of(model, "body", instance.target)])
+        return only_if(instance.values["displaced_mass"] <= 2 * mass)
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         motion = view.body_motion(index_of(view.model, "body", target))
@@ -210,6 +244,7 @@ class ConstantForce(BodyEffect):
     """A force of constant size and direction in the world, at the centre of mass."""
 
     name = "constant_force"
+    rarity = -4.0
     phrase = "a constant force"
     family = "force"
     native = False
@@ -245,6 +280,7 @@ class PeriodicDisturbance(Effect):
     """
 
     name = "periodic_disturbance"
+    rarity = -3.0
     kind = "joint"
     phrase = "a periodic disturbance"
     native = False
@@ -278,6 +314,13 @@ class PeriodicDisturbance(Effect):
 
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Periodic(model, instance)
+
+    def log_prior(
+        self, model: mujoco.MjModel, instance: EffectInstance, extent: Extent | None = None
+    ) -> float:
+        """It has come round twice."""
+        enough = extent is None or instance.values["frequency"] * extent.duration >= 2
+        return only_if(enough)
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         model = view.model
@@ -314,6 +357,7 @@ class LinearDrag(BodyEffect):
     """A force -c v at the centre of mass."""
 
     name = "linear_drag"
+    rarity = -3.0
     phrase = "linear drag"
     family = "drag"
     native = False
@@ -334,6 +378,7 @@ class QuadraticDrag(BodyEffect):
     """A force -c v |v| at the centre of mass."""
 
     name = "quadratic_drag"
+    rarity = -2.0
     phrase = "quadratic drag"
     family = "drag"
     native = False
@@ -381,6 +426,7 @@ class GravityTilt(Effect):
     """Gravity has another direction: MJCF `gravity`, of the declared magnitude."""
 
     name = "gravity_tilt"
+    rarity = -2.0
     kind = "world"
     phrase = "a tilt against gravity"
 

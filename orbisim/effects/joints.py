@@ -11,12 +11,14 @@ import numpy as np
 from orbisim.effects.base import (
     Effect,
     EffectInstance,
+    Extent,
     Hook,
     Parameter,
     StepInputs,
     index_of,
     is_scalar_joint,
     joint_unit,
+    only_if,
     spec_element,
 )
 from orbisim.effects.screening import (
@@ -34,6 +36,9 @@ from orbisim.errors import InputError
 from orbisim.scene.hidden import hide_joint
 
 _LARGE = 1e6
+_FALLS = (0.01, 0.6)
+"""Where friction may fall from static to Coulomb, in units of the joint's typical velocity: far
+below it is Coulomb friction, far above it Coulomb friction with less damping."""
 
 
 class JointEffect(Effect):
@@ -94,6 +99,7 @@ class QuadraticDamping(JointEffect):
     """c v |v|: the second coefficient of MJCF `damping`, added to."""
 
     name = "quadratic_damping"
+    rarity = -2.0
     phrase = "quadratic damping"
     family = "friction"
 
@@ -114,6 +120,7 @@ class JointSpring(JointEffect):
     """A spring about a rest position: MJCF `stiffness` and `springref`."""
 
     name = "joint_spring"
+    rarity = -1.0
     phrase = "a joint spring"
 
     def possible(self, model: mujoco.MjModel, target: str) -> bool:
@@ -170,6 +177,7 @@ class Cogging(JointEffect):
     """
 
     name = "cogging"
+    rarity = -2.0
     phrase = "cogging"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
@@ -194,6 +202,15 @@ class Cogging(JointEffect):
             cogging=[values["amplitude"], values["periods"], values["phase"]],
             ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_NONE),
         )
+
+    def log_prior(
+        self, model: mujoco.MjModel, instance: EffectInstance, extent: Extent | None = None
+    ) -> float:
+        """It has come round twice."""
+        if extent is None:
+            return 0.0
+        dof = int(model.jnt_dofadr[index_of(model, "joint", instance.target)])
+        return only_if(instance.values["periods"] * float(extent.travel[dof]) >= 4 * np.pi)
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         q = _position(view, target)
@@ -318,6 +335,7 @@ class StribeckFriction(JointEffect):
     """
 
     name = "stribeck_friction"
+    rarity = -2.0
     phrase = "Stribeck friction"
     family = "friction"
     native = False
@@ -357,6 +375,16 @@ class StribeckFriction(JointEffect):
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _FrictionLevel(model, instance, _stribeck)
 
+    def log_prior(
+        self, model: mujoco.MjModel, instance: EffectInstance, extent: Extent | None = None
+    ) -> float:
+        """It falls at a velocity that the joint has."""
+        if extent is None:
+            return 0.0
+        dof = int(model.jnt_dofadr[index_of(model, "joint", instance.target)])
+        low, high = (share * float(extent.speed[dof]) for share in _FALLS)
+        return only_if(low <= instance.values["velocity"] <= high)
+
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         speed, sign = _speed(view, target), _sign(view, target)
         typical = float(np.sqrt(np.mean(speed**2))) or 1.0
@@ -380,6 +408,7 @@ class LoadDependentFriction(JointEffect):
     """
 
     name = "load_dependent_friction"
+    rarity = -2.0
     phrase = "load-dependent friction"
     family = "friction"
     native = False
@@ -394,6 +423,12 @@ class LoadDependentFriction(JointEffect):
         hook = _FrictionLevel(model, instance, _LOADS[load])
         hook.derived = frozenset(_LOAD_FIELDS[load])
         return hook
+
+    def log_prior(
+        self, model: mujoco.MjModel, instance: EffectInstance, extent: Extent | None = None
+    ) -> float:
+        """A transmission that loses half of what it carries could not be driven backwards."""
+        return only_if(instance.values["coefficient"] <= 0.5)
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         dof, sign = _dof(view.model, target), _sign(view, target)
@@ -420,6 +455,7 @@ class JointCoupling(JointEffect):
     """
 
     name = "joint_coupling"
+    rarity = -3.0
     phrase = "a coupling to another joint"
     native = False
 

@@ -9,10 +9,12 @@ from orbisim.effects.base import (
     AXES,
     Effect,
     EffectInstance,
+    Extent,
     Parameter,
     index_of,
     is_scalar_joint,
     names_of_kind,
+    only_if,
 )
 from orbisim.effects.screening import Candidate, Column, Floats, MotionRegressors, keyed
 from orbisim.errors import InputError, UnknownNameError
@@ -154,6 +156,12 @@ class ClockSkew(Effect):
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("factor", "1", 0.1, 10.0, 1.0, neutral=1.0),)
+
+    def log_prior(
+        self, model: mujoco.MjModel, instance: EffectInstance, extent: Extent | None = None
+    ) -> float:
+        """A clock is not off by more than a factor of two."""
+        return only_if(0.5 <= instance.values["factor"] <= 2.0)
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         """A fast clock makes every interval look longer than it was."""

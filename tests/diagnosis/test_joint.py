@@ -1,5 +1,6 @@
 """Several effects at once from free runs, and what a machine can have."""
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -7,8 +8,8 @@ import orbisim
 from orbisim.diagnosis.bench import make_bench
 from orbisim.diagnosis.joint import propose
 from orbisim.diagnosis.samples import prepare_all
-from orbisim.diagnosis.sensible import reach, sensible
-from orbisim.effects import EffectInstance
+from orbisim.effects import EffectInstance, find
+from orbisim.effects.base import Extent, reach
 from orbisim.testing import inject_effect
 
 
@@ -30,6 +31,16 @@ def test_proposes_nothing_for_a_right_scene(arm: orbisim.Scene) -> None:
     assert not propose(bench, bench.intervals, None, 6)
 
 
+def sensible(
+    model: mujoco.MjModel,
+    instance: EffectInstance,
+    duration: float = 100.0,
+    travel: tuple[float, float] = (10.0, 10.0),
+) -> bool:
+    known = Extent(duration, np.array(travel), np.array([1.0, 1.0]))
+    return find(instance.effect).log_prior(model, instance, known) > -np.inf
+
+
 def test_what_a_machine_can_have(arm: orbisim.Scene) -> None:
     model = arm.model
     far = 1.1 * reach(model, "forearm")
@@ -46,8 +57,8 @@ def test_what_a_machine_can_have(arm: orbisim.Scene) -> None:
     assert not sensible(model, EffectInstance("com_offset", "forearm", offset))
     wave = {"amplitude": 1.0, "periods": 2.0, "phase": 0.0}
     cogging = EffectInstance("cogging", "elbow", wave)
-    assert sensible(model, cogging, travel=np.array([7.0, 7.0]))
-    assert not sensible(model, cogging, travel=np.array([7.0, 3.0]))
+    assert sensible(model, cogging, travel=(7.0, 7.0))
+    assert not sensible(model, cogging, travel=(7.0, 3.0))
     slow = EffectInstance("periodic_disturbance", "elbow", {"frequency": 0.1})
     assert sensible(model, slow, duration=20.0)
     assert not sensible(model, slow, duration=10.0)

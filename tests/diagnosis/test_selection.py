@@ -1,20 +1,24 @@
-"""Selection of groups of columns by cross-validation."""
+"""Selection of groups of columns by what they predict."""
 
+import mujoco
 import numpy as np
 import pytest
 
+from orbisim.diagnosis.evidence import Blocks
 from orbisim.diagnosis.regress import Normal
-from orbisim.diagnosis.selection import Group, Rule, select
+from orbisim.diagnosis.selection import Group, data_of, groups_of, select
 from orbisim.effects import EffectInstance
+from orbisim.effects.screening import Candidate, Column
 
 ROWS, COLUMNS, BLOCKS = 80, 24, 10
+COUNTS = Blocks(np.full(BLOCKS, 8.0), np.zeros(BLOCKS, int), np.full(BLOCKS, 1e-9))
 
 
-def group(*index: int, sign: bool = False) -> Group:
+def group(*index: int, sign: bool = False, prior: float = -1.0) -> Group:
     def instance(x: np.ndarray) -> EffectInstance | None:
         return None if sign and x[0] < 0 else EffectInstance("viscous_damping", "j", {})
 
-    return Group(tuple(index), (str(index[0]),), instance)
+    return Group(tuple(index), (str(index[0]), "j"), instance, prior=prior)
 
 
 def data(truth: np.ndarray, noise: float, seed: int) -> list[Normal]:
@@ -30,26 +34,60 @@ def data(truth: np.ndarray, noise: float, seed: int) -> list[Normal]:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_finds_all_that_matter_and_nothing_else(seed: int) -> None:
+@pytest.mark.parametrize("prior", [-1.0, -2.0])
+def test_finds_all_that_matter_and_nothing_else(seed: int, prior: float) -> None:
     truth = np.zeros(COLUMNS)
     truth[[2, 7, 8, 15]] = [1.0, -2.0, 0.7, 1.5]
-    groups = [group(7, 8), *(group(i) for i in range(COLUMNS) if i not in (7, 8))]
-    found = select(data(truth, 0.5, seed), groups, Rule())
+    groups = [
+        group(7, 8, prior=prior),
+        *(group(i, prior=prior) for i in range(COLUMNS) if i not in (7, 8)),
+    ]
+    found = select(data_of(data(truth, 0.5, seed), COUNTS), groups)
     assert {g.index for g in found.groups} == {(2,), (7, 8), (15,)}
     for g, x in zip(found.groups, found.coefficients, strict=True):
         assert x == pytest.approx(truth[list(g.index)], abs=0.15)
     assert found.predicted.sum() < 0.1 * found.before.sum()
+    assert all(worth.sure > 0 for worth in found.gains)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_finds_nothing_in_noise(seed: int) -> None:
     groups = [group(i) for i in range(COLUMNS)]
-    assert not select(data(np.zeros(COLUMNS), 1.0, seed), groups, Rule()).groups
+    assert not select(data_of(data(np.zeros(COLUMNS), 1.0, seed), COUNTS), groups).groups
 
 
 def test_impossible_coefficients_are_left_out() -> None:
     truth = np.zeros(COLUMNS)
     truth[3] = -1.0
     groups = [group(i, sign=i == 3) for i in range(COLUMNS)]
-    found = select(data(truth, 0.1, 0), groups, Rule())
+    found = select(data_of(data(truth, 0.1, 0), COUNTS), groups)
     assert (3,) not in {g.index for g in found.groups}
+
+
+def test_what_could_stand_in_the_place_of_a_choice_is_told() -> None:
+    truth = np.zeros(COLUMNS)
+    truth[3] = 1.0
+    normals = []
+    for one in data(truth, 0.3, 1):
+        gram, moment = one.gram.copy(), one.moment.copy()
+        gram[4], moment[4] = gram[3], moment[3]
+        gram[:, 4] = gram[:, 3]
+        gram[4, 4] = gram[3, 3]
+        normals.append(Normal(gram, moment, one.square, one.count))
+    found = select(data_of(normals, COUNTS), [group(3), group(4), group(5)])
+    (chosen,) = found.groups
+    (twin,) = {3, 4} - set(chosen.index)
+    assert found.rivals[0].group.index == (twin,)
+    assert found.rivals[0].gain.total == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_candidate_with_many_columns_is_offered_with_few_too() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body name='b'><joint name='j'/><geom size='.1'/></body></worldbody>"
+        "</mujoco>"
+    )
+    column = Column("force", np.zeros((2, 1)))
+    wide = Candidate("payload", "b", (column,) * 6, lambda c: {"mass": float(c[0])})
+    whole = Normal(np.eye(6), np.zeros(6), 1.0, 10)
+    found = groups_of(model, [wide], whole, lambda _: 0.0)
+    assert [len(one.index) for one in found] == [4, 6]

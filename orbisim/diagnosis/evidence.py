@@ -1,0 +1,145 @@
+"""How much better one explanation predicts than another: the one number that decides.
+
+The data come in blocks (windows of free runs, stretches of a recording). What an explanation leaves
+of a block is taken to be distributed as Student's t with one unknown scale for all blocks (Lange,
+Little and Taylor, J. Am. Stat. Assoc. 84, 1989): on a real machine it is model error, not the
+sensor's noise, and a few blocks that nothing predicts count by their logarithm instead of
+outweighing all others, or having to be left out. Neighbouring samples are not independent; a block
+counts as many data as the autocorrelation of what is left allows.
+
+Two explanations are compared by the difference of their log predictive scores, with its standard
+error over the blocks, plus the logarithm of their prior odds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+
+FREEDOM = 4.0
+"""Degrees of freedom of Student's t: the fewest with a finite variance of squares."""
+SURE = 1.0
+"""Standard errors that a gain must be worth: an event in one block of many is worth just more."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Blocks:
+    """How the data of the blocks count.
+
+    Attributes:
+      size: [B] data of each block that count as independent.
+      signal: [B] number of the signal: each has a scale of its own.
+      floor: [B] least scale: that of the measurement noise.
+    """
+
+    size: Floats
+    signal: Ints
+    floor: Floats
+
+
+@dataclasses.dataclass(frozen=True)
+class Gain:
+    """What one explanation is worth more than another.
+
+    Attributes:
+      mean: difference of the log predictive scores. error: its standard error over the blocks.
+      prior: logarithm of the prior odds.
+    """
+
+    mean: float
+    error: float
+    prior: float = 0.0
+
+    @property
+    def total(self) -> float:
+        """With the prior odds."""
+        return self.mean + self.prior
+
+    @property
+    def sure(self) -> float:
+        """What of it is sure; positive if the explanation is to be preferred."""
+        return self.mean - SURE * self.error + self.prior
+
+
+def scales(squares: Floats, blocks: Blocks) -> Floats:
+    """[B]: the likeliest scale of each block's signal, at least the floor.
+
+    Args:
+      squares: [B] mean squared residual of each block.
+    """
+    found = np.empty(len(squares))
+    for number in np.unique(blocks.signal):
+        own = blocks.signal == number
+        size, left, weight = blocks.size[own], squares[own], np.ones(own.sum())
+        least = float(np.mean(blocks.floor[own] ** 2))
+        for _ in range(_ROUNDS):
+            variance = max(float((size * weight * left).sum() / size.sum()), least)
+            weight = (FREEDOM + size) / (FREEDOM + size * left / variance)
+        found[own] = np.sqrt(variance)
+    return found
+
+
+_ROUNDS = 25
+
+
+def weights(squares: Floats, blocks: Blocks) -> Floats:
+    """[B]: by which squares count in a fit that makes the likelihood largest."""
+    size, variance = blocks.size, scales(squares, blocks) ** 2
+    return np.asarray((FREEDOM + size) / (FREEDOM + size * squares / variance) / variance)
+
+
+def scores(squares: Floats, blocks: Blocks) -> Floats:
+    """[B]: log predictive score of each block, but for a constant of the block; what is below the
+    floor is no better than what is there."""
+    squares = np.maximum(squares, blocks.floor**2)
+    size, variance = blocks.size, scales(squares, blocks) ** 2
+    spread = np.log1p(size * squares / (FREEDOM * variance))
+    return np.asarray(-size * np.log(variance) / 2 - (FREEDOM + size) * spread / 2)
+
+
+def gain(before: Floats, after: Floats, blocks: Blocks, prior: float = 0.0) -> Gain:
+    """What an explanation is worth more than another.
+
+    Args:
+      before, after: [B] mean squared residual of each block, predicted.
+      prior: logarithm of the odds of the later one.
+    """
+    drop = scores(after, blocks) - scores(before, blocks)
+    error = float(drop.std() * np.sqrt(len(drop)))
+    return Gain(float(drop.sum()), error, prior)
+
+
+def independent_share(residuals: Sequence[Floats]) -> float:
+    """Share of data that counts as independent, by the autocorrelation of what is left.
+
+    Args:
+      residuals: of each signal in each block, [T]; NaN is passed over. Lags are summed until the
+        correlation is lost in chance (initial positive sequence; Geyer, Statist. Sci. 7, 1992).
+    """
+    longest = max((len(one) for one in residuals), default=0)
+    product, count = np.zeros(longest), np.zeros(longest)
+    for one in residuals:
+        values = np.nan_to_num(one)
+        length = 2 * len(values)
+        spectrum = np.abs(np.fft.rfft(values, length)) ** 2
+        product[: len(values)] += np.fft.irfft(spectrum, length)[: len(values)]
+        count[: len(values)] += np.arange(len(values), 0, -1)
+    if longest < 2 or product[0] <= 0:
+        return 1.0
+    correlation = (product / np.maximum(count, 1)) / (product[0] / count[0])
+    chance = 2 / np.sqrt(np.maximum(count, 1))
+    lost = np.flatnonzero(correlation < chance)
+    until = int(lost[0]) if len(lost) else longest
+    return float(1 / (1 + 2 * correlation[1:until].sum()))
+
+
+def probabilities(log_odds: Floats) -> Floats:
+    """Probabilities from logarithms of odds."""
+    odds = np.exp(log_odds - np.max(log_odds))
+    return np.asarray(odds / odds.sum())

@@ -1,0 +1,90 @@
+"""The number that decides between two explanations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_t
+
+from orbisim.diagnosis.evidence import (
+    FREEDOM,
+    Blocks,
+    gain,
+    independent_share,
+    probabilities,
+    scales,
+    scores,
+)
+
+
+def blocks(count: int, size: float = 6.0, floor: float = 0.0) -> Blocks:
+    return Blocks(np.full(count, size), np.zeros(count, int), np.full(count, floor))
+
+
+def test_scores_are_those_of_students_t() -> None:
+    rng = np.random.default_rng(0)
+    left = rng.standard_normal((30, 6)) * 2
+    squares = (left**2).mean(axis=1)
+    scale = float(scales(squares, blocks(30))[0])
+    density = multivariate_t(np.zeros(6), scale**2 * np.eye(6), df=FREEDOM)
+    differences = scores(squares, blocks(30)) - density.logpdf(left)
+    np.testing.assert_allclose(differences, differences[0], rtol=1e-9)
+
+
+def test_the_scale_makes_the_scores_largest() -> None:
+    squares = np.random.default_rng(1).chisquare(6, 40) / 6 * 9
+    scale = float(scales(squares, blocks(40))[0])
+
+    def total(size: float) -> float:
+        density = multivariate_t(np.zeros(6), size**2 * np.eye(6), df=FREEDOM)
+        return float(sum(density.logpdf(np.full(6, np.sqrt(s))) for s in squares))
+
+    assert total(scale) >= max(total(0.9 * scale), total(1.1 * scale))
+
+
+def test_one_block_that_nothing_predicts_does_not_outweigh_all_others() -> None:
+    before, after = np.ones(20), np.full(20, 0.5)
+    before[0], after[0] = 100.0, 140.0
+    assert gain(before, after, blocks(20)).sure > 0
+
+
+def test_an_event_in_one_block_can_win() -> None:
+    before, after = np.ones(20), np.ones(20)
+    before[7] = 1e6
+    assert gain(before, after, blocks(20, 40.0), prior=-3.0).sure > 0
+
+
+def test_chance_wins_nothing() -> None:
+    rng = np.random.default_rng(2)
+    won = [
+        gain(rng.chisquare(6, 24) / 6, rng.chisquare(6, 24) / 6, blocks(24), prior=-3.0).sure > 0
+        for _ in range(100)
+    ]
+    assert sum(won) < 20
+
+
+def test_nothing_is_better_than_the_noise() -> None:
+    worth = gain(np.full(20, 0.9), np.full(20, 0.2), blocks(20, floor=1.0))
+    assert worth.mean == 0
+
+
+def test_signals_have_scales_of_their_own() -> None:
+    squares = np.concatenate([np.full(10, 1e-6), np.ones(10)])
+    both = Blocks(np.full(20, 6.0), np.repeat([0, 1], 10), np.zeros(20))
+    halved = squares * np.repeat([0.5, 1.0], 10)
+    assert gain(squares, halved, both).mean == pytest.approx(10 * 6 / 2 * np.log(2), rel=0.02)
+
+
+@pytest.mark.parametrize(("memory", "share"), [(0.0, 1.0), (0.5, 1 / 3), (0.9, 1 / 19)])
+def test_neighbours_that_are_alike_count_less(memory: float, share: float) -> None:
+    """Of a first-order process with that memory, (1 - a) / (1 + a) is independent."""
+    noise = np.random.default_rng(3).standard_normal((12, 2000))
+    course = noise.copy()
+    for k in range(1, 2000):
+        course[:, k] += memory * course[:, k - 1]
+    assert independent_share(list(course)) == pytest.approx(share, rel=0.15)
+
+
+def test_probabilities_add_up() -> None:
+    found = probabilities(np.array([0.0, np.log(3.0), -np.inf]))
+    np.testing.assert_allclose(found, [0.25, 0.75, 0.0])
