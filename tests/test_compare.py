@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -66,27 +64,6 @@ def test_the_reference_against_itself_is_zero() -> None:
     assert all((values == 0).all() for values in result.error.values())
     assert result.rounding is not None
     assert 0 < result.rounding["joint_position"].max() < 1e-5
-
-
-def test_the_report_stands_alone(comparison: Comparison, tmp_path: Path) -> None:
-    page = comparison.report(tmp_path, video=False).read_text()
-    assert json.loads((tmp_path / "report.json").read_text())["schema"] == "orbisim.compare/1"
-    assert page.count("<svg") >= len(metrics.GROUPS) + 3
-    assert "prefers-color-scheme: dark" in page
-    assert 'name="viewport"' in page
-    links = re.findall(r'(?:src|href)="([^"]+)"', page)
-    assert all(link.startswith(("#", "data:")) for link in links)
-    assert "orbisim compare" in page
-
-
-def test_names_in_the_report_are_escaped(tmp_path: Path) -> None:
-    result = compare(load_scene(MIXED), count=1, horizon=0.05, b="mujoco")
-    import dataclasses
-
-    page = dataclasses.replace(result, source="<script>alert(1)</script>").report(
-        tmp_path, video=False
-    )
-    assert "<script>" not in page.read_text()
 
 
 def test_divergence_is_counted() -> None:

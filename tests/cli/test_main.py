@@ -7,10 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from orbisim import Trajectory
 from orbisim.cli.main import COMMANDS, run
 from orbisim.testing import scenes
 
@@ -40,60 +38,6 @@ def test_help_lists_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = output(capsys, "--help")
     assert status == 0
     assert all(command in out for command in COMMANDS)
-
-
-def test_info(capsys: pytest.CaptureFixture[str], scene: str) -> None:
-    status, out, _ = output(capsys, "info", scene)
-    assert status == 0
-    assert all(
-        word in out for word in ("cart", "pole", "hinge", "motor", "gravity") if word != "motor"
-    )
-    status, out, err = output(capsys, "info", scene, "--json")
-    result = json.loads(out)
-    assert (status, err) == (0, "")
-    assert result["schema"] == "orbisim.info/1"
-    assert result["entities"][1]["kind"] == "robot"
-    assert result["unsupported"] == []
-
-
-def test_sim(capsys: pytest.CaptureFixture[str], scene: str, tmp_path: Path) -> None:
-    arguments = ["sim", scene, "--duration", "0.5", "--worlds", "3", "--controls", "random"]
-    status, out, _ = output(
-        capsys, *arguments, "--seed", "4", "--out", str(tmp_path / "o"), "--json"
-    )
-    result = json.loads(out)
-    assert status == 0
-    assert (result["steps"], result["worlds"], result["diverged"]) == (100, 3, 0)
-    trajectory, notes = Trajectory.load(tmp_path / "o" / "trajectory.npz")
-    assert trajectory.qpos.shape == (3, 100, 2)
-    assert notes["seed"] == 4
-    output(capsys, *arguments, "--seed", "4", "--out", str(tmp_path / "p"))
-    again, _ = Trajectory.load(tmp_path / "p" / "trajectory.npz")
-    np.testing.assert_array_equal(again.qpos, trajectory.qpos)
-
-
-def test_sim_makes_a_video(capsys: pytest.CaptureFixture[str], scene: str, tmp_path: Path) -> None:
-    arguments = ("--duration", "0.2", "--size", "64x96", "--out", str(tmp_path / "o"), "--json")
-    status, out, _ = output(capsys, "sim", scene, "--renderer", "null", *arguments)
-    assert status == 0
-    import imageio.v3 as iio
-
-    frames = iio.imread(tmp_path / "o" / "video.mp4", plugin="FFMPEG")
-    assert frames.shape[1:] == (64, 96, 3)
-    assert 6 <= len(frames) <= 8
-    assert json.loads(out)["files"][1].endswith("video.mp4")
-
-
-def test_compare(capsys: pytest.CaptureFixture[str], scene: str, tmp_path: Path) -> None:
-    arguments = ["compare", scene, "--b", "mujoco", "--episodes", "2", "--horizon", "0.1"]
-    status, out, _ = output(
-        capsys, *arguments, "--json", "--out", str(tmp_path / "r"), "--no-video"
-    )
-    assert status == 0
-    assert json.loads(out)["schema"] == "orbisim.compare/1"
-    assert (tmp_path / "r" / "report.html").exists()
-    status, out, _ = output(capsys, *arguments)
-    assert "joint_position" in out
 
 
 _TIMELESS = "<mujoco><option timestep='0'/></mujoco>"
@@ -177,21 +121,3 @@ def test_importing_orbisim_loads_nothing_heavy() -> None:
         "assert not {'torch', 'warp', 'matplotlib'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def test_view_writes_a_page(capsys: pytest.CaptureFixture[str], scene: str, tmp_path: Path) -> None:
-    pytest.importorskip("meshcat")
-    output(capsys, "sim", scene, "--duration", "0.2", "--out", str(tmp_path / "o"))
-    saved = str(tmp_path / "o" / "trajectory.npz")
-    page = tmp_path / "page.html"
-    arguments = ("--trajectory", saved, "--ghost", saved, "--html", str(page), "--json")
-    status, out, _ = output(capsys, "view", scene, *arguments)
-    assert status == 0
-    assert json.loads(out)["file"] == str(page)
-    assert page.stat().st_size > 100_000
-    status, out, _ = output(capsys, "view", scene, "--no-browser", "--duration", "0.3", "--json")
-    assert status == 0
-    assert json.loads(out)["url"].startswith("http://127.0.0.1:")
-    status, _, err = output(capsys, "view", scene, "--ghost", saved)
-    assert status == 2
-    assert "--trajectory" in err

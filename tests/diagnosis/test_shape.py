@@ -8,17 +8,6 @@ from orbisim.diagnosis.fits import Fit
 from orbisim.diagnosis.paying import unpaid
 from orbisim.diagnosis.refine import Judged
 from orbisim.diagnosis.settings import Settings
-from orbisim.report.shape import dependence
-
-
-def test_dependence_is_the_share_that_follows() -> None:
-    rng = np.random.default_rng(0)
-    x, noise = rng.uniform(-2, 2, 4000), rng.normal(size=4000)
-    law = np.abs(x)  # even: a correlation coefficient would see nothing
-    signal = law + 0.5 * law.std() * noise
-    assert dependence(x, signal) == pytest.approx(0.8, abs=0.03)
-    assert dependence(rng.uniform(size=4000), signal) < 0.01
-    assert dependence(x, np.where(x > 5, np.nan, law)) > 0.97
 
 
 def _judged(checked: list[float], cost: float) -> Judged:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -13,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orbisim.cli.main import run
 from orbisim.errors import InputError, UnknownNameError
 from orbisim.tasks.collect import collect
 from orbisim.tasks.dataset import EpisodeFile
@@ -83,47 +81,6 @@ def test_collecting_needs_no_optional_package() -> None:
         "tasks.make('suite:pendulum-swingup').episode('held', 0)\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
-
-
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = str(tmp_path / "ball.h5")
-    arguments = ["collect", "ball", "--episodes", "3", "--workers", "1", "--seed", "5"]
-    assert run([*arguments, "--set", "velocity_x=0.25", "--out", out, "--json"]) == 0
-    captured = capsys.readouterr()
-    result = json.loads(captured.out)
-    assert result["schema"] == "orbisim.collect/1"
-    assert (result["episodes"], result["steps"]) == (3, 108)
-    with EpisodeFile(out) as episodes:
-        assert episodes.episode(0)["qvel"][0, 0] == 0.25
-    assert run([*arguments, "--out", out]) == 2
-    assert "already exists" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["pusch"], "did you mean"),
-        (["push", "--subtask", "to_hurt"], "did you mean 'to_hit'"),
-        (["push", "--subtask", "three"], "say how many"),
-        (["push", "--episodes", "0"], "at least one episode"),
-        (["push", "--workers", "0"], "at least one worker"),
-        (["push", "--seed", "-1"], "x>=0"),
-        (["push", "--set", "friction=1"], "unknown setting"),
-        (["push", "--set", "density=9,1"], "a range LOW,HIGH"),
-        (["push", "--set", "density"], "NAME=NUMBER"),
-        (["push", "--frames", "sied"], "did you mean 'side'"),
-        (["push", "--frames", "side", "--size", "4"], "8 to 2048"),
-        (["suite:cheetah-fly"], "unknown task"),
-    ],
-)
-def test_wrong_input(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], message: str
-) -> None:
-    assert run(["collect", *arguments, "--out", str(tmp_path / "x.h5")]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert message in captured.err
-    assert not list(tmp_path.iterdir())
 
 
 def test_wrong_destinations(tmp_path: Path) -> None:

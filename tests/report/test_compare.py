@@ -1,0 +1,59 @@
+"""The page of `orbisim compare`."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from orbisim import load_scene, metrics
+from orbisim.compare import Comparison, compare
+from orbisim.report.compare import _command, _qpos_names, _summary
+from tests.physics.test_switching import Drift
+from tests.test_compare import MIXED
+
+
+@pytest.fixture(scope="module")
+def comparison() -> Comparison:
+    return compare(load_scene(MIXED), "mujoco", Drift(), count=3, horizon=0.2, seed=1)
+
+
+def test_the_report_stands_alone(comparison: Comparison, tmp_path: Path) -> None:
+    page = comparison.report(tmp_path, video=False).read_text()
+    assert json.loads((tmp_path / "report.json").read_text())["schema"] == "orbisim.compare/1"
+    assert page.count("<svg") >= len(metrics.GROUPS) + 3
+    assert "prefers-color-scheme: dark" in page
+    assert 'name="viewport"' in page
+    links = re.findall(r'(?:src|href)="([^"]+)"', page)
+    assert all(link.startswith(("#", "data:")) for link in links)
+    assert "orbisim compare" in page
+
+
+def test_names_in_the_report_are_escaped(tmp_path: Path) -> None:
+    result = compare(load_scene(MIXED), count=1, horizon=0.05, b="mujoco")
+    page = dataclasses.replace(result, source="<script>alert(1)</script>").report(
+        tmp_path, video=False
+    )
+    assert "<script>" not in page.read_text()
+
+
+def test_one_sentence_says_how_far_apart(comparison: Comparison) -> None:
+    fast = dataclasses.replace(comparison.a, steps_per_s=3000.0)
+    slow = dataclasses.replace(comparison.b, steps_per_s=1000.0)
+    text = _summary(dataclasses.replace(comparison, a=fast, b=slow))
+    assert text.startswith("After 200 ms the median joint position error is ")
+    assert text.endswith("Here mujoco is 3 times as fast as drift.")
+
+
+def test_the_command_repeats_the_comparison(comparison: Comparison) -> None:
+    command = _command(comparison)
+    assert command.endswith("--a mujoco --b drift --episodes 3 --horizon 0.2 --seed 1")
+
+
+def test_coordinates_are_named() -> None:
+    names = _qpos_names(load_scene(MIXED).model)
+    assert names[:3] == ["joint0/x", "joint0/y", "joint0/z"]
+    assert names[3:] == [*(f"joint0/{q}" for q in ("qw", "qx", "qy", "qz")), "hinge", "slide"]
