@@ -59,9 +59,8 @@ def contents_of(log: Log, mapping: SignalMap | None = None) -> Contents:
     signals = [pick for pick in picks if pick.signal != TIME]
     _check_apart(log, picks)
     chosen = times[0] if times else None
-    groups = list(dict.fromkeys(pick.column.group for pick in signals)) or [""]
-    if chosen is None and groups == [""] and log.clocks and "" not in log.clocks:
-        groups = list(log.clocks)[:1]
+    groups = list(dict.fromkeys(pick.column.group for pick in signals))
+    groups = groups or [_any_group(log) if chosen is None else chosen.column.group]
     parts, used = [], set[str]()
     for group in groups:
         mine = [pick for pick in signals if pick.column.group == group]
@@ -286,11 +285,25 @@ def _main_group(log: Log, mapping: SignalMap | None, groups: Sequence[str]) -> i
     if mapping is None or mapping.clock is None:
         return None
     for entry in mapping.entries:
-        if entry.column == mapping.clock and entry.signal != TIME:
-            return groups.index(_found(log, mapping, entry).column.group)
+        if entry.signal != TIME:
+            column = _found(log, mapping, entry).column
+            if mapping.clock in (entry.column, column.name):
+                return groups.index(column.group)
     mapped = [entry.column for entry in mapping.entries if entry.signal != TIME]
     error = UnknownNameError("column", mapping.clock[:200], mapped)
     raise RecordingError(mapping.source, f"must name a mapped column: {error}", element="'clock'")
+
+
+def _any_group(log: Log) -> str:
+    """A group with a clock, for a recording without signals."""
+    groups = list(dict.fromkeys(column.group for column in log.columns))
+    for group in groups:
+        try:
+            clocks.clock_of(log, group)
+        except RecordingError:
+            continue
+        return group
+    return ""
 
 
 def _ignored_notes(ignored: Sequence[str]) -> Iterable[str]:

@@ -24,8 +24,8 @@ from orbisim.errors import InputError, RecordingError, UnknownNameError
 from orbisim.files.reading import read_bytes
 from orbisim.recording import names, units
 
-_MOST_BYTES = 2**20
-"""A map has a line for each column; logs have some hundreds."""
+_MOST_BYTES = 2**18
+"""A map has a line for each column: four thousand of them, where logs have some hundreds."""
 _ENTRY = ("signal", "unit", "sign", "offset", "scale")
 _TOP = ("columns", "clock")
 _EXAMPLE = "columns: {'yaw [deg]': {signal: qpos/yaw, sign: -1}}"

@@ -46,15 +46,20 @@ _CLOSE = 0.6
 """Likeness from which on a match is proposed (as difflib's own cutoff)."""
 _SUFFIX = 0.85
 """Likeness of names of which one contains the other."""
+_MOST_COLUMNS = 1000
+_LONGEST = 100
+"""Characters of a name that are compared."""
 _TOKEN = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
 
 
 @dataclasses.dataclass(frozen=True)
 class Target:
-    """A signal that a scene could have in a recording. name: with its kind. width: components."""
+    """A signal that a scene could have in a recording. name: with its kind. width: components.
+    unit: in SI, None where the scene does not fix it."""
 
     name: str
     width: int
+    unit: str | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,8 +78,9 @@ def targets(model: mujoco.MjModel, table: bool = False) -> list[Target]:
     for joint in joints(model):
         if joint.name:
             nq, nv = joint.q.stop - joint.q.start, joint.v.stop - joint.v.start
-            found += [Target(f"qpos/{joint.name}", nq), Target(f"qvel/{joint.name}", nv)]
-            found.append(Target(f"torque/{joint.name}", nv))
+            for kind, width in (("qpos", nq), ("qvel", nv), ("torque", nv)):
+                name = f"{kind}/{joint.name}"
+                found.append(Target(name, width, unit_of(name, model)))
     for one in actuators(model):
         if one.name and one.driven:
             found.append(Target(f"ctrl/{one.name}", one.ctrl.stop - one.ctrl.start))
@@ -95,10 +101,10 @@ def matches(columns: Iterable[Column], model: mujoco.MjModel, table: bool = Fals
     Args:
       columns: of a log. model: of the scene. table: whether each column is one component.
     """
-    columns, aims = list(columns), targets(model, table)
+    columns, aims = list(columns)[:_MOST_COLUMNS], targets(model, table)
     scored = sorted(
         (
-            Match(column, target.name, likeness(column, target.name, model))
+            Match(column, target.name, likeness(column, target))
             for column in columns
             for target in aims
             if _fits(column, target)
@@ -121,31 +127,59 @@ def matches(columns: Iterable[Column], model: mujoco.MjModel, table: bool = Fals
     return [found[column.name] for column in columns if column.name in found]
 
 
-def likeness(column: Column, signal: str, model: mujoco.MjModel | None = None) -> float:
+def likeness(column: Column, target: Target) -> float:
     """How much a column is like a signal, 0 to 1: its words, and its unit."""
-    if column.signal == signal or labels.parse(column.name).name == signal:
+    traits = _traits(column)
+    if target.name in (column.signal, traits.name):
         return 1.0
-    kind, target = names.split(signal)
-    words, wanted = _words(column.name), _words(target)
-    kinds = _kinds(words)
-    rest = [w for w in words if not any(w in _WORDS[k].split() for k in kinds) or w in wanted]
-    rest = [w for w in rest if w not in _FILLER or w in wanted] or rest
-    alike = difflib.SequenceMatcher(None, "".join(rest), "".join(wanted)).ratio()
-    if rest and wanted and (set(wanted) <= set(rest) or set(rest) <= set(wanted)):
-        alike = max(alike, _SUFFIX)
-    if not any(word.isalpha() for word in rest) and any(word.isalpha() for word in wanted):
-        alike = 0.3 if kind in kinds and not rest else 0.0  # numbers alone: see _in_order
-    said = _kinds_of_unit(column)
-    if said and kind not in said:
+    kind, place = names.split(target.name)
+    if traits.said and kind not in traits.said:
         return 0.0
-    expected = unit_of(signal, model) if model is not None else None
-    stated = _unit_of(column)
-    if expected and stated and stated != expected:
+    if target.unit and traits.unit and traits.unit != target.unit:
         return 0.0
-    if kinds and words == wanted:
+    wanted, kinds = _words(place), traits.kinds
+    if kinds and traits.words == wanted:
         return 0.9  # a sensor that is called encoder
-    agreed = kind in kinds if kinds else kind in (said or ("qpos", "ctrl"))[:1]
-    return alike * (1.0 if agreed else 0.75 if not kinds else 0.5)
+    spoken = {word for each in kinds for word in _WORDS[each].split()}
+    rest = tuple(word for word in traits.words if word not in spoken or word in wanted)
+    rest = tuple(word for word in rest if word not in _FILLER or word in wanted) or rest
+    agreed = kind in kinds if kinds else kind in (traits.said or ("qpos", "ctrl"))[:1]
+    return _alike(rest, wanted) * (1.0 if agreed else 0.75 if not kinds else 0.5)
+
+
+@functools.lru_cache(100_000)
+def _alike(words: tuple[str, ...], wanted: tuple[str, ...]) -> float:
+    """Likeness of two names, 0 to 1."""
+    if any(map(str.isalpha, wanted)) and not any(map(str.isalpha, words)):
+        return 0.0  # numbers alone: see _in_order
+    within = set(wanted) <= set(words) or set(words) <= set(wanted)
+    return max(
+        _SUFFIX * within, difflib.SequenceMatcher(None, "".join(words), "".join(wanted)).ratio()
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Traits:
+    """What a column's name says.
+
+    Attributes:
+      name: without unit. words: of it. kinds: that the words name. unit: in SI.
+      said: kinds of signals that have such a unit.
+    """
+
+    name: str
+    words: tuple[str, ...]
+    kinds: tuple[str, ...]
+    unit: str | None
+    said: tuple[str, ...]
+
+
+@functools.lru_cache(10_000)
+def _traits(column: Column) -> _Traits:
+    label = labels.parse(column.name)
+    words = _words(column.name)
+    unit = _in_si(column.unit or label.unit)
+    return _Traits(label.name, words, _kinds(words), unit, _KINDS_OF_UNIT.get(unit or "", ()))
 
 
 def _fits(column: Column, target: Target) -> bool:
@@ -164,7 +198,7 @@ def _in_order(columns: Sequence[Column], model: mujoco.MjModel, taken: set[str])
     for stem, family in families.items():
         numbers = [int(re.findall(r"\d+", labels.parse(c.name).name)[0]) for c in family]
         order = [column for _, column in sorted(zip(numbers, family, strict=True), key=_first)]
-        for kind in _kinds(_words(stem)) or ["qpos"]:
+        for kind in _kinds(_words(stem)) or ("qpos",):
             aims = _scalars(kind, model)
             if len(aims) == len(order) and not taken & set(aims):
                 why = "by its number, in the scene's order"
@@ -190,30 +224,27 @@ def _last_ones(
     """The only column of a kind that is left, where one signal of the kind is left."""
     for kind in ("qpos", "qvel", "ctrl", "torque"):
         free = [t.name for t in aims if t.name.startswith(f"{kind}/") and t.name not in taken]
-        mine = [c for c in columns if kind in _kinds(_words(c.name))[:1]]
-        said = [c for c in mine if kind in (_kinds_of_unit(c) or (kind,))]
+        mine = [c for c in columns if kind in _traits(c).kinds[:1]]
+        said = [c for c in mine if kind in (_traits(c).said or (kind,))]
         if len(free) == 1 and len(said) == 1:
             yield Match(said[0], free[0], _CLOSE, "the only one of its kind")
 
 
-@functools.cache
-def _words(name: str) -> Sequence[str]:
-    return [word.lower() for word in _TOKEN.findall(labels.parse(name).name)]
+@functools.lru_cache(10_000)
+def _words(name: str) -> tuple[str, ...]:
+    found = _TOKEN.findall(labels.parse(name).name[:_LONGEST])
+    return tuple(word.lower() for word in found)
 
 
-def _kinds(words: Sequence[str]) -> list[str]:
+def _kinds(words: Sequence[str]) -> tuple[str, ...]:
     """Kinds that the words name; controls first, as in `position_command`."""
     named = [kind for kind, some in _WORDS.items() if set(words) & set(some.split())]
-    return sorted(named, key=lambda kind: kind != "ctrl")
+    return tuple(sorted(named, key=lambda kind: kind != "ctrl"))
 
 
-def _unit_of(column: Column) -> str | None:
-    text = column.unit or labels.parse(column.name).unit
+def _in_si(text: str | None) -> str | None:
+    """The SI unit of what is written in a unit; None if it is not known."""
     try:
         return units.parse(text).si if text else None
     except ValueError:
         return None
-
-
-def _kinds_of_unit(column: Column) -> tuple[str, ...] | None:
-    return _KINDS_OF_UNIT.get(_unit_of(column) or "")

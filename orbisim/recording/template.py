@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import mujoco
 
 from orbisim.errors import RecordingError
-from orbisim.recording import clocks, units
+from orbisim.recording import clocks, names, units
 from orbisim.recording.formats import labels
 from orbisim.recording.formats.log import Column, Log
 from orbisim.recording.joints import joints
@@ -113,9 +113,11 @@ def _line(match: Match, model: mujoco.MjModel) -> str:
 
 
 def _expected(signal: str, model: mujoco.MjModel) -> str | None:
-    kind, _, target = signal.partition("/")
-    whole = f"{kind}/{target.rpartition('/')[0]}" if kind in ("xpos", "xquat") else signal
-    return unit_of(whole if kind in ("xpos", "xquat") else signal, model)
+    """The unit that a signal, or a signal's component, has in the scene."""
+    kind, target = names.split(signal)
+    whole, _, letter = target.rpartition("/")
+    component = kind in ("xpos", "xquat") and whole and len(letter) == 1
+    return unit_of(f"{kind}/{whole}" if component else signal, model)
 
 
 def _remarks(left: Sequence[str], used: set[str], scene: Scene, log: Log) -> Iterator[str]:

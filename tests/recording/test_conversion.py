@@ -226,3 +226,24 @@ def test_many_ignored_columns_are_one_note(tmp_path: Path) -> None:
     assert len(recording.notes) == 1
     assert "ignored 20 columns" in recording.notes[0]
     assert len(recording.columns) == 20
+
+
+def test_groups_with_clocks_and_no_signals(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["a/time"], file["a/x"], file["b/y"] = [0.0, 1.0], [1.0, 2.0], [1.0]
+    recording = Recording.load(tmp_path / "log.h5")
+    assert (len(recording), recording.columns) == (2, ("a/x", "b/y"))
+
+
+def test_a_header_without_end(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(f"time,{'a ' * 50_000}[deg]\n0,1\n1,2\n")
+    assert len(Recording.load(tmp_path / "a.csv")) == 2
+
+
+def test_clocks_that_do_not_meet(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["a/time"], file["a/q"] = [0.0, 1.0, 2.0], [1.0, 2.0, 3.0]
+        file["b/time"], file["b/x"] = [10.0, 11.0], [1.0, 2.0]
+    text = "columns: {a/q: qpos/a, b/x: sensor/x}"
+    with pytest.raises(RecordingError, match="do not meet those of the other signals"):
+        mapped(tmp_path, tmp_path / "log.h5", text)

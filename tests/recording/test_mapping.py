@@ -80,7 +80,7 @@ def test_files_that_are_no_maps(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no such file"):
         SignalMap.load(tmp_path / "none.yaml")
     with pytest.raises(RecordingError, match=r"has .* bytes; at most"):
-        load(tmp_path, b"#" * (2**20 + 1))
+        load(tmp_path, b"#" * (2**18 + 1))
     with pytest.raises(RecordingError, match="is not YAML"):
         load(tmp_path, "[" * 100_000)
 

@@ -6,7 +6,7 @@ import pytest
 
 from orbisim import load_scene
 from orbisim.recording.formats.log import Column
-from orbisim.recording.matching import likeness, matches
+from orbisim.recording.matching import Target, likeness, matches
 
 from .scenes import EVERYTHING, PENDULUM
 
@@ -47,8 +47,8 @@ def test_numbered_columns_are_in_the_scenes_order() -> None:
 
 
 def test_a_number_alone_is_no_name() -> None:
-    assert likeness(Column("state[1]"), "qpos/joint1") == 0.0
-    assert likeness(Column("joint1_pos"), "qpos/joint1") == 1.0
+    assert likeness(Column("state[1]"), Target("qpos/joint1", 1)) == 0.0
+    assert likeness(Column("joint1_pos"), Target("qpos/joint1", 1)) == 1.0
 
 
 def test_widths_and_what_the_format_says() -> None:
@@ -64,5 +64,4 @@ def test_widths_and_what_the_format_says() -> None:
 
 @pytest.mark.parametrize("unit", ["N", "m/s", "V"])
 def test_units_that_do_not_fit_are_no_match(unit: str) -> None:
-    model = load_scene(EVERYTHING).model
-    assert likeness(Column(f"elbow_pos [{unit}]"), "qpos/elbow", model) == 0.0
+    assert likeness(Column(f"elbow_pos [{unit}]"), Target("qpos/elbow", 1, "rad")) == 0.0

@@ -20,6 +20,8 @@ _SUFFIXES = {
     "mm_s": "mm/s", "nm": "Nm",
 }  # fmt: skip
 """Last parts of names that are units. Single letters are left out: `motor_A`, `left_m`."""
+_LONGEST = 300
+"""Characters of a header that is looked into."""
 _PLAIN = f" [{units.AS_IT_IS}]"
 _TIMES = ("time", "timestamp", "timestamps", "t", "stamp", "time_stamp", "elapsed", "elapsed_time")
 
@@ -40,6 +42,8 @@ def parse(header: str) -> Label:
     a joint may be called `arm_deg`.
     """
     header = header.lstrip()  # behind a comma and a space
+    if len(header) > _LONGEST:
+        return Label(header, None)
     if header.endswith(_PLAIN):
         return Label(header.removesuffix(_PLAIN), units.AS_IT_IS)
     match = _BRACKETS.fullmatch(header)
