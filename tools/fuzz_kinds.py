@@ -10,6 +10,7 @@ import struct
 import sys
 import zipfile
 from collections.abc import Callable, Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -457,3 +458,7 @@ KINDS: Mapping[str, Kind] = {
     "pack": Kind(_make_pack, _file("a.pack", _damage_safetensors), _read_pack),
     "checkpoint": Kind(_make_checkpoint, _damage_checkpoint, _read_checkpoint),
 }
+if find_spec("rosbags") and find_spec("mcap"):  # which write the bags
+    from fuzz_logs import PARTS
+
+    KINDS = {**KINDS, **{name: Kind(*parts) for name, parts in PARTS.items()}}

@@ -21,6 +21,8 @@ from orbisim.recording.units import Unit
 Floats = npt.NDArray[np.float64]
 
 _COMPONENT = re.compile(r"(?s)(.+)\[(\d{1,6})\]")
+_LONGEST, _MOST_COMPARED = 200, 1000
+"""Characters of a name, and columns, that are compared with a name that is not found."""
 _MOST_NOTES = 8
 """Ignored columns that are named in a note each; more are named in one."""
 
@@ -112,7 +114,8 @@ def _found(log: Log, mapping: SignalMap, entry: Entry) -> Pick:
     if name not in columns and indexed and indexed[1] in columns:
         name, component = indexed[1], int(indexed[2])
     if name not in columns:
-        error = UnknownNameError("column", entry.column[:200], columns)
+        known = [one for one in list(columns)[:_MOST_COMPARED] if len(one) <= _LONGEST]
+        error = UnknownNameError("column", entry.column[:_LONGEST], known)
         raise RecordingError(mapping.source, f"{log.source} has no such column: {error}")
     column = columns[name]
     stated = entry.unit or column.unit or labels.parse(column.name).unit

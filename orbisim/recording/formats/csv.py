@@ -51,6 +51,8 @@ def _layout(path: Path) -> _Layout:
     except UnicodeDecodeError as error:
         raise RecordingError(str(path), f"is not a table: {error}") from None
     first = head.partition("\n")[0]
+    if len(first) == _LONGEST_HEADER:
+        raise RecordingError(str(path), f"its first line is longer than {_LONGEST_HEADER} bytes")
     comma = next((mark for mark in ",;\t" if mark in first), ",")
     try:
         reader = csv.reader(iter(head.splitlines(keepends=True)), delimiter=comma)
