@@ -69,8 +69,9 @@ def train(config: Config, job: Job, report: Callable[[str], None] = print) -> di
     progress = job.out / "progress"
     if progress.exists() and not job.resume:
         raise InputError(f"{progress}: there is an unfinished training; --resume goes on with it")
-    store = load(job.data, device, workers=job.workers)
-    held = load(job.held, device, workers=job.workers, limit=_HELD) if job.held else store
+    how: Any = {"workers": job.workers, "size": config.size}
+    store = load(job.data, device, **how)
+    held = load(job.held, device, limit=_HELD, **how) if job.held else store
     if store.size != config.size:
         raise InputError(f"images of {store.size} pixels; the configuration is for {config.size}")
     runs = [
@@ -126,6 +127,9 @@ def _spent(loop: Loop) -> dict[str, float]:
 def _notes(job: Job, store: Store) -> dict[str, Any]:
     sources = []
     for path in job.data:
+        if path.is_dir():
+            sources.append({"file": path.name, "task": "own recording", "episodes": 1})
+            continue
         with EpisodeFile(path) as file:
             sources.append({"file": path.name, "task": file.task, "episodes": len(file)})
     name = torch.cuda.get_device_name() if store.device.type == "cuda" else "cpu"

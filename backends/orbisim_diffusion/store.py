@@ -27,6 +27,7 @@ from orbisim_diffusion.conditions import (
     heatmaps,
     object_tokens,
 )
+from orbisim_diffusion.own import read_own
 from orbisim_diffusion.shapes import PRIMITIVES
 from orbisim_diffusion.solids import ABSENT, Lamps, Solids, View, matrices
 
@@ -194,23 +195,27 @@ def load(
     *,
     workers: int = 1,
     limit: int | None = None,
-    pixels: bool = True,
+    size: int = 0,
 ) -> Store:
-    """Reads episode files into a store.
+    """Reads episode files, or folders of own recordings, into a store.
 
     Args:
       paths: the files. device: where to. workers: processes that read.
       limit: at most so many episodes of each file, from its beginning.
-      pixels: whether images are kept.
+      size: of the images that are made of own recordings, pixels.
 
     Raises:
       InputError: a file has no images, or their sizes differ.
     """
     jobs = []
+    own = [path for path in paths if Path(path).is_dir()]
     for number, path in enumerate(paths):
-        with EpisodeFile(path) as file:
-            jobs += [(number, Path(path), i) for i in range(min(len(file), limit or len(file)))]
+        if path not in own:
+            with EpisodeFile(path) as file:
+                jobs += [(number, Path(path), i) for i in range(min(len(file), limit or len(file)))]
     episodes = list(track(_read_all(jobs, workers), "reading episodes", len(jobs)))
+    episodes += [read_own(Path(path), size) for path in own]
+    jobs += [(list(paths).index(path), Path(path), 0) for path in own]
     sizes = {episode["frames"].shape[1:] for episode in episodes}
     if len(sizes) != 1:
         raise InputError(f"images of different sizes: {sorted(sizes)}; train on one size")

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from orbisim.cli.common import device_option, emit_json, json_option, print_table
+from orbisim.cli.common import device_option, emit_json, json_option, note, print_table
 from orbisim.errors import MissingDependencyError
 
 _EXAMPLE = "Example: orbisim eval dynamics checkpoints/push held_out.h5 --json"
@@ -78,3 +78,89 @@ def _print(group: str, models: dict[str, Any]) -> None:
                 each = (models[n].get(horizon, {}).get(quantity, {}).get("median") for n in names)
                 rows.append((int(horizon), quantity, *("-" if v is None else v for v in each)))
     print_table(f"{group}: median over episodes", ("steps", "quantity", *names), rows)
+
+
+_VISION = "Example: orbisim eval vision checkpoints/look test_push.h5 --steps 1 --steps 4 --json"
+
+
+@command.command("vision", epilog=_VISION)
+@click.argument("checkpoint", type=click.Path(path_type=Path))
+@click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--episodes", default=200, show_default=True, help="At most so many of each file.")
+@click.option(
+    "--workflow",
+    "workflows",
+    multiple=True,
+    type=click.Choice(["GT-first", "GT-state", "Recon-first", "Recon-all"]),
+    help="Which rollouts; repeatable. Default: all.",
+)
+@click.option("--steps", multiple=True, type=int, help="Of the sampler; repeatable. Default: 1.")
+@click.option("--horizon", "horizons", multiple=True, type=int, help="Frames. Default: 10 and 100.")
+@click.option("--backend", default="learned", show_default=True, help="What predicts the states.")
+@click.option("--features/--no-features", default=True, help="EffNet-PD and EffNet-FVD.")
+@click.option(
+    "--weights",
+    default=None,
+    type=click.Path(path_type=Path),
+    help="Weights of EfficientNet-Lite0. Default: those of the package.",
+)
+@click.option("--workers", type=click.IntRange(min=1), default=1, help="Processes.")
+@device_option
+@json_option
+def vision(
+    checkpoint: Path,
+    data: tuple[Path, ...],
+    episodes: int,
+    workflows: tuple[Any, ...],
+    steps: tuple[int, ...],
+    horizons: tuple[int, ...],
+    backend: str,
+    features: bool,
+    weights: Path | None,
+    workers: int,
+    device: str | None,
+    as_json: bool,
+) -> None:
+    """Images of rollouts against the true ones: PSNR, SSIM, EffNet-PD, EffNet-FVD.
+
+    DATA are episode files with images. GT-first and Recon-first use states that the backend
+    predicts from the first one, GT-state and Recon-all the true states.
+    """
+    try:
+        import torch
+        from orbisim_diffusion import evaluate as evaluation
+        from orbisim_diffusion.checkpoint import load_checkpoint
+        from orbisim_diffusion.features import Features
+        from orbisim_diffusion.model import Painter
+    except ImportError as error:
+        raise MissingDependencyError("evaluation", "learned", str(error)) from error
+    on = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
+    painter = Painter.of(load_checkpoint(checkpoint), on)
+    seen = Features(on, weights) if features else None
+    tables = [
+        evaluation.evaluate(
+            painter,
+            path,
+            episodes=episodes,
+            workflows=workflows or evaluation.WORKFLOWS,
+            steps=steps or (1,),
+            horizons=horizons or evaluation.HORIZONS,
+            features=seen,
+            workers=workers,
+            backend=backend,
+            report=note,
+        )
+        for path in data
+    ]
+    if as_json:
+        emit_json({"schema": "orbisim.eval_vision/1", "tables": tables})
+        return
+    for table in tables:
+        _print_vision(table)
+
+
+def _print_vision(table: dict[str, Any]) -> None:
+    names = list(dict.fromkeys(name for row in table["rows"].values() for name in row))
+    rows = [(key, *(row.get(name, "-") for name in names)) for key, row in table["rows"].items()]
+    title = f"{table['file']}: means over {table['episodes']} episodes"
+    print_table(title, ("workflow", *names), rows)

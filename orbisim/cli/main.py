@@ -21,6 +21,7 @@ COMMANDS = {
     "collect": "collect episodes of a task for training",
     "train": "train a learned model",
     "eval": "measure a learned model",
+    "infer": "read the states that a video shows; write them as a recording",
     "view": "interactive viewer in the browser",
 }
 """Commands in the order of the help text, each a module of this package."""

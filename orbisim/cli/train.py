@@ -151,3 +151,77 @@ def _report(line: dict[str, Any]) -> None:
         f"step {line['step']:>7}  {line['seconds']:8.1f} s  loss {line['loss']:.4g}  "
         f"L_state {line['state_loss']:.4g}  AR ratio {line['ratio']:.2f}"
     )
+
+
+_VISION = (
+    "Example: orbisim train vision push.h5 --held-out-data test.h5 --out checkpoints/look "
+    "--time-limit 1500 --device cuda"
+)
+
+
+@command.command("vision", epilog=_VISION)
+@click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--config", "name", default="default", show_default=True, help="Configuration.")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder to write to.")
+@click.option(
+    "--time-limit",
+    type=click.FloatRange(min=0, min_open=True),
+    default=1500.0,
+    show_default=True,
+    help="Seconds; 30 % for the autoencoder, 50 % for the denoiser, 20 % for the one-step model.",
+)
+@click.option("--steps", type=click.IntRange(min=1), default=None, help="At most, of each part.")
+@click.option(
+    "--held-out-data",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="Measure on these episodes; repeatable. Default: on DATA themselves.",
+)
+@click.option("--workers", type=click.IntRange(min=1), default=1, help="Processes that read.")
+@click.option("--resume", is_flag=True, help="Go on with the training that stands in --out.")
+@device_option
+@seed_option
+@json_option
+def vision(
+    data: tuple[Path, ...],
+    name: str,
+    out: Path,
+    time_limit: float,
+    steps: int | None,
+    held_out_data: tuple[Path, ...],
+    workers: int,
+    resume: bool,
+    device: str | None,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Train OrbiSim-Vision on episodes with images.
+
+    DATA are episode files (orbisim collect --frames) or folders of your own recordings, each with
+    scene.xml, recording.npz (or .csv), camera.json, and video.mp4 or a folder of images
+    (docs/vision.md). Leaves a checkpoint in --out for the renderer diffusion:OUT.
+    """
+    try:
+        from orbisim_diffusion import run
+        from orbisim_diffusion.config import preset
+    except ImportError as error:
+        raise MissingDependencyError("training", "learned", str(error)) from error
+    limits = tuple(time_limit * share for share in run.SHARES)
+    job = run.Job(
+        data=data,
+        held=held_out_data,
+        out=out,
+        limits=limits,  # type: ignore[arg-type]
+        device=device or _default_device(),
+        seed=seed,
+        workers=workers,
+        steps=steps,
+        resume=resume,
+    )
+    metrics = run.train(preset(name), job, note)
+    if as_json:
+        emit_json({"schema": "orbisim.train_vision/1", "checkpoint": str(out), "metrics": metrics})
+        return
+    for part, values in metrics.items():
+        click.echo(f"{part}: " + ", ".join(f"{k} {v:g}" for k, v in values.items()))
+    note(f"checkpoint: {out}")

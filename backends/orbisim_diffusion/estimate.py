@@ -1,0 +1,174 @@
+"""`orbisim infer`: from the frames of a video to a recording, by StaInf."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as iio
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import torch
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.transform import Rotation
+from torch import nn
+
+from orbisim.errors import InputError, UnsupportedSceneError
+from orbisim.recording import Recording
+from orbisim.scene import Scene, matrices
+from orbisim_diffusion.autoencoder import to_float
+from orbisim_diffusion.checkpoint import Checkpoint, load_checkpoint, load_part
+from orbisim_diffusion.inference import JOINTS, OBJECTS, Inferred, StateInference
+from orbisim_diffusion.own import bounded, squares
+from orbisim_diffusion.symmetry import cube_rotations, unlike
+
+PART = "inference"
+_SCALAR = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+_COLOUR, _SIZE, _STEP = 0.1, 0.15, 0.05
+"""What counts as one unit of unlikeness: of a colour, of a size (relative), of a place (m)."""
+_BATCH = 64
+
+Floats = npt.NDArray[np.float64]
+
+
+def load_inference(folder: str | Path) -> tuple[Checkpoint, StateInference]:
+    """A checkpoint with its StaInf.
+
+    Raises:
+      InputError: it has none.
+    """
+    point = load_checkpoint(folder)
+    entry = point.manifest["files"].get(PART)
+    if entry is None:
+        raise InputError(f"{folder}: has no state inference (StaInf)")
+    channels, size = point.config.autoencoder.channels, point.config.size
+    model = load_part(point.path, PART, entry, lambda: StateInference(channels, size))
+    assert isinstance(model, StateInference)
+    return point, model
+
+
+def read_video(path: Path, size: int) -> tuple[npt.NDArray[np.uint8], Floats]:
+    """Frames [T, size, size, 3], the middle squares of a video's, and their times [T], s.
+
+    Raises:
+      InputError: it cannot be read.
+    """
+    try:
+        fps = float(iio.immeta(path, plugin="FFMPEG")["fps"])
+        frames = np.stack(list(bounded(iio.imiter(path, plugin="FFMPEG"), path)))
+    except (OSError, ValueError, LookupError) as error:
+        raise InputError(f"{path}: is not a video that ffmpeg reads ({error})") from None
+    return squares(frames, size), np.arange(len(frames)) / fps
+
+
+def infer(
+    scene: Scene,
+    frames: npt.NDArray[np.uint8],
+    times: Floats,
+    checkpoint: Checkpoint,
+    model: nn.Module,
+) -> Recording:
+    """The recording that frames show: joints of the robot, poses of the objects.
+
+    Which of the found objects is which body is decided by colour, size and the way they move;
+    which of a box's like orientations it has, by the frame before (in the first: the smallest
+    turn). Bodies that are not found in a frame have NaN there.
+
+    Args:
+      scene: with the bodies and their colours. frames: [T, H, W, 3] of the checkpoint's size.
+      times: [T], s. checkpoint, model: as `load_inference` gives them.
+
+    Raises:
+      UnsupportedSceneError: the scene has more joints or objects than StaInf knows.
+    """
+    joints, bodies = _parts(scene)
+    found = _inferred(frames, checkpoint, model)
+    signals: dict[str, Floats] = {
+        f"qpos/{name}": found.joints[:, i].double().numpy() for i, name in enumerate(joints)
+    }
+    rows = np.array([matrices.object_row(scene.model, scene.model.body(b).id) for b in bodies])
+    if bodies:
+        places, turns = _tracks(found, rows.reshape(len(bodies), -1))
+        for i, name in enumerate(bodies):
+            signals[f"xpos/{name}"], signals[f"xquat/{name}"] = places[:, i], turns[:, i]
+    known = checkpoint.manifest.get("metrics", {}).get(PART, {})
+    return Recording(
+        times,
+        signals,
+        metadata={"noise": known, "checkpoint": str(checkpoint.path.name)},
+        source=f"{scene.name} seen",
+    )
+
+
+def _parts(scene: Scene) -> tuple[list[str], list[str]]:
+    """Names of the scalar joints and of the free bodies."""
+    model = scene.model
+    kinds = [int(kind) for kind in model.jnt_type]
+    joints = [model.joint(j).name for j, kind in enumerate(kinds) if kind in _SCALAR]
+    free = [j for j, kind in enumerate(kinds) if kind == _FREE]
+    bodies = [model.body(int(model.jnt_bodyid[j])).name for j in free]
+    if len(joints) > JOINTS or len(bodies) > OBJECTS:
+        raise UnsupportedSceneError(
+            scene.source,
+            f"StaInf knows up to {JOINTS} joints and {OBJECTS} objects; it has {len(joints)} and "
+            f"{len(bodies)}",
+        )
+    return joints, bodies
+
+
+@torch.no_grad()  # type: ignore[untyped-decorator]
+def _inferred(frames: npt.NDArray[np.uint8], point: Checkpoint, model: nn.Module) -> Inferred:
+    parts = []
+    for first in range(0, len(frames), _BATCH):
+        images = to_float(torch.as_tensor(frames[first : first + _BATCH]))
+        parts.append(model(point.autoencoder.encode(images)))
+    return Inferred(*(torch.cat(field) for field in zip(*parts, strict=True)))
+
+
+def _tracks(found: Inferred, rows: Floats) -> tuple[Floats, Floats]:
+    """Positions [T, M, 3] and quaternions [T, M, 4] of bodies with descriptor rows [M, D]."""
+    column = matrices.OBJECT_COLUMNS.index
+    sizes, colours = rows[:, :3], rows[:, column("red") : column("blue") + 1]
+    pos, size, colour = (v.double().numpy() for v in (found.pos, found.size, found.colour))
+    rot, present = found.rot.double().numpy(), found.present.numpy() > 0
+    count, bodies = len(pos), len(rows)
+    places, turns = np.full((count, bodies, 3), np.nan), np.full((count, bodies, 4), np.nan)
+    last, turned = np.full((bodies, 3), np.nan), np.tile(np.eye(3), (bodies, 1, 1))
+    groups = [_like_turns(one) for one in sizes]
+    for t in range(count):
+        cost = _unlikeness(pos[t], size[t], colour[t], last, sizes, colours)
+        cost[:, ~present[t]] += 1e3
+        for body, slot in zip(*linear_sum_assignment(cost), strict=True):
+            if not present[t, slot]:
+                continue
+            places[t, body] = last[body] = pos[t, slot]
+            choices = rot[t, slot] @ groups[body]
+            nearest = int(np.argmax(np.einsum("kij,ij->k", choices, turned[body])))
+            turned[body] = choices[nearest]
+            x, y, z, w = Rotation.from_matrix(turned[body]).as_quat()
+            turns[t, body] = _continuous(np.array([w, x, y, z]), turns[t - 1, body] if t else None)
+    return places, turns
+
+
+def _unlikeness(
+    pos: Floats, size: Floats, colour: Floats, last: Floats, sizes: Floats, colours: Floats
+) -> Floats:
+    """[M, slots]: how little each found object is like each body."""
+    apart = np.nan_to_num(np.linalg.norm(last[:, None] - pos[None], axis=-1)) / _STEP
+    shade = np.abs(colours[:, None] - colour[None]).mean(-1) / _COLOUR
+    ratio = np.abs(np.log(np.maximum(size[None], 1e-4) / np.maximum(sizes[:, None], 1e-4)))
+    found: Floats = np.minimum(apart, 10.0) + shade + ratio.mean(-1) / _SIZE
+    return found
+
+
+def _like_turns(size: Floats) -> Floats:
+    """[K, 3, 3]: the rotations that take a box of these half sizes to itself."""
+    half = torch.as_tensor(size)
+    found: Floats = cube_rotations().double()[~unlike(half)].numpy()
+    return found
+
+
+def _continuous(quat: Floats, before: Any) -> Floats:
+    return -quat if before is not None and float(quat @ np.nan_to_num(before)) < 0 else quat

@@ -1,0 +1,103 @@
+"""From frames to a recording: which object is which, like orientations, the command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+import torch
+from orbisim_diffusion.checkpoint import MANIFEST, digest, read_manifest
+from orbisim_diffusion.estimate import _tracks, infer, load_inference
+from orbisim_diffusion.inference import Inferred, StateInference
+from scipy.spatial.transform import Rotation
+
+from orbisim.cli.main import run
+from orbisim.errors import InputError, UnsupportedSceneError
+from orbisim.recording import Recording, bind
+from orbisim.scene import load_scene, matrices
+from tests.backends.diffusion.tiny import ARM, arm, save_tiny
+
+TWO = """
+<mujoco><worldbody>
+  <body name="red"><freejoint/><geom type="box" size="0.03 0.03 0.03" rgba="0.9 0.1 0.1 1"/></body>
+  <body name="blue" pos="0.2 0 0"><freejoint/>
+    <geom type="box" size="0.03 0.03 0.03" rgba="0.1 0.1 0.9 1"/></body>
+</worldbody></mujoco>
+"""
+
+
+def add_inference(folder: Path) -> Path:
+    from safetensors.torch import save_file
+
+    torch.manual_seed(0)
+    model = StateInference(4, 32)
+    path = folder / "inference.safetensors"
+    save_file({n: t.half().contiguous() for n, t in model.state_dict().items()}, str(path))
+    manifest = read_manifest(folder)
+    manifest["files"]["inference"] = {"sha256": digest(path), "bytes": path.stat().st_size}
+    (folder / MANIFEST).write_text(json.dumps(manifest))
+    return folder
+
+
+def seen(frames: int) -> Inferred:
+    """Two cubes that cross, found in changing order, each turned by any quarter."""
+    rng = np.random.default_rng(0)
+    t = np.arange(frames) / frames
+    true = np.stack([np.stack([t, 0.05 + 0 * t, 0 * t], 1), np.stack([1 - t, 0 * t, 0 * t], 1)], 1)
+    colours = np.array([[0.9, 0.1, 0.1], [0.1, 0.1, 0.9]])
+    present = np.full((frames, 4), -5.0)
+    pos, rot = np.full((frames, 4, 3), 9.0), np.tile(np.eye(3), (frames, 4, 1, 1))
+    colour, size = np.zeros((frames, 4, 3)), np.full((frames, 4, 3), 0.03)
+    for i in range(frames):
+        slots = rng.permutation(4)[:2]
+        for body, slot in enumerate(slots):
+            yaw = 0.3 * t[i] + rng.integers(4) * np.pi / 2
+            present[i, slot], pos[i, slot], colour[i, slot] = 5.0, true[i, body], colours[body]
+            rot[i, slot] = Rotation.from_euler("z", yaw).as_matrix()
+    present[3] = -5.0  # nothing is found there
+    tensors = (torch.as_tensor(v) for v in (present, pos, rot, size, colour))
+    none = torch.zeros(frames, 3)
+    return Inferred(none, torch.zeros(frames, 3, 3), torch.zeros(frames, 9), *tensors)
+
+
+def test_objects_are_followed_and_turn_smoothly() -> None:
+    model = load_scene(TWO).model
+    rows = np.array([matrices.object_row(model, model.body(n).id) for n in ("red", "blue")])
+    places, turns = _tracks(seen(20), rows)
+    t = np.arange(20) / 20
+    here = np.arange(20) != 3
+    np.testing.assert_allclose(places[here, 0, 0], t[here])
+    np.testing.assert_allclose(places[here, 1, 0], 1 - t[here])
+    assert np.isnan(places[3]).all()
+    yaw = 2 * np.arctan2(turns[here, 0, 3], turns[here, 0, 0])
+    np.testing.assert_allclose(yaw, 0.3 * t[here], atol=1e-6)
+
+
+def test_the_command_writes_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = add_inference(save_tiny(tmp_path / "tiny", arm()))
+    (tmp_path / "scene.xml").write_text(ARM)
+    rng = np.random.default_rng(0)
+    frames = rng.integers(0, 255, (5, 64, 96, 3), np.uint8)
+    iio.imwrite(tmp_path / "video.mp4", frames, plugin="FFMPEG", fps=20, macro_block_size=2)
+    command = ["infer", str(tmp_path / "video.mp4"), "--scene", str(tmp_path / "scene.xml")]
+    options = ["--checkpoint", str(folder), "--out", str(tmp_path / "rec.npz"), "--json"]
+    assert run([*command, *options]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["signals"] == ["qpos/reach", "qpos/swing", "xpos/cube", "xquat/cube"]
+    recording = Recording.load(tmp_path / "rec.npz")
+    np.testing.assert_allclose(recording.time, np.arange(5) / 20)
+    assert bind(recording, arm()).qpos.shape == (5, 9)
+
+
+def test_what_cannot_be_inferred_is_refused(tmp_path: Path) -> None:
+    plain = save_tiny(tmp_path / "plain", arm())
+    with pytest.raises(InputError, match="has no state inference"):
+        load_inference(plain)
+    point, model = load_inference(add_inference(plain))
+    bodies = "".join(f'<body pos="{i} 0 0"><freejoint/><geom size="0.1"/></body>' for i in range(5))
+    crowd = load_scene(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    with pytest.raises(UnsupportedSceneError, match="4 objects"):
+        infer(crowd, np.zeros((2, 32, 32, 3), np.uint8), np.arange(2.0), point, model)
