@@ -1,24 +1,19 @@
-"""From frames to a recording: which object is which, like orientations, the command."""
+"""From frames to a recording: which object is which, and like orientations."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-import imageio.v3 as iio
 import numpy as np
 import pytest
 import torch
-from orbisim_diffusion.checkpoint import MANIFEST, digest, read_manifest
 from orbisim_diffusion.estimate import _tracks, infer, load_inference
-from orbisim_diffusion.inference import Inferred, StateInference
+from orbisim_diffusion.inference import Inferred
 from scipy.spatial.transform import Rotation
 
-from orbisim.cli.main import run
 from orbisim.errors import InputError, UnsupportedSceneError
-from orbisim.recording import Recording, bind
 from orbisim.scene import load_scene, matrices
-from tests.backends.diffusion.tiny import ARM, arm, save_tiny
+from tests.backends.diffusion.tiny import add_inference, arm, save_tiny
 
 TWO = """
 <mujoco><worldbody>
@@ -27,19 +22,6 @@ TWO = """
     <geom type="box" size="0.03 0.03 0.03" rgba="0.1 0.1 0.9 1"/></body>
 </worldbody></mujoco>
 """
-
-
-def add_inference(folder: Path) -> Path:
-    from safetensors.torch import save_file
-
-    torch.manual_seed(0)
-    model = StateInference(4, 32)
-    path = folder / "inference.safetensors"
-    save_file({n: t.half().contiguous() for n, t in model.state_dict().items()}, str(path))
-    manifest = read_manifest(folder)
-    manifest["files"]["inference"] = {"sha256": digest(path), "bytes": path.stat().st_size}
-    (folder / MANIFEST).write_text(json.dumps(manifest))
-    return folder
 
 
 def seen(frames: int) -> Inferred:
@@ -74,22 +56,6 @@ def test_objects_are_followed_and_turn_smoothly() -> None:
     assert np.isnan(places[3]).all()
     yaw = 2 * np.arctan2(turns[here, 0, 3], turns[here, 0, 0])
     np.testing.assert_allclose(yaw, 0.3 * t[here], atol=1e-6)
-
-
-def test_the_command_writes_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = add_inference(save_tiny(tmp_path / "tiny", arm()))
-    (tmp_path / "scene.xml").write_text(ARM)
-    rng = np.random.default_rng(0)
-    frames = rng.integers(0, 255, (5, 64, 96, 3), np.uint8)
-    iio.imwrite(tmp_path / "video.mp4", frames, plugin="FFMPEG", fps=20, macro_block_size=2)
-    command = ["infer", str(tmp_path / "video.mp4"), "--scene", str(tmp_path / "scene.xml")]
-    options = ["--checkpoint", str(folder), "--out", str(tmp_path / "rec.npz"), "--json"]
-    assert run([*command, *options]) == 0
-    printed = json.loads(capsys.readouterr().out)
-    assert printed["signals"] == ["qpos/reach", "qpos/swing", "xpos/cube", "xquat/cube"]
-    recording = Recording.load(tmp_path / "rec.npz")
-    np.testing.assert_allclose(recording.time, np.arange(5) / 20)
-    assert bind(recording, arm()).qpos.shape == (5, 9)
 
 
 def test_what_cannot_be_inferred_is_refused(tmp_path: Path) -> None:

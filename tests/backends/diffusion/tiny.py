@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import torch
 from orbisim_diffusion.autoencoder import Autoencoder
-from orbisim_diffusion.checkpoint import AUTOENCODER, DENOISER, save_checkpoint
+from orbisim_diffusion.checkpoint import (
+    AUTOENCODER,
+    DENOISER,
+    MANIFEST,
+    digest,
+    read_manifest,
+    save_checkpoint,
+)
 from orbisim_diffusion.config import preset
 from orbisim_diffusion.denoiser import Denoiser
+from orbisim_diffusion.inference import StateInference
 from orbisim_diffusion.scope import Scope, ViewScope, read_scope
 from orbisim_diffusion.store import Arrays, Store, _assembled
+from safetensors.torch import save_file
 
 from orbisim.scene import Scene, load_scene, visible
 
@@ -87,3 +97,15 @@ def episode_of(scene: Scene, frames: int, seed: int = 0, size: int = 32) -> Arra
 def store_of(scene: Scene, frames: int = 8, episodes: int = 1) -> Store:
     made = [episode_of(scene, frames + i, seed=i) for i in range(episodes)]
     return _assembled(made, [0] * episodes, torch.device("cpu"))
+
+
+def add_inference(folder: Path) -> Path:
+    """A tiny checkpoint with an untrained StaInf."""
+    torch.manual_seed(0)
+    model = StateInference(4, 32)
+    path = folder / "inference.safetensors"
+    save_file({n: t.half().contiguous() for n, t in model.state_dict().items()}, str(path))
+    manifest = read_manifest(folder)
+    manifest["files"]["inference"] = {"sha256": digest(path), "bytes": path.stat().st_size}
+    (folder / MANIFEST).write_text(json.dumps(manifest))
+    return folder
