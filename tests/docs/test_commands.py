@@ -35,7 +35,7 @@ def calls() -> dict[tuple[str, str], set[str]]:
     """For each tool and subcommand the options that documents use."""
     found: dict[tuple[str, str], set[str]] = {}
     for tool, *words in commands():
-        command = words[0] if words and tool.endswith("blind_trials.py") else ""
+        command = words[0] if words and tool.endswith(("blind_trials.py", "rig_trials.py")) else ""
         used = {word.split("=")[0] for word in words if word.startswith("--")}
         found.setdefault((tool, command), set()).update(used)
     return found

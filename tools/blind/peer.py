@@ -39,17 +39,25 @@ class _TimeUp(Exception):
 
 
 def fit(
-    scene: Path, recordings: Sequence[Path], held_out: Sequence[Path], seconds: float
+    scene: Path,
+    recordings: Sequence[Path],
+    held_out: Sequence[Path],
+    seconds: float,
+    declared_start: bool = False,
 ) -> dict[str, Any]:
     """Fits for at most so many seconds, and scores the fitted scene on held-out recordings: free
     runs over the windows that the diagnosis is scored on.
+
+    Args:
+      declared_start: whether it begins at the declared values; else where these are small at 5 % of
+        the largest, as a fit that begins at a bound may stall there.
     """
     started = time.perf_counter()
     declared = load_scene(scene, trusted=True)
     seen = [Recording.load(path) for path in recordings]
     held = [Recording.load(path) for path in held_out]
     before = replay(declared, held, window=WINDOW).rms
-    parameters, verdict = _parameters(declared), "nothing to fit"
+    parameters, verdict = _parameters(declared, declared_start), "nothing to fit"
     values: dict[str, float] = {}
     fitted = declared
     if parameters.size:
@@ -99,7 +107,7 @@ def _until(function: Callable[..., Any], until: float) -> Callable[..., Any]:
     return timed
 
 
-def _parameters(scene: Scene) -> parameter.ParameterDict:
+def _parameters(scene: Scene, declared_start: bool = False) -> parameter.ParameterDict:
     model, found = scene.model, parameter.ParameterDict()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -116,7 +124,7 @@ def _parameters(scene: Scene) -> parameter.ParameterDict:
         }
         for kind in KINDS:
             most = _TYPICAL[kind] * inertia + 3 * declared[kind]
-            start = max(declared[kind], 0.05 * most)  # at a bound the fit may stall
+            start = declared[kind] if declared_start else max(declared[kind], 0.05 * most)
             found.add(
                 parameter.Parameter(
                     f"{joint.label}_{kind}", start, 0.0, most, modifier=_setter(joint.label, kind)

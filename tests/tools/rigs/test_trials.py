@@ -1,0 +1,156 @@
+"""Trials as they are made, run and judged."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+TOOLS = Path(__file__).resolve().parents[3] / "tools"
+sys.path.insert(0, str(TOOLS))
+
+import rig_trials  # noqa: E402  (needs the path above)
+from rigs import instruments, scoring  # noqa: E402
+from rigs.excitation import motion  # noqa: E402
+from rigs.machines import MACHINES  # noqa: E402
+from rigs.making import make, name_of  # noqa: E402
+from rigs.outcomes import Outcome  # noqa: E402
+from rigs.running import jobs_of, read_lines  # noqa: E402
+from rigs.truth import Run, Stepping, Truth  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def arm() -> tuple[Truth, Run]:
+    machine = MACHINES["servo_arm"]
+    truth = Truth(machine, machine.text(), Stepping(1e-3, "implicitfast"), ())
+    one = motion(machine, truth, np.random.default_rng(1), 1e-4)
+    ticks = np.arange(0, 2, 0.01)
+    return truth, truth.run(one.qpos, one.qvel, 2.0, one.controller, ticks, 0.0)
+
+
+def log(arm: tuple[Truth, Run], *artefacts: str) -> dict[str, Any]:
+    truth, run = arm
+    chain = instruments.drawn(truth.model, 100.0, artefacts, np.random.default_rng(2))
+    return instruments.logged(run, truth.model, chain, (), 0, False)
+
+
+def test_a_trial_is_the_same_for_the_same_seed_and_says_nothing(tmp_path: Path) -> None:
+    for out in (tmp_path / "a", tmp_path / "b"):
+        made = make(NUMBER, 5, out, ("served_ball",), "single")
+        assert made["laws"] and made["visibility"] > 0
+    folders = [tmp_path / x / "trials" / name_of(NUMBER) for x in "ab"]
+    files = sorted(path.name for path in folders[0].iterdir())
+    assert files[-1] == "scene.xml" and all(n.split("_")[0] in ("fit", "held") for n in files[:-1])
+    for name in files[:-1]:
+        one, other = (np.load(folder / name) for folder in folders)
+        assert all(np.array_equal(one[key], other[key]) for key in one.files)
+    assert (folders[0] / "scene.xml").read_text() == MACHINES["served_ball"].text()
+
+
+def test_clean_commands_change_exactly_at_samples(arm: tuple[Truth, Run]) -> None:
+    _, run = arm
+    found = log(arm)
+    assert np.allclose(np.diff(found["time"]), 0.01)
+    rows = np.round(found["time"] / 1e-3).astype(int)
+    assert np.array_equal(found["ctrl"], run.sent[rows])
+    assert np.array_equal(run.sent[rows], run.sent[rows + 9])  # held to the next sample
+
+
+def test_artefacts_are_what_they_say(arm: tuple[Truth, Run]) -> None:
+    steps = log(arm, "encoder")["qpos"] / (2 * np.pi / 4096)
+    assert np.allclose(steps, np.round(steps), atol=1e-6)
+    assert len(log(arm, "dropped")["time"]) < 192
+    stamps = log(arm, "host_stamps")["time"]
+    assert (np.diff(stamps) > 0).all() and np.std(np.diff(stamps)) > 1e-4
+    assert "qvel" not in log(arm, "positions_only")
+    assert {"torque/yaw", "torque/lift", "ctrl"} <= set(log(arm, "current_torque"))
+    noise = log(arm, "coloured")["qpos"] - _true(arm)
+    assert np.corrcoef(noise[1:, 0], noise[:-1, 0])[0, 1] > 0.5
+    white = log(arm)["qpos"] - _true(arm)
+    assert abs(np.corrcoef(white[1:, 0], white[:-1, 0])[0, 1]) < 0.25
+
+
+def _true(arm: tuple[Truth, Run]) -> Any:
+    _, run = arm
+    return run.qpos[np.round(log(arm)["time"] / 1e-3).astype(int)]
+
+
+NUMBER = 5
+"""Of a trial whose truth takes few steps."""
+
+
+def outcome(
+    found: list[tuple[str, str]], kind: str = "single", allowed: tuple[str, ...] = ()
+) -> Outcome:
+    laws = {"none": [], "pair": [("a", "x"), ("b", "y")]}.get(kind, [("a", "x")])
+    truth = {
+        "trial": "r00001",
+        "kind": kind,
+        "machine": "m",
+        "artefacts": [],
+        "noise": 1e-3,
+        "visibility": 9.0,
+        "laws": [{"effect": e, "target": t, "value": 2.0, "size": 1.0} for e, t in laws],
+        "same": [["c", "x"]],
+        "allowed": list(allowed),
+    }
+    numbers = {"p": {"value": 2.1, "ci95": [1.9, 2.3]}}
+    effects = tuple({"effect": e, "target": t, "parameters": numbers} for e, t in found)
+    return Outcome(truth, "diagnose", "explained", effects, "", 1.0, 0.1, 3.0)
+
+
+def test_names_are_judged() -> None:
+    right = outcome([("a", "x")])
+    assert right.right_first and right.right_any and not right.wrong and not right.needless
+    assert right.interval == (1.9, 2.3, 2.0)
+    assert outcome([("c", "x")]).right_first  # the same physics
+    assert not outcome([("a", "y")]).right_any  # another place
+    second = outcome([("a", "x"), ("d", "x")])
+    assert second.right_first and second.needless == [("d", "x")]
+    late = outcome([("d", "x"), ("a", "x")])
+    assert not late.right_first and late.right_any and not late.wrong
+    assert outcome([("d", "x")]).wrong
+    chain = outcome([("sensor_delay", "x"), ("a", "x")], allowed=("sensor_delay",))
+    assert chain.right_first and not chain.needless
+    assert not outcome([("a", "x")], "pair").all_found
+    assert outcome([("b", "y"), ("a", "x")], "pair").all_found
+    assert outcome([("sensor_delay", "x")], "none").needless
+    assert not outcome([("sensor_delay", "x")], "none", ("sensor_delay",)).needless
+
+
+def test_a_summary_counts_with_bounds() -> None:
+    some = [outcome([("a", "x")]), outcome([("d", "x")]), outcome([("d", "x")], "none")]
+    text = "\n".join(scoring.summary(some, [o.truth for o in some]))
+    assert "right first | 1 of 2, 50 % (9 to 91)" in text
+    assert "| all | 1 of 1, 100 % (3 to 100) | explained 1 |" in text  # a false alarm
+
+
+def test_a_run_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
+    for name in ("r00000", "r00001", "r00002"):
+        (tmp_path / "trials" / name).mkdir(parents=True)
+        (tmp_path / "trials" / name / "scene.xml").write_text("<mujoco/>")
+    results = tmp_path / "results.jsonl"
+    done = {"trial": "r00000", "tool": "diagnose", "failure": None, "report": {}, "seconds": 1.0}
+    results.write_text(json.dumps(done) + '\n{"trial": "r00002", "to')
+    args = argparse.Namespace(
+        trials=tmp_path, out=results, only=[], limit=0, shard=(0, 2), tools=["diagnose", "recipe"],
+        timeout=5.0, peer_timeout=5.0, again=False,
+    )  # fmt: skip
+    assert [(job.trial, job.tool) for job in jobs_of(args)] == [
+        ("r00000", "recipe"),
+        ("r00002", "diagnose"),
+        ("r00002", "recipe"),
+    ]
+    assert len(read_lines(results)) == 1
+
+
+def test_shards_are_read() -> None:
+    assert rig_trials.shard_of("1/4") == (1, 4)
+    for text in ("4/4", "a/b", "1"):
+        with pytest.raises(argparse.ArgumentTypeError):
+            rig_trials.shard_of(text)

@@ -1,0 +1,42 @@
+"""Runs `orbisim diagnose` with its defaults on a trial; only the trial's folder is read."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import from_source
+
+KEPT = ("verdict", "effects", "retuned", "alternatives", "error", "residual", "noise", "notes")
+
+
+def scene_of(folder: Path) -> Path:
+    """The declared scene of a trial."""
+    return next(iter(sorted(folder.glob("scene.*"))))
+
+
+def recordings_of(folder: Path, part: str) -> list[Path]:
+    """The files of the recordings to fit to (`fit`) or held out (`held`)."""
+    return sorted(folder.glob(f"{part}_*.npz"))
+
+
+def diagnosed(folder: Path, patience: float) -> int:
+    """Prints one JSON line: the report's main parts, or what failed."""
+    from_source.register("mujoco")
+    from orbisim.cli.main import cli
+
+    held = [part for path in recordings_of(folder, "held") for part in ("--held-out", str(path))]
+    fit = [str(path) for path in recordings_of(folder, "fit")]
+    with tempfile.TemporaryDirectory() as out:
+        words = ["diagnose", str(scene_of(folder)), *fit, *held, "--out", out]
+        try:
+            cli.main([*words, "--patience", str(patience)], standalone_mode=False)
+        except Exception as error:
+            print(json.dumps({"report": None, "failure": f"{error!r}"[:2000]}))
+            return 0
+        report: dict[str, Any] = json.loads((Path(out) / "report.json").read_text())
+    kept = {key: report[key] for key in KEPT if key in report}
+    print(json.dumps({"report": kept, "failure": None}))
+    return 0

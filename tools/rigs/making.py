@@ -1,0 +1,308 @@
+"""Makes one trial from a seed: what the tools open, and the truth in a folder of its own."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+import time
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from rigs import instruments
+from rigs.excitation import Motion, joint_of, motion
+from rigs.instruments import Chain, logged, seen
+from rigs.law import Floats, Law, Usual
+from rigs.machines import MACHINES, Machine, Missing
+from rigs.sizing import nameless, possible
+from rigs.truth import Diverged, Run, Stepping, Truth
+
+KINDS = {"none": 0.26, "single": 0.44, "pair": 0.12, "outside": 0.18}
+"""Shares of the trials: no effect, one, two that are easily confused, one without a name."""
+
+CONFUSABLE = (
+    ("coulomb_friction", "viscous_damping"),
+    ("coulomb_friction", "load_dependent_friction"),
+    ("viscous_damping", "quadratic_damping"),
+    ("stribeck_friction", "viscous_damping"),
+    ("actuator_lag", "actuator_delay"),
+    ("sensor_delay", "actuator_delay"),
+    ("sensor_scale", "torque_gain"),
+    ("sensor_bias", "joint_spring"),
+    ("payload", "torque_gain"),
+    ("payload", "gravity_tilt"),
+    ("armature", "payload"),
+    ("backlash", "coulomb_friction"),
+    ("joint_flexibility", "actuator_lag"),
+    ("linear_drag", "quadratic_drag"),
+    ("buoyancy", "linear_drag"),
+    ("sliding_friction", "gravity_tilt"),
+    ("sliding_friction", "constant_force"),
+    ("restitution", "sliding_friction"),
+)
+
+WINDOW = 0.5
+"""Of the free runs by which it is measured how well a law shows, s."""
+
+TIMING = frozenset({"host_stamps", "late_commands", "slow_commands", "sensor_delays"})
+"""Artefacts that a delay is a correct description of."""
+
+
+class Unmakeable(Exception):
+    """A trial that cannot be made, with the reason."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Plan:
+    """What a trial is to be."""
+
+    kind: str
+    machine: Machine
+    stepping: Stepping
+    artefacts: tuple[str, ...]
+    rate: float
+
+
+def plan(rng: np.random.Generator, machines: tuple[str, ...]) -> Plan:
+    """Draws machine, kind, artefacts and how the truth is stepped."""
+    kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
+    able = [name for name in machines if kind != "outside" or MACHINES[name].drive != "thrown"]
+    machine = MACHINES[str(rng.choice(able or machines))]
+    touches = bool(machine.contact) or machine.name in ("suite_finger", "gym_pusher")
+    step = float(rng.choice([2e-4, 5e-4, 1e-3]))
+    integrator = "implicitfast" if touches or rng.random() < 0.5 else "rk4"
+    known = [a for a in instruments.ARTEFACTS if _applies(a, machine)]
+    among = rng.random()
+    count = 0 if among < 0.2 else 1 if among < 0.85 else 3
+    artefacts = tuple(str(a) for a in rng.choice(known, min(count, len(known)), replace=False))
+    if {"filtered_velocity", "positions_only"} <= set(artefacts):
+        artefacts = tuple(a for a in artefacts if a != "filtered_velocity")
+    if {"jitter", "host_stamps"} <= set(artefacts):
+        artefacts = tuple(a for a in artefacts if a != "jitter")
+    rate = float(rng.choice([100.0, 125.0, 200.0]))
+    return Plan(kind, machine, Stepping(step, integrator), artefacts, rate)
+
+
+def _applies(artefact: str, machine: Machine) -> bool:
+    if machine.drive == "thrown":
+        return artefact not in (
+            "filtered_velocity", "late_commands", "slow_commands", "current_torque",
+            "sensor_delays", "encoder", "host_stamps",
+        )  # fmt: skip
+    return True
+
+
+def name_of(number: int) -> str:
+    """Of a trial; it says nothing."""
+    return f"r{number:05d}"
+
+
+def make(
+    number: int, seed: int, out: Path, only: tuple[str, ...] = (), kind: str = ""
+) -> dict[str, Any]:
+    """Writes a trial, unless it is there; one that cannot be made says why under `dropped`."""
+    name = name_of(number)
+    path = out / "truth" / f"{name}.json"
+    if path.exists():
+        known: dict[str, Any] = json.loads(path.read_text())
+        if "dropped" in known or (out / "trials" / name).exists():
+            return known
+    rng = np.random.default_rng([seed, number])
+    wish = plan(rng, only or tuple(MACHINES))
+    if kind:
+        wish = dataclasses.replace(wish, kind=kind)
+    started = time.perf_counter()
+    entry: dict[str, Any] = {
+        "trial": name,
+        "seed": seed,
+        "kind": wish.kind,
+        "machine": wish.machine.name,
+        "artefacts": list(wish.artefacts),
+        "step": wish.stepping.step,
+        "integrator": wish.stepping.integrator,
+    }
+    try:
+        entry |= _written(wish, name, rng, out)
+    except (Unmakeable, Diverged, Missing) as error:
+        entry["dropped"] = str(error)
+    entry["seconds"] = round(time.perf_counter() - started, 1)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.with_suffix(".part").write_text(json.dumps(entry, indent=1))
+    path.with_suffix(".part").replace(path)
+    return entry
+
+
+def _written(wish: Plan, name: str, rng: np.random.Generator, out: Path) -> dict[str, Any]:
+    machine, text = wish.machine, wish.machine.text()
+    plain = Truth(machine, text, wish.stepping, ())
+    chain = instruments.drawn(plain.model, wish.rate, wish.artefacts, rng)
+    motions = [motion(machine, plain, rng, chain.noise) for _ in range(machine.fit + machine.held)]
+    usual = _usual(plain, _run(plain, motions[0], chain, 0))
+    laws = _laws(wish, usual, rng)
+    truth = Truth(machine, text, wish.stepping, laws)
+    runs = [_run(truth, one, chain, i) for i, one in enumerate(motions)]
+    folder = out / "trials" / name
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    (folder / f"scene{machine.suffix}").write_text(text)
+    for i, run in enumerate(runs):
+        part = f"fit_{i}" if i < machine.fit else f"held_{i - machine.fit}"
+        signals = logged(run, plain.model, chain, laws, i, truth.applied)
+        np.savez_compressed(folder / f"{part}.npz", **signals)
+    return {
+        "laws": [law.to_json() for law in laws],
+        "same": [
+            list(other)
+            for law in laws
+            for one, other in machine.same
+            if one == (law.effect, law.target)
+        ],
+        "visibility": _visibility(plain, chain, runs[:2], laws) if laws else 0.0,
+        "noise": chain.noise,
+        "rate": chain.rate,
+        "velocities": chain.velocities,
+        "allowed": _allowed(wish),
+    }
+
+
+def _allowed(wish: Plan) -> list[str]:
+    """Findings that are correct beside the laws: delays where the chain has some."""
+    if set(wish.artefacts) & TIMING:
+        return ["sensor_delay", "actuator_delay"]
+    return ["sensor_delay"] if "filtered_velocity" in wish.artefacts else []
+
+
+def _run(truth: Truth, one: Motion, chain: Chain, number: int) -> Run:
+    ticks = chain.ticks(truth.machine.duration, np.random.default_rng([chain.seed, 7, number]))
+    return truth.run(one.qpos, one.qvel, truth.machine.duration, one.controller, ticks, chain.late)
+
+
+def _usual(truth: Truth, run: Run) -> Usual:
+    """What is typical of the machine without a law."""
+    model = truth.model
+    step = float(run.time[1] - run.time[0])
+    inertial = model.dof_M0 * np.gradient(run.rate, step, axis=0)
+    force = np.maximum(_rms(run.drive), _rms(np.clip(inertial, -1e3, 1e3)))
+    travel, middle = np.full(model.nv, 0.1), np.zeros(model.nv)
+    for joint in range(model.njnt):
+        q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+        if int(model.jnt_type[joint]) >= 2:
+            low, high = np.quantile(run.body[:, q], [0.01, 0.99])
+            travel[v], middle[v] = max((high - low) / 2, 1e-6), (high + low) / 2
+    drive = np.zeros(model.nu)
+    for a in range(model.nu):
+        joint = joint_of(model, a)
+        if joint is not None:
+            dof = int(model.jnt_dofadr[joint])
+            drive[a] = _rms(run.drive)[dof] / abs(float(model.actuator_gear[a, 0]))
+    command = np.zeros(model.nu) if truth.applied else _rms(run.sent)
+    return Usual(model, force + 1e-9, _rms(run.rate) + 1e-9, travel, middle, command, drive)
+
+
+def _rms(values: Floats) -> Floats:
+    """Root mean square over rows."""
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+
+
+def _laws(wish: Plan, usual: Usual, rng: np.random.Generator) -> list[Law]:
+    if wish.kind == "none":
+        return []
+    table = (nameless if wish.kind == "outside" else possible)(wish.machine, usual)
+    if not table:
+        raise Unmakeable(f"nothing of kind {wish.kind} fits {wish.machine.name}")
+    if wish.kind != "pair":
+        # an effect first, then its place: seven joints do not make an effect more frequent
+        effects = sorted({effect for effect, _ in table})
+        effect = effects[int(rng.integers(len(effects)))]
+        places = sorted(target for e, target in table if e == effect)
+        target = places[int(rng.integers(len(places)))]
+        return [table[effect, target](usual, target, rng)]
+    pairs = [pair for pair in CONFUSABLE if all(any(e == n for e, _ in table) for n in pair)]
+    if not pairs:
+        raise Unmakeable(f"no pair that is easily confused fits {wish.machine.name}")
+    first, second = pairs[int(rng.integers(len(pairs)))]
+    places = sorted(target for e, target in table if e == first)
+    target = places[int(rng.integers(len(places)))]
+    others = sorted(t for e, t in table if e == second)
+    beside = _beside(usual, target, others) or others[int(rng.integers(len(others)))]
+    return [
+        table[first, target](usual, target, rng),
+        table[second, beside](usual, beside, rng),
+    ]
+
+
+def _beside(usual: Usual, target: str, others: list[str]) -> str:
+    """Of the places of a second effect the one that is at the first: the same joint or drive."""
+    if target in others:
+        return target
+    model = usual.model
+    for a in range(model.nu):
+        joint = joint_of(model, a)
+        if joint is None:
+            continue
+        names = {model.actuator(a).name or f"actuator{a}", model.joint(joint).name,
+                 model.body(int(model.jnt_bodyid[joint])).name}  # fmt: skip
+        if target in names and names & set(others):
+            return sorted(names & set(others))[0]
+    return ""
+
+
+def _visibility(plain: Truth, chain: Chain, runs: list[Run], laws: list[Law]) -> float:
+    """How far the machine without the laws misses noise-free recordings with them, over the noise.
+
+    Free runs of half a second from what the encoders show, with the truth's own step and
+    integrator, so that nothing but the laws counts; the joint that shows most.
+    """
+    model, errors = plain.model, []
+    chain = dataclasses.replace(chain, delays=np.zeros(model.njnt))
+    for run in runs:
+        at = run.time[(run.time > 0.1) & (run.time < run.time[-1] - 0.01)]
+        every = max(1, round(1 / chain.rate / (run.time[1] - run.time[0])))
+        at = at[::every]
+        clock = float(np.prod([getattr(law, "clock", 1.0) for law in laws]))
+        qpos, qvel = seen(run, model, chain, laws, at)
+        width = max(2, round(WINDOW * chain.rate))
+        for first in range(0, len(at) - width, width):
+            rows = slice(first, first + width)
+            start = (qpos[first], qvel[first])
+            found = _free(plain, run, start, at[rows], clock, chain.late)
+            errors.append(_difference(model, found, qpos[rows]))
+    if not errors:
+        return 0.0
+    rms = np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
+    return float(rms.max() / chain.noise)
+
+
+def _free(
+    plain: Truth, run: Run, start: tuple[Floats, Floats], at: Floats, clock: float, late: float
+) -> Floats:
+    """Positions at times, free from the first with the commands that arrived.
+
+    Args:
+      clock: a fast one says that more time passes between samples than did. late: of commands, s.
+    """
+    model, data = plain.model, mujoco.MjData(plain.model)
+    data.qpos[:], data.qvel[:] = start
+    step, found = float(model.opt.timestep), []
+    begin = round(at[0] / step)
+    for k in range(len(at)):
+        until = round((at[0] + (at[k] - at[0]) * clock) / step)
+        while begin < until:
+            true = at[0] + (begin * step - at[0]) / clock - late
+            row = min(max(int(true / step + 1e-6), 0), len(run.sent) - 1)
+            (data.qfrc_applied if plain.applied else data.ctrl)[:] = run.sent[row]
+            mujoco.mj_step(model, data)
+            begin += 1
+        found.append(data.qpos.copy())
+    return np.array(found)
+
+
+def _difference(model: mujoco.MjModel, found: Floats, wanted: Floats) -> Floats:
+    """[T, nv] as tangents."""
+    gap = np.empty((len(found), model.nv))
+    for k in range(len(found)):
+        mujoco.mj_differentiatePos(model, gap[k], 1.0, wanted[k], found[k])
+    return gap
