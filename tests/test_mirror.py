@@ -40,7 +40,124 @@ SEEN_THROUGH = {
     "orbisim_mujoco.renderer": ("conformance/test_renderers.py", "images against each other"),
     "orbisim_diffusion": ("backends/diffusion", "parts are seen in the renderer and its training"),
     "orbisim_warp.kernels": ("backends/warp/test_backend.py", "run on Warp's arrays only"),
-    "orbisim_world_model": ("backends/world_model", "parts are seen in the model's step"),
+    "orbisim_world_model.baseline": (
+        "backends/world_model/test_backend.py",
+        "MuJoCo's own step, seen in what is left to learn",
+    ),
+    "orbisim_world_model.card": ("cli/test_training.py", "written at the end of a training"),
+    "orbisim_world_model.checkpoint": (
+        "backends/world_model/test_manifest.py",
+        "weights are read with their manifest",
+    ),
+    "orbisim_world_model.comparison": ("cli/test_training.py", "of checkpoints, by `orbisim eval`"),
+    "orbisim_world_model.compiling": (
+        "backends/world_model/test_speedups.py",
+        "of steps, which must stay the same",
+    ),
+    "orbisim_world_model.curves": ("cli/test_training.py", "drawn at the end of a training"),
+    "orbisim_world_model.dynamics": ("backends/world_model/test_model.py", "the model as a whole"),
+    "orbisim_world_model.engine": (
+        "backends/world_model/test_backend.py",
+        "the model as a backend",
+    ),
+    "orbisim_world_model.episode_rows": (
+        "backends/world_model/test_packing.py",
+        "rows of episodes, as packs hold them",
+    ),
+    "orbisim_world_model.evaluate": (
+        "backends/world_model/test_training.py",
+        "errors of a model that was trained",
+    ),
+    "orbisim_world_model.features": (
+        "backends/world_model/test_model.py",
+        "symmetries of the whole model",
+    ),
+    "orbisim_world_model.fitting": (
+        "backends/world_model/test_backend.py",
+        "which scenes a checkpoint fits",
+    ),
+    "orbisim_world_model.hybrid": (
+        "backends/world_model/test_backend.py",
+        "a correction of MuJoCo's step",
+    ),
+    "orbisim_world_model.layout": (
+        "backends/world_model/test_manifest.py",
+        "layouts that do not fit are refused with their manifest",
+    ),
+    "orbisim_world_model.native.compiler": (
+        "backends/world_model/native/test_step.py",
+        "compiles the step",
+    ),
+    "orbisim_world_model.native.translate": (
+        "backends/world_model/native/test_step.py",
+        "writes the step",
+    ),
+    "orbisim_world_model.native.writer": (
+        "backends/world_model/native/test_step.py",
+        "writes the step",
+    ),
+    "orbisim_world_model.network.dreamer": (
+        "backends/world_model/test_training.py",
+        "every configuration is trained",
+    ),
+    "orbisim_world_model.network.folded": (
+        "backends/world_model/test_speedups.py",
+        "equal to the network that it is folded from",
+    ),
+    "orbisim_world_model.network.inputs": (
+        "backends/world_model/test_model.py",
+        "values that networks are given",
+    ),
+    "orbisim_world_model.network.monolith": (
+        "backends/world_model/test_training.py",
+        "every configuration is trained",
+    ),
+    "orbisim_world_model.network.objects": (
+        "backends/world_model/test_model.py",
+        "the parts together",
+    ),
+    "orbisim_world_model.network.still": (
+        "backends/world_model/test_training.py",
+        "the baseline of every evaluation",
+    ),
+    "orbisim_world_model.network.tokens": (
+        "backends/world_model/test_model.py",
+        "what networks share",
+    ),
+    "orbisim_world_model.pack": (
+        "backends/world_model/test_packing.py",
+        "packs are written and read",
+    ),
+    "orbisim_world_model.pack_shapes": (
+        "backends/world_model/test_packing.py",
+        "packs that do not fit together",
+    ),
+    "orbisim_world_model.parallel": (
+        "backends/world_model/test_training.py",
+        "two processes train as one",
+    ),
+    "orbisim_world_model.reading": (
+        "backends/world_model/test_model.py",
+        "layouts, against MuJoCo's kinematics",
+    ),
+    "orbisim_world_model.reading_limbs": (
+        "backends/world_model/test_limbs.py",
+        "limbs, against MuJoCo's",
+    ),
+    "orbisim_world_model.run": ("backends/world_model/test_training.py", "a whole training"),
+    "orbisim_world_model.stepper": (
+        "backends/world_model/test_speedups.py",
+        "every way to step is the same step",
+    ),
+    "orbisim_world_model.trainer": ("backends/world_model/test_training.py", "a whole training"),
+    "orbisim_world_model.unroll": (
+        "backends/world_model/test_losses.py",
+        "the ratio and the losses over a sequence",
+    ),
+    "orbisim_world_model.zoo": (
+        "backends/world_model/test_manifest.py",
+        "manifests of the zoo, and what it says it has",
+    ),
 }
 """Modules and packages without a test of their name: what reaches them (below tests/), and why."""
 

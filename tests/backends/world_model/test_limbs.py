@@ -108,14 +108,6 @@ def test_nothing_depends_on_how_far_it_has_walked() -> None:
     assert torch.equal(found[0], found[1]) and bool(torch.isfinite(found).all())
 
 
-def test_segments_that_are_points_or_parallel() -> None:
-    a = torch.tensor([[[[0.0, 0, 0], [0, 0, 0]], [[0.0, 0, 0], [1, 0, 0]]]])
-    b = torch.tensor([[[[1.0, 1, 0], [1, -1, 0]], [[0.5, 1, 0], [1.5, 1, 0]]]])
-    shares = closest(a, b)
-    apart = (along(b, shares[1]) - along(a, shares[0])).norm(dim=-1)
-    torch.testing.assert_close(apart, torch.ones(1, 2))
-
-
 def test_the_model_sees_limbs_only_if_asked() -> None:
     pack = simulate(WALKER, 2, 10, 2)
     sizes = [_seen(pack.layout, touch) for touch in (False, True)]

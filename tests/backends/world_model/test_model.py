@@ -4,39 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 
-import mujoco
 import numpy as np
 import pytest
 import torch
 from orbisim_world_model.entities import Context, Entities
-from orbisim_world_model.integrate import advance, required
-from orbisim_world_model.packing import check_kinematics
-from orbisim_world_model.reading import read_layout
-from orbisim_world_model.rotation import exponential, logarithm, multiply
+from orbisim_world_model.rotation import exponential, multiply
 from orbisim_world_model.trainer import new_model
 
 from tests.backends.world_model.conftest import toy
 from tests.backends.world_model.synthetic import BOX, PENDULUM, TABLE, simulate
-
-ARM = """
-<mujoco>
-  <worldbody>
-    <body pos="0.1 0 0.2" euler="10 20 30">
-      <joint name="a" axis="0.3 1 0" pos="0.05 0 0.1" ref="20"/>
-      <geom size="0.05"/>
-      <body pos="0 0.2 0.3" quat="0.9 0.1 0.2 0.3">
-        <joint name="b" type="slide" axis="1 0.2 0" ref="0.1"/>
-        <joint name="c" axis="0 0 1" pos="0 0.1 0"/>
-        <geom size="0.05"/>
-        <body pos="0.3 0 0"><geom size="0.02"/>
-          <body pos="0 0 0.1"><joint name="d" axis="-1 0 0"/><geom size="0.02"/>
-            <site name="tcp" pos="0.02 0.03 0.04" euler="5 6 7"/></body></body>
-      </body>
-    </body>
-    <body pos="1 0 0"><freejoint/><geom size="0.1"/></body>
-  </worldbody>
-</mujoco>
-"""
 
 
 def _batch(pack, rows=slice(0, 8)):  # type: ignore[no-untyped-def]
@@ -102,20 +78,6 @@ def test_one_object_fewer_is_a_masked_object(table) -> None:  # type: ignore[no-
     torch.testing.assert_close(b.pos[:, 0], a.pos[:, 0], atol=1e-6, rtol=0)
 
 
-@pytest.mark.parametrize("name", ["default", "no_relative", "no_manifold", "no_residual"])
-def test_advance_and_required_are_inverse(name: str) -> None:
-    pack = simulate(TABLE, 3, 20, 4)
-    config, dt = toy(name).model, pack.layout.timestep
-    x, after = pack.states(torch.arange(0, 10)), pack.states(torch.arange(1, 11))
-    found = advance(x, required(x, after, dt, config), dt, config)
-    for field in ("q", "v", "pos", "vel", "ang"):
-        torch.testing.assert_close(
-            getattr(found, field), getattr(after, field), atol=2e-5, rtol=1e-5
-        )
-    same = (found.quat * after.quat).sum(-1).abs()
-    torch.testing.assert_close(same, torch.ones_like(same), atol=1e-5, rtol=0)
-
-
 def test_predicted_orientations_stay_on_the_manifold(table) -> None:  # type: ignore[no-untyped-def]
     pack, model = table
     x, control, context = _batch(pack)
@@ -125,14 +87,6 @@ def test_predicted_orientations_stay_on_the_manifold(table) -> None:  # type: ig
             step = model(x, h, control, context)
             x, h = step.state, step.memory
     torch.testing.assert_close(x.quat.norm(dim=-1), torch.ones(8, 2), atol=1e-5, rtol=0)
-
-
-def test_exponential_and_logarithm() -> None:
-    vectors = 3.0 * torch.rand(50, 3, dtype=torch.float64) / 3.0**0.5
-    vectors[0] = 0.0
-    torch.testing.assert_close(logarithm(exponential(vectors)), vectors, atol=1e-6, rtol=0)
-    negated = logarithm(-exponential(vectors))
-    torch.testing.assert_close(negated, vectors, atol=1e-6, rtol=0)
 
 
 def test_turning_the_box_on_level_ground_turns_the_prediction() -> None:
@@ -155,29 +109,6 @@ def test_turning_the_box_on_level_ground_turns_the_prediction() -> None:
     torch.testing.assert_close(b.vel, a.vel @ matrix.T, atol=1e-5, rtol=0)
     moved = a.pos @ matrix.T + torch.tensor([3.0, -1.0, 0.0])
     torch.testing.assert_close(b.pos, moved, atol=1e-5, rtol=0)
-
-
-def test_the_hand_is_where_mujoco_has_it() -> None:
-    model = mujoco.MjModel.from_xml_string(ARM)
-    layout = read_layout(model, 0.01)
-    rng = np.random.default_rng(0)
-    qpos = np.tile(model.qpos0, (20, 1))
-    qpos[:, list(layout.joint_q)] += rng.normal(0.0, 1.0, (20, 4))
-    assert check_kinematics(model, layout, qpos) < 1e-6
-
-
-def test_the_hand_moves_as_its_positions_do(table) -> None:  # type: ignore[no-untyped-def]
-    model = mujoco.MjModel.from_xml_string(ARM)
-    layout = read_layout(model, 0.01)
-    from orbisim_world_model.kinematics import Kinematics
-
-    kinematics = Kinematics(layout).double()
-    rng = np.random.default_rng(1)
-    q, v = (torch.tensor(rng.normal(size=(5, 4))) for _ in range(2))
-    eps = 1e-6
-    ahead, behind = kinematics(q + eps * v, v), kinematics(q - eps * v, v)
-    slope = (ahead[:, :3] - behind[:, :3]) / (2 * eps)
-    torch.testing.assert_close(kinematics(q, v)[:, 12:15], slope, atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize("xml", [PENDULUM, TABLE, BOX])

@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 import torch
 from orbisim_world_model.checkpoint import load_checkpoint
-from orbisim_world_model.config import Config, replaced
+from orbisim_world_model.config import Config
 from orbisim_world_model.evaluate import constant_velocity, evaluate
 from orbisim_world_model.pack import Pack, joined
-from orbisim_world_model.presets import PRESETS, preset
+from orbisim_world_model.presets import PRESETS
 from orbisim_world_model.run import Run, train
-from orbisim_world_model.schedule import Clock, learning_rate, stage_at
+from orbisim_world_model.schedule import Clock
 from orbisim_world_model.trainer import Trainer
 from safetensors.torch import load_file, save_file
 
@@ -146,47 +146,6 @@ def _with_predictions(pack: Pack) -> Pack:
     import dataclasses
 
     return dataclasses.replace(pack, base=torch.cat([pack.qpos, pack.qvel, pack.act], dim=1))
-
-
-def test_a_gradient_that_is_not_finite_changes_nothing() -> None:
-    trainer = Trainer(simulate(PENDULUM, 3, 12, 2), toy(), Clock(2, None))
-    before = trainer.optimizer.values.clone()
-    trainer.optimizer.rate.fill_(1e-3)
-    trainer.optimizer.gradient.fill_(float("nan"))
-    trainer.optimizer.step()
-    assert torch.equal(trainer.optimizer.values, before)
-    trainer.optimizer.gradient.fill_(1.0)
-    trainer.optimizer.step()
-    assert torch.isfinite(trainer.optimizer.values).all()
-    assert not torch.equal(trainer.optimizer.values, before)
-
-
-def test_the_optimizer_is_adamw() -> None:
-    trainer = Trainer(simulate(PENDULUM, 3, 12, 2), toy(), Clock(2, None))
-    ours = trainer.optimizer
-    reference = torch.nn.Parameter(ours.values.clone())
-    theirs = torch.optim.AdamW([reference], lr=1e-3, betas=(0.9, 0.98), eps=1e-9, weight_decay=0.0)
-    ours.decayed.zero_()
-    ours.rate.fill_(1e-3)
-    for seed in range(5):
-        gradient = torch.randn(len(reference), generator=torch.Generator().manual_seed(seed))
-        gradient /= 10 * gradient.norm()
-        ours.gradient.copy_(gradient)
-        reference.grad = gradient.clone()
-        ours.step()
-        theirs.step()
-    torch.testing.assert_close(ours.values, reference.data, atol=1e-6, rtol=1e-5)
-
-
-def test_the_schedule() -> None:
-    config = replaced(preset("default"), {"train.stages": "0.5x1x8,0.5x2x4ar"}).train
-    assert stage_at(config, 0.0) == (0, 0.0)
-    assert stage_at(config, 0.75) == (1, 0.5)
-    assert stage_at(config, 1.0) == (1, 1.0)
-    rates = [learning_rate(config, p / 100) for p in range(101)]
-    assert max(rates) == pytest.approx(config.rate, rel=1e-3)
-    assert rates[-1] == pytest.approx(config.final_rate)
-    assert rates[0] < 0.1 * config.rate
 
 
 def test_packs_of_scenes_with_fewer_objects_are_joined(tmp_path: Path) -> None:
