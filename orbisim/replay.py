@@ -164,8 +164,7 @@ def prepare(bound: Bound, window: float, velocities: Velocities = "recorded") ->
         raise RecordingError(
             bound.recording.source,
             "no window can start: at no sample are all joint positions known",
-            remedy=slow(bound.time)
-            or "missing samples are bridged over up to 256 sampling intervals",
+            remedy="missing samples are bridged over up to 256 sampling intervals",
         )
     late = len(set(cut(bound.time, window)) - set(windows))
     notes = [f"{late} windows start later or are left out, as the state is not known before"]
@@ -189,7 +188,7 @@ def _check_interval(bound: Bound, window: float) -> None:
         raise RecordingError(
             bound.recording.source,
             f"no window of {window:g} s holds two samples: they are {interval:.4g} s apart",
-            remedy="give a longer window; time is in seconds",
+            remedy=slow(bound.time) or "give a longer window; time is in seconds",
         )
 
 
