@@ -260,6 +260,11 @@ def _damage_bag2(folder: Path, rng: random.Random) -> None:
         _damage_map(folder, rng)
         return
     with contextlib.closing(sqlite3.connect(path)) as database, database:
+        (kind,) = database.execute(
+            "SELECT type FROM sqlite_master WHERE name = 'messages'"
+        ).fetchone()
+        if kind != "table":  # damaged before, and endless
+            return
         rows = database.execute("SELECT id, data FROM messages").fetchall()
         number, data = rng.choice(rows)
         if how <= 3:

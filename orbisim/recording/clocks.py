@@ -102,11 +102,16 @@ def seconds(values: Array, unit: Unit, source: str, name: str = NAME) -> tuple[F
 
     Args:
       values: [T] numbers, or `datetime64` or `timedelta64`. unit: of numbers.
+
+    Raises:
+      RecordingError: they are no numbers.
     """
     if values.dtype.kind in "mM":
         per_second = _TICKS[np.datetime_data(values.dtype)[0]]
         values, unit = values.astype(np.int64), Unit("ticks", "s", 1.0 / per_second)
-    if values.dtype.kind not in "fiub" or values.ndim != 1 or not len(values):
+    if values.dtype.kind not in "fiub":
+        raise RecordingError(source, f"must hold numbers; got {values.dtype}", element=repr(name))
+    if values.ndim != 1 or not len(values):
         return values, None  # which is refused as a recording's time
     first = values[0]
     if unit.factor == 1.0 and values.dtype.kind == "f":

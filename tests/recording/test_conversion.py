@@ -247,3 +247,12 @@ def test_clocks_that_do_not_meet(tmp_path: Path) -> None:
     text = "columns: {a/q: qpos/a, b/x: sensor/x}"
     with pytest.raises(RecordingError, match="do not meet those of the other signals"):
         mapped(tmp_path, tmp_path / "log.h5", text)
+
+
+def test_words_are_no_times(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["a/time"], file["a/q"] = np.array([b"x", b"y"]), [1.0, 2.0]
+        file["b/time"], file["b/x"] = [0.0, 1.0], [1.0, 2.0]
+    text = "columns: {a/q: qpos/a, b/x: sensor/x}"
+    with pytest.raises(RecordingError, match="'a/time': must hold numbers"):
+        mapped(tmp_path, tmp_path / "log.h5", text)
