@@ -16,6 +16,7 @@ from orbisim.diagnosis.found import Alternative, Candidate, FoundEffect, Retuned
 from orbisim.diagnosis.rest import Rest
 from orbisim.diagnosis.sensing import Sensed
 from orbisim.diagnosis.wording import sentence
+from orbisim.effects.carry import save_with_effects
 from orbisim.files.writing import make_folder, write_json
 from orbisim.recording import Recording
 from orbisim.recording.joints import Kind, joints
@@ -125,12 +126,13 @@ class Diagnosis:
         return page
 
     def save(self, folder: str | Path) -> Path:
-        """Writes `report.json`, `report.html` and `augmented/scene.xml` with its files; and, where
-        a residual force was learned, `augmented_with_rest/scene.xml`."""
+        """Writes `report.json`, `report.html` and `augmented/scene.xml` with its files and with
+        `effects.py` for plain MuJoCo; and, where a residual force was learned,
+        `augmented_with_rest/scene.xml`."""
         out = make_folder(folder)
-        self.augmented_scene.save(out / "augmented")
+        save_with_effects(self.augmented_scene, out / "augmented")
         if self.rest is not None and self.rest.scene is not None:
-            self.rest.scene.save(out / "augmented_with_rest")
+            save_with_effects(self.rest.scene, out / "augmented_with_rest")
         write_json(out / "report.json", self.to_json())
         self.report(out / "report.html")
         return out

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 import mujoco
 
+from orbisim.effects import plain
 from orbisim.effects.base import EffectInstance, Hook
 from orbisim.effects.catalogue import find
 from orbisim.effects.residual_network import rest_hooks
 from orbisim.errors import InputError, OrbiSimError, SceneError
+from orbisim.files.writing import write_text
 from orbisim.scene import Scene
 from orbisim.scene.texts import read_text, replace_text
 
 TEXT_NAME = "orbisim:effects"
+PLAIN = "effects.py"
+"""Beside a saved scene: what makes plain MuJoCo apply the effects that it carries."""
 
 
 def add_effects(scene: Scene, instances: Iterable[EffectInstance]) -> Scene:
@@ -74,3 +80,14 @@ def hooks_of(model: mujoco.MjModel) -> list[Hook]:
         for instance in carried_effects(model)
         if not find(instance.effect).measurement
     ]
+
+
+def save_with_effects(scene: Scene, folder: Path) -> Path:
+    """Writes the scene with its files, and `effects.py` for plain MuJoCo; gives the scene's path.
+
+    Raises:
+      OutputError: the folder cannot be written.
+    """
+    path = scene.save(folder)
+    write_text(folder / PLAIN, inspect.getsource(plain))
+    return path
