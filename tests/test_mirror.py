@@ -31,7 +31,31 @@ SEEN_THROUGH = {
         "an exception that every check raises",
     ),
     "orbisim.scene.visible": ("tasks/test_frames.py", "rows and poses are seen against images"),
-    "orbisim.scene.urdf": ("scene/urdf", "a reader is called with a document"),
+    "orbisim.scene.urdf.assembly": (
+        "scene/urdf/test_agreement.py",
+        "bodies of random robots, against MuJoCo's import",
+    ),
+    "orbisim.scene.urdf.assets": ("scene/urdf/test_geometry.py", "meshes as the scene has them"),
+    "orbisim.scene.urdf.build": ("scene/urdf/test_init.py", "the parts together"),
+    "orbisim.scene.urdf.document": (
+        "scene/urdf/test_init.py",
+        "what a document says, as the scene has it",
+    ),
+    "orbisim.scene.urdf.extension": (
+        "scene/urdf/test_init.py",
+        "MuJoCo's extension, as the scene has it",
+    ),
+    "orbisim.scene.urdf.inertials": (
+        "scene/urdf/test_inertia.py",
+        "mass properties of links, as declared or inferred",
+    ),
+    "orbisim.scene.urdf.joints": ("scene/urdf/test_init.py", "joints as the scene has them"),
+    "orbisim.scene.urdf.model": ("scene/urdf/test_init.py", "values without code"),
+    "orbisim.scene.urdf.packages": ("scene/urdf/test_geometry.py", "where files are found"),
+    "orbisim.scene.urdf.visuals": (
+        "scene/urdf/test_geometry.py",
+        "visual meshes that are not there",
+    ),
     "orbisim.scene.usd": ("scene/usd", "a reader is called with a document"),
     "orbisim.testing.backend": ("conformance/test_backends.py", "tests that others inherit"),
     "orbisim.testing.reader": ("conformance/test_readers.py", "tests that others inherit"),
