@@ -260,6 +260,8 @@ def _damage_bag2(folder: Path, rng: random.Random) -> None:
         _damage_map(folder, rng)
         return
     with contextlib.closing(sqlite3.connect(path)) as database, database:
+        steps = iter(range(1000))
+        database.set_progress_handler(lambda: next(steps, None) is None, 10_000)
         (kind,) = database.execute(
             "SELECT type FROM sqlite_master WHERE name = 'messages'"
         ).fetchone()

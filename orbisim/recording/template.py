@@ -42,9 +42,13 @@ def propose(log: Log, scene: Scene) -> Proposal:
     times = _times(log)
     rest = [column for column in log.columns if column.name not in times]
     found = matches(_components(rest), scene.model, log.table)
+    forces = [match for match in found if match.signal.startswith("torque/")]
+    found = [match for match in found if match not in forces]
     matched = {match.column.name: match.signal for match in found}
+    rest = [column for column in rest if column.name not in {m.column.name for m in forces}]
     left = [c.name for c in rest if c.name not in matched and not _parts_in(c, matched)]
     lines = [*times.values(), *(_line(match, scene.model) for match in found)]
+    lines += _forces(forces, scene.model)
     remarks = _remarks(left, set(matched.values()), scene, log)
     text = _HEAD.format(log=json.dumps(log.source), scene=json.dumps(scene.name))
     text += "".join(f"{line}\n" for line in (*lines, *remarks))
@@ -89,6 +93,14 @@ def _times(log: Log) -> dict[str, str]:
     if len(found) > 1:  # each group keeps its own
         return {name: f"  # {_text(name)} is the time of its group" for name in found}
     return found
+
+
+def _forces(found: Sequence[Match], model: mujoco.MjModel) -> Iterator[str]:
+    """Forces as comments: many logs hold zeros or currents under such names."""
+    if found:
+        yield "  # Recorded forces drive their joints where no control is mapped, and the actuators"
+        yield "  # are then off. Take these lines only if they are measured forces:"
+        yield from (f"  #{_line(match, model)[1:]}" for match in found)
 
 
 def _line(match: Match, model: mujoco.MjModel) -> str:

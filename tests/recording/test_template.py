@@ -52,3 +52,10 @@ def test_nothing_that_is_like_a_signal(tmp_path: Path) -> None:
     found = propose(opened(write(tmp_path / "a.h5", time=[0.0], xyz=[1.0])), load_scene(PENDULUM))
     assert found.unmatched == ("xyz",)
     assert "# Positions that the scene needs" in found.text
+
+
+def test_forces_are_proposed_but_not_taken(tmp_path: Path) -> None:
+    log = write(tmp_path / "a.h5", time=[0.0], hinge_pos=[1.0], hinge_effort=[0.0])
+    found = propose(opened(log), load_scene(PENDULUM))
+    assert found.matched == {"hinge_pos": "qpos/hinge"}
+    assert "  # hinge_effort: {signal: torque/hinge" in found.text
