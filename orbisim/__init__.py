@@ -68,7 +68,7 @@ _HOMES = {
 }
 """Public names and the modules that define them."""
 
-_MODULES = ("compare", "gradients", "recording", "suite", "tasks", "testing")
+_MODULES = ("compare", "gradients", "recording", "suite", "tasks", "testing", "vector")
 
 __all__ = [*_HOMES, *_MODULES]
 

@@ -49,7 +49,7 @@ def load(
       UnknownNameError: no such domain, task, backend or renderer.
       UnsupportedSceneError: the backend cannot simulate the task's scene.
     """
-    _check_name(domain_name, task_name)
+    check_name(domain_name, task_name)
     environment = _suite.load(
         domain_name,
         task_name,
@@ -109,7 +109,8 @@ def split_name(name: str) -> tuple[str, str]:
     return domain, task
 
 
-def _check_name(domain: str, task: str) -> None:
+def check_name(domain: str, task: str) -> None:
+    """Raises `UnknownNameError` unless the suite has this task in this domain."""
     domains = {d for d, _ in ALL_TASKS}
     if domain not in domains:
         raise UnknownNameError("domain of the suite", domain, domains)

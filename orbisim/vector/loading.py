@@ -1,0 +1,167 @@
+"""Makes vector environments of dm_control's tasks."""
+
+from __future__ import annotations
+
+import copy
+import secrets
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal
+
+from dm_control import suite as _suite
+from dm_control.mujoco import engine
+from dm_control.rl import control
+
+from orbisim import suite
+from orbisim.arguments import whole_number
+from orbisim.errors import InputError
+from orbisim.scene.texts import acts_between_timesteps
+from orbisim.vector.environment import VectorEnvironment
+from orbisim.vector.tasks import copies, untouched
+
+_SEEDS = 2**31
+
+_CHECKED_WORLDS = 6
+"""Worlds that are evaluated in both ways at load."""
+
+
+def load(
+    domain: str,
+    task: str,
+    nworld: int,
+    backend: str = "mujoco",
+    device: str | None = None,
+    *,
+    seed: int | None = None,
+    task_kwargs: Mapping[str, Any] | None = None,
+    environment_kwargs: Mapping[str, Any] | None = None,
+    nthread: int = 0,
+    arrays: Literal["numpy", "torch"] = "numpy",
+) -> VectorEnvironment:
+    """Loads a task of dm_control's suite in many worlds.
+
+    World `i` is what `dm_control.suite.load(domain, task, task_kwargs={"random": seed + i})` is.
+
+    Args:
+      domain: a domain of the suite (`cheetah`).
+      task: one of its tasks (`run`).
+      nworld: number of worlds.
+      backend: `mujoco`.
+      device: `cpu` or None.
+      seed: of the first world's random numbers; None for one that nobody knows.
+      task_kwargs: passed to the task, except `random`.
+      environment_kwargs: passed to the environment (`{"flat_observation": True}`).
+      nthread: number of threads; 0 for one per usable core.
+      arrays: `numpy`, or `torch` for tensors that share the arrays' memory.
+
+    Raises:
+      InputError: the number of worlds, the seed, the backend or the device is none.
+      UnknownNameError: no such domain or task.
+    """
+    suite.check_name(domain, task)
+    if "random" in (task_kwargs or {}):
+        raise InputError("task_kwargs has 'random'; pass seed=... (world i draws from seed + i)")
+
+    def make_environment(random: int) -> control.Environment:
+        return _suite.load(
+            domain,
+            task,
+            task_kwargs={**(task_kwargs or {}), "random": random},
+            environment_kwargs=dict(environment_kwargs or {}),
+        )
+
+    return from_environment(
+        make_environment,
+        nworld,
+        backend,
+        device,
+        seed=seed,
+        name=f"{domain}-{task}",
+        nthread=nthread,
+        arrays=arrays,
+    )
+
+
+def from_environment(
+    make_environment: Callable[[int], control.Environment],
+    nworld: int,
+    backend: str = "mujoco",
+    device: str | None = None,
+    *,
+    seed: int | None = None,
+    name: str = "task",
+    nthread: int = 0,
+    arrays: Literal["numpy", "torch"] = "numpy",
+) -> VectorEnvironment:
+    """Runs an environment of your own in many worlds.
+
+    Args:
+      make_environment: makes a `dm_control.rl.control.Environment` whose task draws its random
+        numbers from the seed that is given. It is called once if the task keeps a RandomState of
+        this seed that it has not drawn from yet (world i then has a copy of the task and the
+        numbers of `seed + i`), and once for each world otherwise.
+      nworld: number of worlds.
+      backend, device, seed, nthread, arrays: see `load`.
+      name: used in messages.
+
+    Raises:
+      InputError: no such environment can be run in many worlds; the message says why.
+    """
+    count, first = whole_number("nworld", nworld, 1), _first_seed(seed)
+    if backend != "mujoco":
+        raise InputError(f"backend {backend!r} does not run tasks in many worlds; use 'mujoco'")
+    if device not in (None, "cpu"):
+        raise InputError(f"backend 'mujoco' runs on the CPU only; got device {device!r}")
+    environments = [make_environment(first)]
+    _check_environment(environments[0])
+    task = environments[0].task
+    if untouched(task, first):
+        tasks = copies(task, first, count)
+    else:
+        environments += [make_environment(first + world) for world in range(1, count)]
+        for environment in environments:
+            _check_environment(environment)
+        tasks = [environment.task for environment in environments]
+    return _made(environments, tasks, name=name, nthread=nthread, arrays=arrays)
+
+
+def _first_seed(seed: int | None) -> int:
+    return secrets.randbelow(_SEEDS) if seed is None else whole_number("seed", seed, 0)
+
+
+def _made(
+    environments: Sequence[control.Environment], tasks: Sequence[Any], **options: Any
+) -> VectorEnvironment:
+    """A `VectorEnvironment` (see there) whose evaluation was tried on copies of its tasks."""
+    few = copy.deepcopy(list(tasks[:_CHECKED_WORLDS]))
+    probe = VectorEnvironment(environments[: len(few)], few, **options, check=True)
+    made = VectorEnvironment(environments, tasks, **options)
+    made.evaluate_as(probe)
+    probe.close()
+    return made
+
+
+def _check_environment(environment: Any) -> None:
+    """Raises `InputError` unless this is an environment that can be run in many worlds."""
+    if type(environment) is not control.Environment:
+        raise InputError(
+            "many worlds are made of a dm_control.rl.control.Environment; got "
+            f"{type(environment).__module__}.{type(environment).__name__}"
+        )
+    physics = environment.physics
+    if not isinstance(physics, engine.Physics):
+        raise InputError(
+            f"the environment's physics is a {type(physics).__name__}; expected a "
+            "dm_control.mujoco.Physics"
+        )
+    if getattr(physics, "backend", "mujoco") != "mujoco":
+        raise InputError(
+            f"the environment's physics uses backend {physics.backend!r}; make it with 'mujoco', "
+            "and name the backend of all worlds here"
+        )
+    if acts_between_timesteps(physics.model.ptr):
+        raise InputError("the scene carries effects that act between timesteps; they would be lost")
+    own = type(physics).step
+    if own.__module__ not in (engine.__name__, "orbisim.physics.switching"):
+        raise InputError(
+            f"{type(physics).__name__}.step is its own; many worlds are stepped by dm_control's"
+        )

@@ -1,0 +1,149 @@
+"""What differs from world to world in the model: targets, sizes, gains, terrains."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.errors import InputError
+
+Floats = npt.NDArray[Any]
+
+_ASSETS = ("mesh_", "tex_", "skin_", "bvh_", "names", "paths", "text_", "tuple_", "key_", "oct_")
+"""Parts of a model that no task changes at run time."""
+
+
+def numbers(model: mujoco.MjModel) -> dict[str, Floats]:
+    """Every array of a model and of its options by name (`geom_pos`, `opt.gravity`), as views."""
+    found = {}
+    for prefix, part in (("", model), ("opt.", model.opt)):
+        for name in dir(part):
+            if name.startswith(("_", *_ASSETS)):
+                continue
+            value = getattr(part, name)
+            if isinstance(value, np.ndarray) and value.size:
+                found[prefix + name] = value
+    return found
+
+
+def _scalars(model: mujoco.MjModel) -> dict[str, Any]:
+    """The options that are single numbers; actuation is switched off for moments in a reset."""
+    names = [n for n in dir(model.opt) if not n.startswith("_")]
+    values = {f"opt.{n}": getattr(model.opt, n) for n in names}
+    values["opt.disableflags"] &= ~int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    return {n: v for n, v in values.items() if np.isscalar(v)}
+
+
+class ModelFields:
+    """The fields of a model that tasks have changed, with their values in every world.
+
+    Args:
+      model: the model that every world starts with; read only.
+      working: its copy that tasks change, one world after the other.
+      nworld: number of worlds.
+
+    Attributes:
+      varied: values by name, each [nworld, ...].
+    """
+
+    def __init__(self, model: mujoco.MjModel, working: mujoco.MjModel, nworld: int) -> None:
+        self._working, self._nworld = working, nworld
+        self._base = {name: np.array(value) for name, value in numbers(model).items()}
+        self._base |= {name: np.array(value) for name, value in _scalars(model).items()}
+        self._views = numbers(working)
+        self.varied: dict[str, Floats] = {}
+        self._watch()
+
+    def place(self, world: int) -> None:
+        """Gives the working model a world's values."""
+        for name, rows in self.varied.items():
+            self._assign(name, rows[world])
+
+    def take(self, world: int) -> bool:
+        """Keeps what a task made of the working model as a world's; whether fields are new."""
+        changed = self._changed()
+        for name in changed:
+            self.vary(name)
+        for name, rows in self.varied.items():
+            rows[world] = self._value(name)
+        if changed:
+            self._watch()
+        return bool(changed)
+
+    def vary(self, name: str) -> Floats:
+        """Gives a field a value for each world, [nworld, ...]; the model's own to begin with."""
+        if name not in self.varied:
+            base = self._base[name]
+            self.varied[name] = np.repeat(base[None], self._nworld, axis=0)
+            self._watch()
+        return self.varied[name]
+
+    def forget(self) -> None:
+        """Gives the working model what every world starts with."""
+        for name in self._changed():
+            self._assign(name, self._base[name])
+
+    def copy_from(self, model: mujoco.MjModel, world: int) -> None:
+        """Keeps what a model of its own says of a world.
+
+        Raises:
+          InputError: it is a model of something else.
+        """
+        theirs = {n: np.array(v) for n, v in (numbers(model) | _scalars(model)).items()}
+        for name, base in self._base.items():
+            value = theirs.get(name)
+            if value is None or value.shape != base.shape:
+                raise InputError(
+                    f"world {world} has another model than world 0: {name!r} has shape "
+                    f"{None if value is None else value.shape}, not {base.shape}; all worlds "
+                    "need the same bodies, joints, geoms and actuators"
+                )
+            if name in self.varied or not np.array_equal(value, base, equal_nan=True):
+                self.vary(name)[world] = value
+
+    def write(self, world: int, model: mujoco.MjModel) -> None:
+        """Writes a world's values into a model of its own."""
+        views = numbers(model)
+        for name, rows in self.varied.items():
+            if name in views:
+                views[name][...] = rows[world]
+            else:
+                setattr(model.opt, name.removeprefix("opt."), rows[world].item())
+
+    def known(self, name: str) -> bool:
+        """Whether there is such a field."""
+        return name in self._base
+
+    def _value(self, name: str) -> Any:
+        view = self._views.get(name)
+        return _scalars(self._working)[name] if view is None else view
+
+    def _assign(self, name: str, value: Floats) -> None:
+        view = self._views.get(name)
+        if view is None:
+            setattr(self._working.opt, name.removeprefix("opt."), value.item())
+        else:
+            view[...] = value
+
+    def _watch(self) -> None:
+        """What must stay as it is: the arrays that do not vary, in one string of bytes."""
+        self._same = [v for n, v in self._views.items() if n not in self.varied]
+        fixed = [self._base[n] for n in self._views if n not in self.varied]
+        self._bytes = b"".join(v.tobytes() for v in fixed)
+        self._options = {
+            n: self._base[n].item() for n in _scalars(self._working) if n not in self.varied
+        }
+
+    def _changed(self) -> list[str]:
+        scalars = _scalars(self._working)
+        names = [n for n, v in self._options.items() if scalars[n] != v]
+        if b"".join(v.tobytes() for v in self._same) != self._bytes:
+            names += [
+                n
+                for n, view in self._views.items()
+                if n not in self.varied and view.tobytes() != self._base[n].tobytes()
+            ]
+        return names

@@ -1,0 +1,133 @@
+"""A task for each world, and one that stands for all of them when values are computed."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.vector.worlds import NotBatchedError, Worlds
+
+Ids = npt.NDArray[np.int64]
+
+
+class _NoRandomness:
+    """In place of a task's random numbers while values of many worlds are computed."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise NotBatchedError("a reward or an observation that draws random numbers")
+
+
+def is_random(value: Any) -> bool:
+    """Whether this draws random numbers."""
+    return isinstance(value, np.random.RandomState | np.random.Generator)
+
+
+def untouched(task: Any, seed: int) -> bool:
+    """Whether a task that was made with a seed has not drawn from it yet."""
+    fresh = np.random.RandomState(seed).get_state(legacy=False)
+    states = [
+        v.get_state(legacy=False)
+        for v in vars(task).values()
+        if isinstance(v, np.random.RandomState)
+    ]
+    return bool(states) and all(_same(state, fresh) for state in states)
+
+
+def copies(task: Any, seed: int, count: int) -> list[Any]:
+    """The task for each world, with random numbers of its own: those of `seed` + its number."""
+    tasks = Tasks([copy.deepcopy(task) for _ in range(count)])
+    for world in range(count):
+        tasks.seed(world, seed + world)
+    return tasks.each
+
+
+class Tasks:
+    """One task for each world.
+
+    Attributes:
+      each: the tasks.
+    """
+
+    def __init__(self, each: Sequence[Any]) -> None:
+        self.each = list(each)
+        self._shared = {k: v for k, v in vars(self.each[0]).items() if not is_random(v)}
+        self._varied: dict[str, list[Any]] = {}
+        for world in range(len(self.each)):
+            self.note(world)
+
+    def seed(self, world: int, seed: int) -> None:
+        """Gives a world's task the random numbers of a seed."""
+        task = self.each[world]
+        for name, value in vars(task).items():
+            if isinstance(value, np.random.RandomState):
+                setattr(task, name, np.random.RandomState(seed % 2**32))
+            elif is_random(value):
+                setattr(task, name, np.random.default_rng(seed))
+
+    def note(self, world: int) -> None:
+        """Takes over what an episode's beginning has set in a world's task."""
+        mine = vars(self.each[world])
+        if mine.keys() - {k for k, v in mine.items() if is_random(v)} != self._known():
+            for name in mine:
+                if name not in self._known() and not is_random(mine[name]):
+                    self._varied[name] = [vars(task).get(name) for task in self.each]
+        for name, value in list(self._shared.items()):
+            if not _same(mine.get(name), value):
+                self._varied[name] = [vars(task).get(name) for task in self.each]
+                del self._shared[name]
+        for name, values in self._varied.items():
+            values[world] = mine.get(name)
+
+    def together(self, ids: Ids | None) -> Any:
+        """A task for some worlds (None: all); what differs between them is `Worlds`.
+
+        Raises:
+          NotBatchedError: something differs that is not made of numbers.
+        """
+        task = copy.copy(self.each[0])
+        for name, value in vars(task).items():
+            if is_random(value):
+                setattr(task, name, _NoRandomness())
+        for name, values in self._varied.items():
+            setattr(task, name, _together(name, values, ids))
+        return task
+
+    def _known(self) -> set[str]:
+        return {*self._shared, *self._varied}
+
+
+def _together(name: str, values: list[Any], ids: Ids | None) -> Any:
+    chosen = values if ids is None else [values[i] for i in ids]
+    if all(_same(value, chosen[0]) for value in chosen):
+        return chosen[0]
+    try:
+        rows = np.stack([np.asarray(value) for value in chosen])
+    except ValueError:
+        rows = np.empty(0, object)
+    if rows.dtype.kind not in "biuf":
+        raise NotBatchedError(f"the task's {name!r} is of another kind in every world")
+    rows.flags.writeable = False
+    return Worlds(rows)
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Whether two values of attributes are equal; objects without equality are if they are one."""
+    if a is b:
+        return True
+    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+        kinds = isinstance(a, np.ndarray) and isinstance(b, np.ndarray)
+        return kinds and np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(_same(v, b[k]) for k, v in a.items())
+    if isinstance(a, list | tuple):
+        return len(a) == len(b) and all(map(_same, a, b))
+    try:
+        return bool(a == b)
+    except (TypeError, ValueError):
+        return False
