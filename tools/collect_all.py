@@ -20,7 +20,7 @@ from orbisim.cli.common import quiet_engine
 from orbisim.tasks.collect import collect
 from orbisim.tasks.domains import SUBSTEPS, SUITE_TASKS
 
-TRAIN, TEST = 0, 1
+TRAIN, TEST, MORE, CALIBRATION = 0, 1, 5, 3
 """Seeds."""
 
 MANY = {"acrobot": 2000, "finger": 1200, "cheetah": 2000, "hopper": 1000, "walker": 1000}
@@ -45,6 +45,10 @@ def data_sets() -> list[DataSet]:
     sets = [
         DataSet("push_train", "push"),
         DataSet("push_test", "push", 260, TEST),
+        DataSet("push_calibration", "push", 260, CALIBRATION),
+        DataSet("push_hold_train", "push_hold"),
+        DataSet("push_long_train", "push_hold", 250, MORE, changes={"steps": 500}),
+        DataSet("push_more_train", "push", seed=MORE),
         DataSet("push_low_friction", episodes=100, changes={"table_friction": 0.2}, **hit),
         DataSet("push_high_friction", episodes=100, changes={"table_friction": 0.6}, **hit),
         DataSet("push_ood_slippery", episodes=100, changes={"table_friction": 0.05}, **hit),

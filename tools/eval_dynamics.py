@@ -64,6 +64,7 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=1, help="processes, `returns`")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--episodes", type=int, default=256)
+    parser.add_argument("--tails", action="store_true", help="90 %% and worst beside medians")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
@@ -120,7 +121,11 @@ def _medians(
     for label, candidate in (("model", model), ("constant_velocity", still)):
         result = evaluate(candidate, pack, horizons or HORIZONS, burn=burn, limit=options.episodes)
         rows[label] = {
-            horizon: {k: v["median"] for k, v in values.items() if isinstance(v, dict)}
+            horizon: {
+                k: [v["median"], v["p90"], v["worst"]] if options.tails else v["median"]
+                for k, v in values.items()
+                if isinstance(v, dict)
+            }
             for horizon, values in result.items()
         }
     return rows

@@ -87,6 +87,17 @@ _SMOOTH = (
     ("train.stages", "0.4x1x2048,0.3x8x2048ar,0.3x32x2048arf"),
 )
 """For motion that is smooth most of the time, where precision decides."""
+_HOLDS = (
+    ("model.rest", True),
+    ("train.stages", "0.25x1x2048,0.35x8x2048ar,0.4x24x2048arf"),
+)
+"""For `push`, with data of rest, recovery and longer motion. One batch size, as above."""
+_TAIL = (
+    ("model.rest", True),
+    ("train.rate", 2e-4),
+    ("train.stages", "0.35x32x1024arf,0.65x100x1024arf/25"),
+)
+"""After that: rollouts of a whole episode, gradients cut every 25 steps, at a low rate."""
 _CUBES = (("train.stages", "0.35x1x8192,0.4x8x2048ar,0.25x24x1024arf"),)
 """Larger batches than usual: they are halved between the two robots."""
 _SUITE_SETTINGS = {
@@ -106,7 +117,10 @@ ABLATIONS = (
     "no_alignment",
 )
 JOBS: dict[str, Job] = {
-    "push": Job(("push",), weight=6.0),
+    "push": Job(("push", "push_hold"), settings=_HOLDS, weight=6.0),
+    "push_tail": Job(
+        ("push", "push_hold", "push_more", "push_long"), settings=_TAIL, weight=6.0, start="push"
+    ),
     "cubes": Job(("push_cubes", "pick_and_place"), settings=_CUBES, weight=6.0),
     "ball": Job(("ball", "ball_many"), settings=_EXACT, weight=4.0, horizons=(10, 20, 36), burn=0),
     "ball_500": Job(("ball",), settings=_EXACT, weight=2.0, horizons=(10, 20, 36), burn=0),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -11,22 +11,29 @@ import numpy as np
 import torch
 
 from orbisim.backend import Backend, Capability
-from orbisim.errors import DivergedError, InputError, MissingDependencyError
+from orbisim.errors import InputError, MissingDependencyError
 from orbisim.scene import Scene
 from orbisim.state import Array, State
 from orbisim.trajectory import Trajectory
 from orbisim_world_model import zoo
+from orbisim_world_model.arrays import like
 from orbisim_world_model.checkpoint import Checkpoint, load_checkpoint
-from orbisim_world_model.engine import ATTRIBUTES, MEMORY, SETTINGS, Engine, Steps
+from orbisim_world_model.engine import ATTRIBUTES, MEMORY, SETTINGS, Engine
 from orbisim_world_model.fitting import Fit, fit
 from orbisim_world_model.guard import blanked
 from orbisim_world_model.manifest import read_manifest
 from orbisim_world_model.native.translate import UntranslatableError
 from orbisim_world_model.stepper import Speedups
+from orbisim_world_model.watch import (
+    OUTSIDE,
+    UNCERTAINTY,
+    OutsideTrainingWarning,
+    UncertainPredictionWarning,
+    Watch,
+    as_kind,
+)
 
-
-class OutsideTrainingWarning(UserWarning):
-    """A scene or a state lies outside what a checkpoint was trained on."""
+__all__ = ["LearnedBackend", "OutsideTrainingWarning", "UncertainPredictionWarning"]
 
 
 class LearnedBackend(Backend):
@@ -114,7 +121,9 @@ class LearnedBackend(Backend):
         if self._native:
             self._compile(self._engine)
         self._scene = scene
-        self._warn(f"scene {scene.name!r}", found.concerns)
+        self.watch = Watch(self._engine, f"backend {self.name!r}, scene {scene.name!r}")
+        for concern in found.concerns:
+            self.watch.warn(concern)
 
     def reset(self, nworld: int | None = None, seed: int | None = None) -> State:
         """The first keyframe, or the reference configuration, in every world."""
@@ -129,17 +138,17 @@ class LearnedBackend(Backend):
     def step(self, state: State, control: Array | None = None, nstep: int = 1) -> State:
         """Advances every world by `nstep` control steps under a constant control."""
         control, nstep = self.check_step(state, control, nstep)
-        self._check_start(state)
         seconds = nstep * self.timestep
         if state.nworld == 1 and isinstance(state.qpos, np.ndarray):
             self._compile(self.engine)
         if self.engine.suits_native(state, control):
-            after = self.engine.native_step(state, control, nstep, seconds)
-            if after is not None:
-                return after
+            return self._stepped_natively(state, control, nstep)
         path = self.engine.run(state, control[:, None], nstep)
-        self._raise_if_lost(path)
-        return self.engine.state(state, path, seconds)
+        verdict = self.watch.verdict(state, path, seconds)
+        if verdict.error is not None:
+            raise verdict.error
+        verdict.memory.pop(UNCERTAINTY, None)  # the state's own memory has it
+        return self.engine.state(state, path, seconds).with_memory(**verdict.memory)
 
     def rollout(
         self,
@@ -150,18 +159,42 @@ class LearnedBackend(Backend):
         sensors: bool = True,
         raise_on_divergence: bool = False,
     ) -> Trajectory:
-        """Applies a sequence of controls open-loop, without leaving the device."""
+        """Applies a sequence of controls open-loop, without leaving the device.
+
+        What is noticed on the way is warned of at the end: `OutsideTrainingWarning` names world,
+        step and entity. The last state's memory has it as numbers (see `watch`).
+        """
         controls, nstep = self.check_rollout(state, controls, nstep)
-        self._check_start(state)
         if not controls.shape[1]:
+            self.watch.began(state)
             return self._trajectory(state, controls, [], np.full(state.nworld, -1), sensors)
-        path = self.engine.run(state, controls, nstep)
-        diverged_at = self.engine.guard.diverged_at(path.states)
-        if raise_on_divergence:
-            self.raise_diverged(diverged_at)
-        path = path._replace(states=blanked(path.states, diverged_at))
-        duration = nstep * self.timestep
-        return self.engine.trajectory(state, controls, path, diverged_at, duration)
+        path, duration = self.engine.run(state, controls, nstep), nstep * self.timestep
+        verdict = self.watch.verdict(state, path, duration)
+        if raise_on_divergence and verdict.error is not None:
+            raise verdict.error
+        path = path._replace(states=blanked(path.states, verdict.diverged_at))
+        found = self.engine.trajectory(state, controls, path, verdict.diverged_at, duration)
+        return dataclasses.replace(found, final=found.final.with_memory(**verdict.memory))
+
+    def uncertainty(self, result: State | Trajectory) -> Array | None:
+        """Half-widths of the 90 % intervals of positions, m, and rotations, rad.
+
+        Args:
+          result: a state, or what a rollout gave.
+
+        Returns:
+          [nworld, K, 2] of a state, [nworld, T, K, 2] of a rollout; K entities as `entity_names`,
+          of the robot its hand. None if the checkpoint predicts none.
+        """
+        if isinstance(result, Trajectory):
+            return result.final.memory.get(UNCERTAINTY)
+        width = self.engine.interval(self.engine.variance(result))
+        return None if width is None else like(width, result.qpos)
+
+    @property
+    def entity_names(self) -> tuple[str, ...]:
+        """`robot`, if there is one, and the objects."""
+        return self.engine.guard.names
 
     def burn_in(self, past: Trajectory) -> State:
         """The state at the end of a trajectory, with the memory of having seen all of it.
@@ -233,28 +266,18 @@ class LearnedBackend(Backend):
                 "and the actuators' controls, such as configuration 'default'"
             )
 
-    def _raise_if_lost(self, path: Steps) -> None:
-        lost = self.engine.guard.diverged_at(path.states) >= 0
-        worlds = np.flatnonzero(lost)
-        if worlds.size:
-            raise DivergedError(
-                f"backend {self.name!r}: {worlds.size} of {len(lost)} worlds diverged in scene "
-                f"{self.scene.name!r}, world {int(worlds[0])} first; the state is probably "
-                "outside what the checkpoint was trained on",
-                worlds.tolist(),
-            )
-
-    def _check_start(self, state: State) -> None:
-        if MEMORY not in state.memory:  # it comes from elsewhere
-            x = self.engine.entities(state)
-            self._warn(
-                f"state of scene {self.scene.name!r}", self.engine.guard.concerns(x.detach())
-            )
-
-    def _warn(self, where: str, concerns: Any) -> None:
-        for concern in concerns:
-            text = f"backend {self.name!r}, {where}: {concern}"
-            warnings.warn(text, OutsideTrainingWarning, stacklevel=3)
+    def _stepped_natively(self, state: State, control: Array, nstep: int) -> State:
+        """`step` by compiled C; what is within all bounds needs no closer look."""
+        seconds = nstep * self.timestep
+        watch, engine = self.watch, self.engine
+        outside = as_kind(watch.began(state), state.qpos)
+        after = engine.native_step(state, control, nstep, seconds).with_memory(**{OUTSIDE: outside})
+        if watch.calm(after):
+            return after
+        verdict = watch.verdict(state, engine.as_steps(after), seconds)
+        if verdict.error is not None:
+            raise verdict.error
+        return after.with_memory(**{OUTSIDE: verdict.memory[OUTSIDE]})
 
 
 def _device(name: str | None) -> torch.device:

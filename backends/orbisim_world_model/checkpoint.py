@@ -141,7 +141,7 @@ def load_checkpoint(
     try:
         shapes = _shapes(layout, config, manifest)
         tensors = _weights(Path(folder) / WEIGHTS, variant, shapes)
-        model = Dynamics(layout, config).build(int(manifest["controls"]))
+        model = _built(layout, config, manifest)
         model.load_state_dict({name: tensor.float() for name, tensor in tensors.items()})
     except InputError:
         raise
@@ -151,10 +151,17 @@ def load_checkpoint(
     return Checkpoint(model.eval(), manifest, Path(folder))
 
 
+def _built(layout: Layout, config: ModelConfig, manifest: dict[str, Any]) -> Dynamics:
+    """An untrained model as a manifest describes it."""
+    model = Dynamics(layout, config).build(int(manifest["controls"]))
+    known = manifest.get("uncertainty")
+    return model if known is None else model.with_spread(int(known["width"]))
+
+
 def _shapes(layout: Layout, config: ModelConfig, manifest: dict[str, Any]) -> dict[str, Any]:
     """Shapes of the weights that a manifest calls for, without giving memory to them."""
     with torch.device("meta"):
-        model = Dynamics(layout, config).build(int(manifest["controls"]))
+        model = _built(layout, config, manifest)
     shapes = {name: tuple(tensor.shape) for name, tensor in model.state_dict().items()}
     count = sum(map(math.prod, shapes.values()))
     if count > _MOST_PARAMETERS:

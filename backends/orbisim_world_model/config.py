@@ -31,6 +31,7 @@ class ModelConfig:
       contact: see the heights of the corners of boxes over the ground, on a logarithmic scale.
       touch: see where the robot's capsules are, how they move, how far they are from the floor and
         from each other, and how far joints are from their limits.
+      rest: boxes that lie flat and hardly move stay where they are (see `rest`).
     """
 
     kind: Kind = "objects"
@@ -47,6 +48,7 @@ class ModelConfig:
     skip: bool = True
     contact: bool = True
     touch: bool = False
+    rest: bool = False
     baseline: Literal["none", "mujoco"] = "none"
 
 
@@ -78,6 +80,7 @@ class Stage:
         0 to 1 on a cosine schedule over the stage; False is teacher forcing.
       warm: steps at the beginning of a sequence that always see ground truth.
       full: the ratio is 1 from the start of the stage.
+      reach: steps after which gradients through predictions are cut; 0: they reach to the start.
     """
 
     fraction: float
@@ -86,6 +89,7 @@ class Stage:
     autoregressive: bool = False
     warm: int = 1
     full: bool = False
+    reach: int = 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -184,9 +188,13 @@ def _converted(path: str, value: Any, like: Any) -> Any:
 
 
 def _stages(text: str) -> tuple[Stage, ...]:
-    """`0.4x4x2048,0.6x16x512ar`: fraction x length x batch, `ar` for autoregressive."""
+    """`0.4x4x2048,0.6x16x512ar`: fraction x length x batch, `ar` for autoregressive.
+
+    `arf` has a ratio of 1 from the start; `0.2x100x256arf/10` cuts gradients every 10 steps.
+    """
     stages = []
     for part in text.split(","):
+        part, _, reach = part.partition("/")
         body, ends = part.rstrip("arf"), part[len(part.rstrip("arf")) :]
         fraction, length, batch = body.split("x")
         stages.append(
@@ -196,6 +204,7 @@ def _stages(text: str) -> tuple[Stage, ...]:
                 int(batch),
                 autoregressive="ar" in ends,
                 full=ends.endswith("f"),
+                reach=int(reach or 0),
             )
         )
     return tuple(stages)

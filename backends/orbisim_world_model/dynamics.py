@@ -21,6 +21,8 @@ from orbisim_world_model.network.monolith import GlobalNetwork
 from orbisim_world_model.network.objects import ObjectCentricNetwork
 from orbisim_world_model.network.still import StillNetwork
 from orbisim_world_model.normalization import Normalizer
+from orbisim_world_model.rest import Rest
+from orbisim_world_model.spread import Spread
 
 _NETWORKS: dict[str, Any] = {
     "objects": ObjectCentricNetwork,
@@ -85,8 +87,10 @@ class Dynamics(nn.Module):
         super().__init__()
         self.layout, self.config = layout, config
         self.kinematics = Kinematics(layout) if layout.hand and config.extended else None
+        self.rest = Rest(layout) if config.rest and Rest.suits(layout) else None
         self.controls = layout.nu  # the number of an `action` is set by `with_controls`
         self.network: Any = None
+        self.spread: Spread | None = None
 
     def build(self, controls: int) -> Dynamics:
         """Makes the network for so many controls; returns itself."""
@@ -110,11 +114,33 @@ class Dynamics(nn.Module):
         self.network = _NETWORKS[config.kind](sizes, config)
         return self
 
+    def with_spread(self, width: int) -> Dynamics:
+        """Also predicts how far off it may be, as two more numbers of each token's memory."""
+        if self.config.kind != "objects":
+            raise InputError(f"a network of kind {self.config.kind!r} has no tokens to be off")
+        self.spread = Spread(self.sizes, width)
+        return self
+
     # -- one step ------------------------------------------------------------------------------
 
     def initial_memory(self, batch: int) -> Tensor:
-        """h_0 [B, ...], when nothing is known of the past."""
-        return self.network.initial_memory(batch)
+        """h_0 [B, ...], when nothing is known of the past; with a spread, [B, K, width + 2].
+
+        A network without memory then leaves its part out: [B, K, 2].
+        """
+        h = self.network.initial_memory(batch)
+        if self.spread is None:
+            return h
+        exact = h.new_zeros((*h.shape[:2], 2), dtype=torch.float32)
+        return torch.cat([h.float(), exact], dim=-1) if self._remembers else exact
+
+    @property
+    def _remembers(self) -> bool:
+        return self.config.memory != "none"
+
+    def variance(self, memory: Tensor) -> Tensor:
+        """The variances [B, K, 2] in a memory (see `Spread`)."""
+        return memory[..., -2:]
 
     def completed(self, x: Entities) -> Entities:
         """The state with the hand's pose and velocity that follow from the joints."""
@@ -136,18 +162,26 @@ class Dynamics(nn.Module):
         Args:
           base: what the classical step predicts for x_t, where the model corrects one.
         """
-        inputs = self._cast(self.inputs(x, control, context, base))
-        out = self.network(inputs, memory, observe)
-        return self._advanced(x, out, context.mask, base)
+        inputs = self.inputs(x, control, context, base)
+        if self.spread is None:
+            out = self.network(self._cast(inputs), memory, observe)
+            return self._advanced(x, out, context, base)
+        h = memory[..., :-2] if self._remembers else self.network.initial_memory(len(x.pos))
+        out = self.network(self._cast(inputs), h.to(self.network.start.dtype), observe)
+        variance = self.spread(inputs, self.variance(memory))
+        kept = [out.memory.float(), variance] if self._remembers else [variance]
+        out = out._replace(memory=torch.cat(kept, dim=-1))
+        return self._advanced(x, out, context, base)
 
-    def _advanced(
-        self, x: Entities, out: Outputs, mask: Tensor | None, base: Entities | None
-    ) -> Step:
+    def _advanced(self, x: Entities, out: Outputs, context: Context, base: Entities | None) -> Step:
+        mask = context.mask
         raw = Raw(*self._unscaled(out, x.pos.dtype))
         if mask is not None and self.config.residual:  # objects that are not there stay at rest
             raw = raw._replace(objects=raw.objects * mask[..., None])
         if base is None:
             state = advance(x, raw, self.layout.timestep, self.config)
+            if self.rest is not None and not self.training:  # what it holds teaches nothing
+                state = self.rest(x, state, context)
         else:
             state = advance(base, raw, 0.0, self.config)
         return Step(self.completed(state), out.memory, out.latent, out.penalty)

@@ -17,19 +17,25 @@ from orbisim_world_model.checkpoint import Checkpoint
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.guard import Guard
 from orbisim_world_model.reading import read_attributes, read_settings
+from orbisim_world_model.spread import half_widths
 from orbisim_world_model.stepper import Speedups, Stepper
 
 MEMORY = "world_model_memory"
 ATTRIBUTES, SETTINGS = "world_model_attributes", "world_model_settings"
-_STALE = frozenset({"qacc_warmstart", "history", "plugin_state"})
-"""Memory of classical backends that no longer holds after a learned step."""
+_STALE = frozenset({"qacc_warmstart", "history", "plugin_state", "world_model_uncertainty"})
+"""Memory that no longer holds after a learned step: of classical backends, and of a rollout."""
 
 
 class Steps(NamedTuple):
-    """States [T, B, ...] on the device, and the memory [B, ...] after the last."""
+    """States [T, B, ...] on the device, and the memory [B, ...] after the last.
+
+    Attributes:
+      variances: [T, B, K, 2] of a model with a spread (see `spread`); None without.
+    """
 
     states: Entities
     memory: Tensor
+    variances: Tensor | None = None
 
 
 class Engine:
@@ -56,6 +62,7 @@ class Engine:
             for read in (read_attributes, read_settings)
         )
         self._attributes, self._settings = attributes[None], settings[None]
+        self.guard = Guard(self.checkpoint.manifest, self.layout, scene.model)
         if self.native is not None:
             self.prepare_native()
 
@@ -73,13 +80,32 @@ class Engine:
             x = self.stepper.model.completed(self.entities(state))
             memory, context = self._memory(state), self._context(state)
             inputs = tensor(controls, self.device)
-            found = []
+            found, spreads = [], []
             for t in range(inputs.shape[1]):
                 for _ in range(nstep):
                     x, memory = step(x, memory, inputs[:, t], context)
                 found.append(x)
+                if self.spreads:
+                    spreads.append(self.stepper.model.variance(memory).detach())
             stacked = Entities(*(torch.stack(field) for field in zip(*found, strict=True)))
-        return Steps(stacked, memory)
+        return Steps(stacked, memory, torch.stack(spreads) if spreads else None)
+
+    @property
+    def spreads(self) -> bool:
+        """Whether the checkpoint predicts how far off it may be."""
+        return self.stepper.model.spread is not None
+
+    def variance(self, state: State) -> Tensor | None:
+        """The variances [B, K, 2] that a state carries; None without a spread."""
+        if not self.spreads:
+            return None
+        return self.stepper.model.variance(self._memory(state)).detach()
+
+    def interval(self, variance: Tensor | None) -> Tensor | None:
+        """Half-widths [..., K, 2], m and rad, of the 90 % intervals of variances."""
+        if variance is None:
+            return None
+        return half_widths(variance, self.checkpoint.manifest["uncertainty"]["factor"])
 
     def prepare_native(self) -> None:
         """Compiles the step of one world (see `native`).
@@ -104,8 +130,8 @@ class Engine:
             and SETTINGS not in state.memory
         )
 
-    def native_step(self, state: State, control: Array, nstep: int, seconds: float) -> State | None:
-        """The state after `nstep` steps; None if it diverged."""
+    def native_step(self, state: State, control: Array, nstep: int, seconds: float) -> State:
+        """The state after `nstep` steps."""
         arrays = [state.qpos, state.qvel, state.act]
         memory = state.memory.get(MEMORY, self._fresh)
         if memory.shape != self._fresh.shape:
@@ -113,8 +139,6 @@ class Engine:
         for _ in range(nstep):
             *arrays, memory = self.native(*arrays, control, memory)
         qpos, qvel, act, memory = (a.astype(np.float64) for a in (*arrays, memory))
-        if self.guard.lost(qpos, qvel):
-            return None
         kept = {name: value for name, value in state.memory.items() if name not in _STALE}
         return State(state.time + seconds, qpos, qvel, act, {**kept, MEMORY: memory})
 
@@ -126,6 +150,12 @@ class Engine:
             memory, context = self._memory(state), self._context(state)
             step = model(x, memory, tensor(control, self.device), context, base=base)
             return Steps(Entities(*(field[None] for field in step.state)), step.memory)
+
+    def as_steps(self, state: State) -> Steps:
+        """A state as the only one of a path."""
+        x, memory = self.entities(state), self._memory(state)
+        spread = self.stepper.model.variance(memory)[None] if self.spreads else None
+        return Steps(Entities(*(field[None] for field in x)), memory, spread)
 
     def state(self, before: State, path: Steps, seconds: float) -> State:
         """The last state of a path, so many seconds after it began."""

@@ -43,11 +43,11 @@ def evaluate(
       limit: at most so many episodes.
 
     Returns:
-      For each horizon and quantity its median, mean and 95 % quantile over the episodes: `trajerr`
-      (L_state, mean over the steps up to the horizon), and at the horizon itself
-      `object_position` (mm), `object_rotation` (deg), `object_velocity` (mm/s), `hand_position`,
-      `hand_rotation`, `hand_velocity`, `joint_position`, `joint_velocity`, and `normalised`
-      (root mean square over joints, in units of each coordinate's spread in the data).
+      For each horizon and quantity its median, mean, 90 and 95 % quantile and largest value over
+      the episodes: `trajerr` (L_state, mean over the steps up to the horizon), and at the horizon
+      itself `object_position` (mm), `object_rotation` (deg), `object_velocity` (mm/s),
+      `hand_position`, `hand_rotation`, `hand_velocity`, `joint_position`, `joint_velocity`, and
+      `normalised` (root mean square over joints, in units of each coordinate's spread in the data).
     """
     was_training = model.training
     model.eval()
@@ -122,7 +122,9 @@ def _summary(values: Tensor) -> dict[str, float]:
     return {
         "median": float(values.median()),
         "mean": float(values.mean()),
+        "p90": float(values.quantile(0.9)),
         "p95": float(values.quantile(0.95)),
+        "worst": float(values.max()),
     }
 
 

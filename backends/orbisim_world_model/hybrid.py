@@ -39,13 +39,14 @@ class HybridBackend(LearnedBackend):
     def step(self, state: State, control: Array | None = None, nstep: int = 1) -> State:
         """Advances every world by `nstep` control steps under a constant control."""
         control, nstep = self.check_step(state, control, nstep)
-        self._check_start(state)
         state, control = state.numpy(), _host(control)
         for _ in range(nstep):
             predicted = self._classical.step(state, control, self._substeps)
             corrected = self.engine.corrected(state, predicted, control)
-            self._raise_if_lost(corrected)
-            state = self._after(predicted, corrected)
+            verdict = self.watch.verdict(state, corrected, self.timestep)
+            if verdict.error is not None:
+                raise verdict.error
+            state = self._after(predicted, corrected).with_memory(**verdict.memory)
         return state
 
     def rollout(self, state: State, controls: Array, **options: Any) -> Trajectory:

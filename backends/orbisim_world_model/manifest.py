@@ -66,6 +66,8 @@ def _check(manifest: dict[str, Any], path: str) -> None:
     checked(str, _entry(_object(manifest, "config", path), "name", path), f"{path}: config.name")
     checked(int, manifest.get("parameters", 0), f"{path}: parameters")
     _check_sources(_object(manifest, "data", path), path)
+    if "uncertainty" in manifest:
+        _check_uncertainty(_object(manifest, "uncertainty", path), f"{path}: uncertainty")
     robots = manifest.get("variants", [])
     if not isinstance(robots, list) or len(robots) > MOST_ROBOTS:
         raise InputError(f"{path}: variants: expected a list of at most {MOST_ROBOTS} robots")
@@ -76,6 +78,15 @@ def _check(manifest: dict[str, Any], path: str) -> None:
         checked(dict[str, tuple[float, ...]], _entry(robot, "robot", where), f"{where}.robot")
     for number, view in enumerate(variants(manifest)):
         _check_robot(view, f"{path}: variants[{number - 1}]" if number else path)
+
+
+def _check_uncertainty(known: dict[str, Any], where: str) -> None:
+    width = checked(int, _entry(known, "width", where), f"{where}.width")
+    if not 1 <= width <= _MOST["width"]:
+        raise InputError(f"{where}.width is {width}; expected 1 to {_MOST['width']}")
+    factor = checked(tuple[float, float], _entry(known, "factor", where), f"{where}.factor")
+    if min(factor) <= 0:
+        raise InputError(f"{where}.factor is {list(factor)}; expected two numbers above 0")
 
 
 def _check_sources(data: dict[str, Any], path: str) -> None:

@@ -204,7 +204,7 @@ class Trainer:
         for part, (batch, draws) in zip(self.parts, self._buffers, strict=True):
             objective = Objective(part.model, part.scales, config.loss, config.train.noise)
             total, state = dynamics_loss(
-                objective, batch, draws, self.ratio, stage.warm, self._each
+                objective, batch, draws, self.ratio, stage.warm, self._each, stage.reach
             )
             (total / len(self.parts)).backward()
             losses.append(torch.stack([total.detach(), state.detach()]))

@@ -129,6 +129,7 @@ def dynamics_loss(
     ratio: Tensor,
     warm: int,
     each: Callable[[Objective, Moment, Context], MomentLoss] = moment_loss,
+    reach: int = 0,
 ) -> tuple[Tensor, Tensor]:
     """Equation L_dyn, mean over steps and sequences, and the part of it that is L_dec.
 
@@ -136,6 +137,7 @@ def dynamics_loss(
       ratio: [] share of ground truth replaced (see `autoregressive_ratio`).
       warm: how many steps see ground truth in any case.
       each: `moment_loss`, or the same compiled.
+      reach: see `Stage`.
     """
     length, size = batch.control.shape[:2]
     memory = objective.model.initial_memory(size)
@@ -155,6 +157,8 @@ def dynamics_loss(
         )
         found = each(objective, moment, batch.context)
         memory, predicted = found.memory, found.state
+        if reach and (t + 1) % reach == 0:
+            memory, predicted = memory.detach(), predicted.detach()
         total, reconstruction = total + found.loss, reconstruction + found.reconstruction
     return total / length, reconstruction / length
 

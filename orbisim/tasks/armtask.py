@@ -35,10 +35,12 @@ class ArmTask(Task):
 
     Attributes:
       arm: the arm.
+      asset: folder of the scene; the task's name if empty.
       steps: number of control steps of an episode.
     """
 
     arm: ArmConfig
+    asset: str = ""
     steps: int
     control_timestep = 0.05
     config: Any = TabletopConfig()
@@ -72,11 +74,11 @@ class ArmTask(Task):
         """
         name = self.check_subtask(subtask)
         if seed is None:
-            return assets.scene(assets.spec(self.name), self.label)
+            return assets.scene(assets.spec(self.asset or self.name), self.label)
         setting = self.setting(name, seed)
         script = self.script(name, setting, stream(seed, 1))
         pose = opening_pose(script, controller(self.arm))
-        return build(self.name, setting, self.label, *pose)
+        return build(self.asset or self.name, setting, self.label, *pose)
 
     def episode(self, subtask: str, seed: int) -> Episode:
         """One episode."""

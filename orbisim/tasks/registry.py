@@ -12,6 +12,7 @@ from orbisim.tasks.base import Task
 
 _TASKS: dict[str, str | type[Task]] = {
     "push": "orbisim.tasks.push:Push",
+    "push_hold": "orbisim.tasks.push_hold:PushHold",
     "push_cubes": "orbisim.tasks.push_cubes:PushCubes",
     "pick_and_place": "orbisim.tasks.pick_and_place:PickAndPlace",
     "ball": "orbisim.tasks.ball:Ball",

@@ -78,8 +78,9 @@ def perform(
     """Runs a script for `steps` control steps; also returns the initial state."""
     stage = Stage(model)
     stage.data.qpos[:], stage.data.ctrl[:] = opening_pose(script, arm)
+    plan = script.plan(stage)  # may move what it begins from
     initial = read_state(stage.data)
-    director = Director(script.plan(stage), arm, script.yaw, control_timestep, script.grip)
+    director = Director(plan, arm, script.yaw, control_timestep, script.grip)
     substeps = round(control_timestep / model.opt.timestep)
     data = stage.data
     qpos, qvel = [data.qpos.copy()], [data.qvel.copy()]

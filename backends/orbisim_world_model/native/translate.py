@@ -41,6 +41,11 @@ _BINARY = {
     aten.mul.Tensor: "{0} * {1}",
     aten.div.Tensor: "{0} / {1}",
     aten.rsub.Scalar: "{1} - {0}",
+    aten.lt.Scalar: "({0} < {1}) ? 1.0f : 0.0f",
+    aten.lt.Tensor: "({0} < {1}) ? 1.0f : 0.0f",
+    aten.gt.Scalar: "({0} > {1}) ? 1.0f : 0.0f",
+    aten.bitwise_and.Tensor: "{0} * {1}",
+    aten.maximum.default: "({0} > {1}) ? {0} : {1}",
 }
 
 
@@ -122,6 +127,10 @@ class Translator:
         return self.writer.elementwise(shape, text, [x])
 
     _op_clamp_min = _op_clamp
+
+    def _op_where(self, shape: Any, condition: Any, a: Any, b: Any) -> Value:
+        inputs = [self._written(item) for item in (condition, a, b)]
+        return self.writer.elementwise(shape, "({0} != 0.0f) ? {1} : {2}", inputs)
 
     def _op_full_like(self, shape: Any, x: Value, fill: float, **_: Any) -> Tensor:
         return torch.full(shape, fill)

@@ -34,12 +34,16 @@ def states():  # type: ignore[no-untyped-def]
 
 
 def test_the_first_state_that_is_lost(guard: Guard, states) -> None:  # type: ignore[no-untyped-def]
-    assert guard.diverged_at(states).tolist() == [-1, -1, -1]
+    start = states.at(0)
+    assert guard.watch(states, start).diverged_at.tolist() == [-1, -1, -1]
     pos, v = states.pos.clone(), states.v.clone()
-    pos[2:, 1] = torch.nan
-    v[1, 2] = 100 * 2.0 + 1
-    found = guard.diverged_at(states._replace(pos=pos, v=v))
+    pos[2:, 1, 1] = torch.nan
+    v[1, 2] = 10 * 2.0 + 1
+    notice = guard.watch(states._replace(pos=pos, v=v), start)
+    found = notice.diverged_at
     assert found.tolist() == [-1, 2, 1]
+    assert [guard.names[i] for i in notice.entity[1:]] == [guard.names[2], "robot"]
+    assert notice.outside_at[1, 2] == 2 and notice.outside_at[2, 0] == 1
     gone = blanked(states, found)
     assert torch.isnan(gone.q[2:, 1]).all()
     assert torch.isnan(gone.pos[1:, 2]).all()
@@ -47,12 +51,35 @@ def test_the_first_state_that_is_lost(guard: Guard, states) -> None:  # type: ig
     assert torch.equal(gone.q[:2, 1], states.q[:2, 1])
 
 
-def test_one_worlds_coordinates(guard: Guard) -> None:
-    fine = np.zeros((1, 3))
-    assert not guard.lost(fine, fine)
-    for bad in (np.nan, 1e4):
-        assert guard.lost(np.array([[bad]]), fine)
-    assert guard.lost(fine, np.array([[401.0]]))
+def test_what_began_beyond_a_bound_may_stay_there(guard: Guard, states) -> None:  # type: ignore[no-untyped-def]
+    x = states.at(0)
+    fast = x._replace(vel=x.vel + 40.0)
+    assert guard.lost(fast, x)[..., 1:].all() and not guard.lost(fast, fast)[..., 1:].any()
+    high = x._replace(pos=x.pos + torch.tensor([0.0, 0.0, 50.0]))
+    assert guard.lost(high, x)[..., 1:].all() and not guard.lost(high, high)[..., 1:].any()
+    higher = x._replace(pos=x.pos + torch.tensor([0.0, 0.0, 60.0]))
+    assert guard.lost(higher, high)[..., 1:].all()
+
+
+def test_joints_have_the_limits_of_the_scene(states) -> None:  # type: ignore[no-untyped-def]
+    model = mujoco.MjModel.from_xml_string(TABLE)
+    guard = Guard({"ranges": RANGES}, read_layout(model, 0.02), model)
+    x = states.at(0)
+    for q, lost in ((0.55, False), (0.65, True), (-0.65, True)):  # of a range of -0.5 to 0.5
+        moved = x._replace(q=torch.full_like(x.q, q))
+        assert guard.lost(moved, x)[:, 0].tolist() == [lost] * 3
+
+
+def test_one_worlds_coordinates(guard: Guard, states) -> None:  # type: ignore[no-untyped-def]
+    x = states.at(0).at(slice(0, 1))
+    x = x._replace(pos=torch.tensor([[[0.1, 0.1, 0.04], [-0.1, 0.1, 0.04]]]))
+    qpos, qvel, _ = (array.numpy() for array in guard.layout.join(x))
+    assert guard.calm(qpos, qvel)
+    for bad in (np.nan, 1e4, 0.6):
+        moved = qpos.copy()
+        moved[0, 0] = bad
+        assert not guard.calm(moved, qvel)
+    assert not guard.calm(qpos, np.full_like(qvel, 401.0))
 
 
 def test_what_lies_outside_is_named(guard: Guard, states) -> None:  # type: ignore[no-untyped-def]

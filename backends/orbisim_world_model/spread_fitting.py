@@ -1,0 +1,181 @@
+"""Trains a `Spread` on rollouts of a finished model, and calibrates it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from orbisim_world_model.dynamics import Dynamics
+from orbisim_world_model.entities import Context, Entities
+from orbisim_world_model.network.inputs import Inputs
+from orbisim_world_model.pack import Pack
+from orbisim_world_model.sampling import Windows, generator_of
+from orbisim_world_model.spread import WIDTH, deviation, propagated, true_errors
+from orbisim_world_model.unroll import open_loop
+
+LEVEL = 0.9
+"""Of the intervals that are calibrated."""
+_FREEDOM = 3.0
+"""Degrees of freedom of Student's t: errors after contacts have heavy tails."""
+
+
+class Rollouts(NamedTuple):
+    """Rollouts of a model beside the truth.
+
+    Attributes:
+      states: fields [L, B, ...], what the model saw at each step. control: [L, B, U].
+      errors: [L, B, K, 2] after each step, in `spread.UNITS`.
+      context: of each rollout. mask: [B, K].
+    """
+
+    states: Entities
+    control: Tensor
+    errors: Tensor
+    context: Context
+    mask: Tensor
+
+    def at(self, chosen: Tensor) -> Rollouts:
+        """Some of the rollouts."""
+        c = self.context
+        assert c.mask is not None
+        return Rollouts(
+            Entities(*(field[:, chosen] for field in self.states)),
+            self.control[:, chosen],
+            self.errors[:, chosen],
+            Context(c.attributes[chosen], c.world[chosen], c.mask[chosen]),
+            self.mask[chosen],
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class SpreadRun:
+    """How a spread is trained.
+
+    Attributes:
+      steps, batch: of training; rollouts in a batch. rate: of learning, at the start.
+      windows: rollouts to train on. length: of each, control steps; as long as the longest episode
+        if None.
+    """
+
+    steps: int = 1500
+    batch: int = 128
+    rate: float = 3e-3
+    windows: int = 6000
+    length: int | None = None
+    width: int = WIDTH
+    seed: int = 0
+
+
+def fit_spread(model: Dynamics, pack: Pack, held: Pack, run: SpreadRun) -> dict[str, Any]:
+    """Gives the model a spread, trained on one pack and calibrated on another.
+
+    Args:
+      model: finished; on the packs' device.
+      pack: rollouts start anywhere in its episodes. held: episodes that were not trained on.
+      run: see `SpreadRun`.
+
+    Returns:
+      What the manifest keeps: `width`, and the `factor`s by which the standard deviations of
+      position and rotation become the half-widths of 90 % intervals.
+    """
+    torch.manual_seed(run.seed)
+    model.eval().requires_grad_(False)
+    model.spread = None
+    length = run.length or int(pack.length.max())
+    data = rollouts(model, pack, length, run.windows, run.seed)
+    model.with_spread(run.width).spread.to(pack.device)  # type: ignore[union-attr]
+    assert model.spread is not None
+    optimizer = torch.optim.Adam(model.spread.parameters(), lr=run.rate)
+    count = data.control.shape[1]
+    for step in range(run.steps):
+        generator = generator_of(pack.device, run.seed, step)
+        chosen = torch.randint(count, (run.batch,), generator=generator, device=pack.device)
+        for group in optimizer.param_groups:
+            group["lr"] = run.rate * 0.5 * (1 + math.cos(math.pi * step / run.steps))
+        part = data.at(chosen)
+        loss = spread_loss(deviations(model, part), part)
+        optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(model.spread.parameters(), 1.0)
+        optimizer.step()
+    model.spread.requires_grad_(False)
+    model.spread.eval()
+    return {"width": run.width, "level": LEVEL, "factor": calibrated(model, held, length, run)}
+
+
+def rollouts(model: Dynamics, pack: Pack, length: int, count: int, seed: int) -> Rollouts:
+    """Open-loop rollouts from states drawn from the pack."""
+    windows = Windows(pack, length, model.config)
+    generator = generator_of(pack.device, seed, 0)
+    number = torch.randint(windows.count, (count,), generator=generator, device=pack.device)
+    found = []
+    for part in number.split(1024):
+        batch = windows.batch(*windows.locate(part))
+        predicted = open_loop(model, batch, 0)
+        truth = Entities(*(field[1:] for field in batch.states))
+        start = Entities(*(field[None] for field in model.completed(batch.states.at(0))))
+        seen = Entities(*(torch.cat([a, b[:-1]]) for a, b in zip(start, predicted, strict=True)))
+        errors = true_errors(predicted, truth, model.layout)
+        mask = batch.context.mask
+        assert mask is not None
+        robot = torch.ones_like(mask[:, :1]) if model.layout.has_robot else mask[:, :0]
+        tokens = torch.cat([robot, mask], dim=1)
+        found.append(Rollouts(seen, batch.control, errors, batch.context, tokens))
+    return _joined(found)
+
+
+def deviations(model: Dynamics, data: Rollouts) -> Tensor:
+    """Standard deviations [L, B, K, 2] that the model's spread predicts, in `spread.UNITS`."""
+    assert model.spread is not None
+    length, size = data.control.shape[:2]
+    flat = Entities(*(field.flatten(0, 1) for field in data.states))
+    attributes, world = (
+        part.expand(length, *part.shape).flatten(0, 1)
+        for part in (data.context.attributes, data.context.world)
+    )
+    context = Context(attributes, world, None)
+    inputs: Inputs = model.inputs(flat, data.control.flatten(0, 1), context)
+    gain, noise = (part.unflatten(0, (length, size)) for part in model.spread.rates(inputs))
+    variance, found = torch.zeros_like(noise[0]), []
+    for t in range(length):
+        variance = propagated(gain[t], noise[t], variance)
+        found.append(variance)
+    return deviation(torch.stack(found))
+
+
+def spread_loss(sizes: Tensor, data: Rollouts) -> Tensor:
+    """Negative log likelihood of the errors' sizes under half a Student's t."""
+    ratio = (data.errors / sizes).square() / _FREEDOM
+    each = sizes.log() + 0.5 * (_FREEDOM + 1.0) * torch.log1p(ratio)
+    weight = data.mask[None, ..., None].expand_as(each)
+    return (each * weight).sum() / weight.sum()
+
+
+@torch.no_grad()  # type: ignore[untyped-decorator]
+def calibrated(model: Dynamics, held: Pack, length: int, run: SpreadRun) -> list[float]:
+    """Factors of the standard deviations that cover `LEVEL` of the errors of held-out rollouts."""
+    data = rollouts(model, held, min(length, int(held.length.max())), 1024, run.seed + 1)
+    ratio = data.errors / deviations(model, data)
+    there = data.mask.expand(len(ratio), *data.mask.shape) > 0
+    return [float(_quantile(ratio[..., i][there], LEVEL)) for i in range(2)]
+
+
+def _quantile(values: Tensor, level: float) -> Tensor:
+    """`torch.quantile` takes at most 16 million numbers."""
+    return values.kthvalue(max(1, round(level * values.numel()))).values
+
+
+def _joined(parts: list[Rollouts]) -> Rollouts:
+    states = Entities(*(torch.cat(f, 1) for f in zip(*(p.states for p in parts), strict=True)))
+    context = Context(*(torch.cat(f) for f in zip(*(p.context for p in parts), strict=True)))
+    return Rollouts(
+        states,
+        torch.cat([p.control for p in parts], 1),
+        torch.cat([p.errors for p in parts], 1),
+        context,
+        torch.cat([p.mask for p in parts]),
+    )

@@ -1,0 +1,130 @@
+"""The uncertainty of a rollout: its propagation, its training, and where the backend shows it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from orbisim_world_model.backend import (
+    LearnedBackend,
+    OutsideTrainingWarning,
+    UncertainPredictionWarning,
+)
+from orbisim_world_model.checkpoint import load_checkpoint, save_checkpoint
+from orbisim_world_model.engine import MEMORY
+from orbisim_world_model.pack import Pack
+from orbisim_world_model.run import Run, train
+from orbisim_world_model.spread import UNITS, propagated
+from orbisim_world_model.spread_fitting import SpreadRun, fit_spread
+
+from orbisim import load_scene, make_backend
+from orbisim.errors import InputError
+from tests.backends.world_model.conftest import toy
+from tests.backends.world_model.synthetic import TABLE, simulate
+
+
+@pytest.fixture(scope="module")
+def pack() -> Pack:
+    return simulate(TABLE, 8, 25, 4)
+
+
+@pytest.fixture(scope="module", params=["default", "recurrent"])
+def folder(
+    request: pytest.FixtureRequest, pack: Pack, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    folder = tmp_path_factory.mktemp(request.param)
+    train(pack, toy(request.param, "1x2x32"), Run(out=folder, steps=20))
+    checkpoint = load_checkpoint(folder)
+    run = SpreadRun(steps=60, windows=32, batch=16, length=12, width=16)
+    known = fit_spread(checkpoint.model, pack, pack, run)
+    save_checkpoint(folder, [checkpoint.model], {**checkpoint.manifest, "uncertainty": known})
+    return folder
+
+
+def _backend(folder: Path, native: bool) -> LearnedBackend:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", OutsideTrainingWarning)
+        name = f"learned:{folder}"
+        backend = make_backend(name, load_scene(TABLE), device="cpu", native=native)
+    assert isinstance(backend, LearnedBackend)
+    return backend
+
+
+def test_variances_are_handed_on_and_added_up() -> None:
+    gain = torch.zeros(1, 2, 2, 2, 2)
+    gain[0, 0, 1, 0, 1] = 0.5  # onto position of the first, from rotation of the second
+    gain[0, 1, 1, 1, 1] = 2.0
+    noise = torch.tensor([[[0.1, 0.2], [0.3, 0.4]]])
+    found = propagated(gain, noise, torch.tensor([[[1.0, 2.0], [3.0, 4.0]]]))
+    assert torch.allclose(found, torch.tensor([[[2.1, 0.2], [0.3, 8.4]]]))
+
+
+@pytest.mark.parametrize("native", [False, True])
+def test_the_backend_carries_it_along(folder: Path, native: bool) -> None:
+    if native and not any(map(shutil.which, ("cc", "gcc", "clang"))):
+        pytest.skip("no C compiler")
+    backend = _backend(folder, native)
+    state, controls = backend.reset(1), np.full((1, 4, 2), 0.05)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", OutsideTrainingWarning)
+        path = backend.rollout(state, controls)
+        for t in range(4):
+            state = backend.step(state, controls[:, t])
+    whole = backend.uncertainty(path)
+    assert whole is not None and whole.shape == (1, 4, 3, 2)
+    assert backend.entity_names == ("robot", "one", "two")
+    assert (whole > 0).all() and np.isfinite(whole).all()
+    np.testing.assert_allclose(backend.uncertainty(state), whole[:, -1], rtol=2e-3)
+    np.testing.assert_allclose(
+        state.memory[MEMORY][..., -2:], path.final.memory[MEMORY][..., -2:], rtol=4e-3
+    )
+    factor = np.array(backend.checkpoint.manifest["uncertainty"]["factor"])
+    exact = np.sqrt(path.final.memory[MEMORY][..., -2:] + 1e-6) * factor * UNITS
+    np.testing.assert_allclose(whole[:, -1], exact, rtol=1e-4)
+
+
+def test_the_rest_of_a_step_is_the_same_with_it(pack: Pack, folder: Path) -> None:
+    model = load_checkpoint(folder).model
+    x = model.completed(pack.states(torch.arange(3)))
+    context = pack.context(torch.zeros(3, dtype=torch.long))
+    with_it = model(x, model.initial_memory(3), pack.ctrl[:3], context)
+    model.spread = None
+    without = model(x, model.initial_memory(3), pack.ctrl[:3], context)
+    for a, b in zip(with_it.state, without.state, strict=True):
+        assert torch.equal(a, b)
+
+
+def test_an_interval_that_is_too_wide_is_warned_of(folder: Path) -> None:
+    backend = _backend(folder, False)
+    backend.checkpoint.manifest["uncertainty"]["factor"] = [1.5e4, 1.5e4]  # of a micrometre: 15 mm
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        backend.rollout(backend.reset(2), np.zeros((2, 3, 2)))
+    found = [w for w in said if issubclass(w.category, UncertainPredictionWarning)]
+    assert len(found) == 1
+    assert "world 0, step 0, 'one': its 90 % interval" in str(found[0].message)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"width": 0}, r"uncertainty\.width is 0"),
+        ({"factor": [1.0, -1.0]}, "two numbers above 0"),
+        ({"factor": [1.0]}, "expected 2 entries"),
+        ({"width": 17}, "weights|the manifest describes"),
+    ],
+)
+def test_damaged_manifests_are_refused(
+    folder: Path, tmp_path: Path, change: dict[str, object], message: str
+) -> None:
+    shutil.copy(folder / "model.safetensors", tmp_path)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["uncertainty"].update(change)
+    (tmp_path / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(InputError, match=message):
+        load_checkpoint(tmp_path)

@@ -1,0 +1,67 @@
+"""A spread is trained on rollouts of a finished model and calibrated on others."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from orbisim_world_model.dynamics import Dynamics
+from orbisim_world_model.pack import Pack
+from orbisim_world_model.spread_fitting import (
+    Rollouts,
+    SpreadRun,
+    deviations,
+    fit_spread,
+    rollouts,
+    spread_loss,
+)
+from orbisim_world_model.trainer import new_model
+
+from tests.backends.world_model.conftest import toy
+from tests.backends.world_model.synthetic import TABLE, simulate
+
+
+@pytest.fixture(scope="module")
+def pack() -> Pack:
+    return simulate(TABLE, 8, 25, 4)
+
+
+@pytest.fixture(scope="module")
+def model(pack: Pack) -> Dynamics:
+    return new_model(pack, toy(), 0)
+
+
+def test_rollouts_begin_at_the_truth(model: Dynamics, pack: Pack) -> None:
+    data = rollouts(model.eval(), pack, 6, 10, 0)
+    assert data.errors.shape == (6, 10, 3, 2) and data.mask.shape == (10, 3)
+    first = data.states.at(0)
+    near = (pack.qpos[:, None, 0] - first.q[None, :, 0]).abs().amin(0)
+    assert near.max() < 1e-6  # a state of the data
+    step = model(first, model.initial_memory(10), data.control[0], data.context)
+    for a, b in zip(step.state, data.states.at(1), strict=True):
+        assert torch.allclose(a, b, atol=1e-6)
+    again = rollouts(model, pack, 6, 10, 0)
+    assert torch.equal(again.errors, data.errors)
+
+
+def test_the_loss_is_least_near_the_errors_size() -> None:
+    generator = torch.Generator().manual_seed(0)
+    errors = 2.0 * torch.randn(5, 400, 1, 2, generator=generator).abs()
+    data = Rollouts(None, None, errors, None, torch.ones(400, 1))  # type: ignore[arg-type]
+    losses = [float(spread_loss(torch.full_like(errors, s), data)) for s in (0.5, 1.7, 8.0)]
+    assert losses[1] < min(losses[0], losses[2])
+
+
+def test_intervals_cover_nine_in_ten_and_tell_small_errors_from_large(
+    model: Dynamics, pack: Pack
+) -> None:
+    run = SpreadRun(steps=80, windows=48, batch=16, length=12, width=16)
+    known = fit_spread(model, pack, pack, run)
+    assert known["width"] == 16 and min(known["factor"]) > 0
+    data = rollouts(model, pack, 12, 64, 5)
+    with torch.no_grad():
+        sizes = deviations(model, data)
+    for i in range(2):
+        covered = (data.errors[..., i] <= sizes[..., i] * known["factor"][i]).float().mean()
+        assert 0.8 < covered < 0.98
+    order = [t.log().flatten().clamp_min(-9.0) for t in (sizes[..., 0], data.errors[..., 0])]
+    assert torch.corrcoef(torch.stack(order))[0, 1] > 0.5
