@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,12 @@ import torch
 
 from orbisim.backend import Backend, Capability
 from orbisim.errors import InputError, MissingDependencyError
+from orbisim.errors import (
+    DivergedError,
+    InputError,
+    MissingDependencyError,
+    UnsupportedSceneError,
+)
 from orbisim.scene import Scene
 from orbisim.state import Array, State
 from orbisim.trajectory import Trajectory
@@ -19,10 +27,13 @@ from orbisim_world_model import zoo
 from orbisim_world_model.arrays import like
 from orbisim_world_model.checkpoint import Checkpoint, load_checkpoint
 from orbisim_world_model.engine import ATTRIBUTES, MEMORY, SETTINGS, Engine
+from orbisim_world_model.engine import ATTRIBUTES, MEMORY, SETTINGS, Engine, Steps
+from orbisim_world_model.entities import Entities, Hand
 from orbisim_world_model.fitting import Fit, fit
 from orbisim_world_model.guard import blanked
 from orbisim_world_model.manifest import read_manifest
 from orbisim_world_model.native.translate import UntranslatableError
+from orbisim_world_model.properties import Values, with_object, with_world
 from orbisim_world_model.stepper import Speedups
 from orbisim_world_model.watch import (
     OUTSIDE,
@@ -234,6 +245,47 @@ class LearnedBackend(Backend):
         return state.with_memory(
             **{name: values for name, (values, _) in expected.items() if values is not None}
         )
+
+    def with_properties(
+        self,
+        state: State,
+        objects: Mapping[str, Values] | None = None,
+        world: Values | None = None,
+    ) -> State:
+        """The state in worlds whose objects or surroundings have other properties, by name.
+
+        Values may differ from world to world and carry gradients (see `properties.with_object`).
+
+        Args:
+          state: where they go, into its memory; what it has there already is changed.
+          objects: by object `mass`, `density`, `friction_slide` ...
+          world: `friction_slide` of the surface, `gravity_z` ...
+
+        Raises:
+          UnknownNameError: there is no such object or property.
+          InputError: a value makes no sense, or the property cannot be changed alone.
+        """
+        context, layout = self.engine.context(state), self.engine.layout
+        attributes, settings = context.attributes, with_world(context.world, layout, world or {})
+        for name, changes in (objects or {}).items():
+            attributes = with_object(attributes, layout, name, changes)
+        return self.with_descriptors(state, attributes=attributes, settings=settings)
+
+    def entities(self, state: State) -> Entities:
+        """The state as the model sees it: robot, hand and objects, with gradients to the state."""
+        x: Entities = self.engine.stepper.model.completed(self.engine.entities(state))
+        return x
+
+    def hand(self, state: State) -> Hand:
+        """Pose and velocity of the robot's hand, with gradients to the state.
+
+        Raises:
+          UnsupportedSceneError: the scene has no robot whose hand is known.
+        """
+        if not self.engine.layout.hand:
+            raise UnsupportedSceneError(self.scene.source, "there is no hand of a robot")
+        x = self.entities(state)
+        return Hand(x.hand_pos, x.hand_rot, x.hand_vel, x.hand_ang)
 
     # -- inner workings ------------------------------------------------------------------------
 

@@ -78,7 +78,7 @@ class Engine:
         step = self._step_exactly if gradients else self.stepper
         with torch.set_grad_enabled(gradients):
             x = self.stepper.model.completed(self.entities(state))
-            memory, context = self._memory(state), self._context(state)
+            memory, context = self._memory(state), self.context(state)
             inputs = tensor(controls, self.device)
             found, spreads = [], []
             for t in range(inputs.shape[1]):
@@ -147,7 +147,7 @@ class Engine:
         with torch.no_grad():
             model = self.stepper.model
             x, base = model.completed(self.entities(state)), self.entities(predicted)
-            memory, context = self._memory(state), self._context(state)
+            memory, context = self._memory(state), self.context(state)
             step = model(x, memory, tensor(control, self.device), context, base=base)
             return Steps(Entities(*(field[None] for field in step.state)), step.memory)
 
@@ -207,7 +207,8 @@ class Engine:
             return fresh
         return tensor(given, self.device).to(fresh.dtype)
 
-    def _context(self, state: State) -> Context:
+    def context(self, state: State) -> Context:
+        """The descriptors of each world: the state's own, or the scene's."""
         count = state.nworld
         attributes = tensor(state.memory.get(ATTRIBUTES, self._attributes), self.device)
         settings = tensor(state.memory.get(SETTINGS, self._settings), self.device)

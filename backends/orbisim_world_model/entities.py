@@ -64,6 +64,19 @@ class Entities(NamedTuple):
         return Entities(*(field.detach() for field in self))
 
 
+class Hand(NamedTuple):
+    """The robot's hand in the world frame.
+
+    Attributes:
+      pos: [B, 3], m. rot: [B, 3, 3]. vel: [B, 3], m/s. ang: [B, 3], rad/s.
+    """
+
+    pos: Tensor
+    rot: Tensor
+    vel: Tensor
+    ang: Tensor
+
+
 class Context(NamedTuple):
     """The static descriptors of each world.
 

@@ -12,6 +12,11 @@ from orbisim.errors import OrbiSimError
 from orbisim.host.children import begin_work
 
 
+_NOT_FORKED = {"torch", "OpenGL.EGL"}
+"""Modules that a forked process cannot go on with: torch's threads may hang there, and NVIDIA's
+driver makes no context on an EGL display that was opened before the fork (EGL_BAD_ALLOC)."""
+
+
 def run(work: Callable[..., None], jobs: Sequence[tuple[Any, ...]], workers: int) -> Iterator[None]:
     """Runs `work(*job)` for every job; yields once for each that is done, in any order.
 
@@ -20,8 +25,7 @@ def run(work: Callable[..., None], jobs: Sequence[tuple[Any, ...]], workers: int
     Raises:
       OrbiSimError: a process was killed (for memory, say); whatever a job raises.
     """
-    # a fork of a process with torch in it may hang in torch's threads
-    context = multiprocessing.get_context("spawn" if "torch" in sys.modules else "fork")
+    context = multiprocessing.get_context("spawn" if _NOT_FORKED & sys.modules.keys() else "fork")
     others = set(multiprocessing.active_children())
     with concurrent.futures.ProcessPoolExecutor(workers, context, begin_work) as pool:
         futures = [pool.submit(work, *job) for job in jobs]
