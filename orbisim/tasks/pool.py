@@ -11,7 +11,6 @@ from typing import Any
 from orbisim.errors import OrbiSimError
 from orbisim.host.children import begin_work
 
-
 _NOT_FORKED = {"torch", "OpenGL.EGL"}
 """Modules that a forked process cannot go on with: torch's threads may hang there, and NVIDIA's
 driver makes no context on an EGL display that was opened before the fork (EGL_BAD_ALLOC)."""
