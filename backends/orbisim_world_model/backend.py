@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,13 +12,7 @@ import numpy as np
 import torch
 
 from orbisim.backend import Backend, Capability
-from orbisim.errors import InputError, MissingDependencyError
-from orbisim.errors import (
-    DivergedError,
-    InputError,
-    MissingDependencyError,
-    UnsupportedSceneError,
-)
+from orbisim.errors import InputError, MissingDependencyError, UnsupportedSceneError
 from orbisim.scene import Scene
 from orbisim.state import Array, State
 from orbisim.trajectory import Trajectory
@@ -27,7 +20,6 @@ from orbisim_world_model import zoo
 from orbisim_world_model.arrays import like
 from orbisim_world_model.checkpoint import Checkpoint, load_checkpoint
 from orbisim_world_model.engine import ATTRIBUTES, MEMORY, SETTINGS, Engine
-from orbisim_world_model.engine import ATTRIBUTES, MEMORY, SETTINGS, Engine, Steps
 from orbisim_world_model.entities import Entities, Hand
 from orbisim_world_model.fitting import Fit, fit
 from orbisim_world_model.guard import blanked
