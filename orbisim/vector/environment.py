@@ -15,9 +15,11 @@ from dm_control.suite import base
 from dm_env import specs
 
 from orbisim.arguments import real_array, whole_number
-from orbisim.errors import InputError
+from orbisim.backend import Backend
+from orbisim.errors import InputError, UnsupportedSceneError
 from orbisim.state import Array, State
 from orbisim.vector.evaluation import Batched, Evaluator, Values, WorldByWorld, disagreement
+from orbisim.vector.mirrored import Mirrored
 from orbisim.vector.models import ModelFields
 from orbisim.vector.simulator import Threads
 from orbisim.vector.tasks import Tasks
@@ -65,6 +67,7 @@ class VectorEnvironment:
         than their random numbers.
       tasks: a task for each world.
       name: used in messages.
+      backend: what steps, with the scene loaded; None for C MuJoCo in threads.
       nthread: number of threads; 0 for one per usable core.
       arrays: `numpy` or `torch` (tensors that share the arrays' memory).
       check: whether to compare both ways of evaluation first; it draws random numbers.
@@ -83,6 +86,7 @@ class VectorEnvironment:
         tasks: Sequence[Any],
         *,
         name: str,
+        backend: Backend | None = None,
         nthread: int = 0,
         arrays: Literal["numpy", "torch"] = "numpy",
         check: bool = False,
@@ -99,8 +103,10 @@ class VectorEnvironment:
         model = self._pristine.model.ptr
         self._fields = ModelFields(model, self._physics.model.ptr, self.nworld)
         legacy = self._physics.legacy_step = bool(first.physics.legacy_step)
-        self._simulator = Threads(
-            model, self._fields, self.nworld, legacy_step=legacy, nthread=nthread
+        self._simulator = (
+            Threads(model, self._fields, self.nworld, legacy_step=legacy, nthread=nthread)
+            if backend is None
+            else Mirrored(backend, model, self._fields, self.nworld)
         )
         self._take_models(environments)
         self._exact = WorldByWorld(self._physics, self._simulator, self._fields, self._tasks)
@@ -364,11 +370,30 @@ class VectorEnvironment:
 
     def _evaluated(self, check: bool) -> tuple[Evaluator, str]:
         """The evaluator that can be used, and the reason if it is the slow one."""
+        if check and isinstance(self._simulator, Mirrored):
+            self._check_reported(self._simulator.backend.name)
         if self._acts_before or self._acts_after:
             return self._exact, "the task acts on the physics before or after a step"
         batched = Batched(self._pristine, self._simulator, self._fields, self._tasks)
         reason = self._disagreement(batched) if check else ""
         return (self._exact, reason) if reason else (batched, "")
+
+    def _check_reported(self, backend: str) -> None:
+        """Raises `UnsupportedSceneError` if the task reads what a backend does not report."""
+        self.reset()
+        worlds = np.arange(self.nworld)
+        well = worlds[~self._simulator.step(worlds, self._steps)]
+        if not len(well):
+            return
+        values = self._exact.values(well)
+        for name, rows in {**values.observation, "reward": values.reward}.items():
+            if rows.dtype.kind == "f" and np.isnan(rows).any():
+                raise UnsupportedSceneError(
+                    self.name,
+                    f"{name!r} reads what backend {backend!r} does not report (accelerations, "
+                    "contact forces, or sensors of them)",
+                    remedy="use 'mujoco'",
+                )
 
     def _disagreement(self, batched: Batched) -> str:
         """Why the batched evaluation cannot be used; empty if it gives dm_control's own bits."""

@@ -13,7 +13,10 @@ from dm_control.rl import control
 
 from orbisim import suite
 from orbisim.arguments import whole_number
+from orbisim.backend import Backend
 from orbisim.errors import InputError
+from orbisim.registry import make_backend
+from orbisim.scene import Scene
 from orbisim.scene.texts import acts_between_timesteps
 from orbisim.vector.environment import VectorEnvironment
 from orbisim.vector.tasks import copies, untouched
@@ -28,7 +31,7 @@ def load(
     domain: str,
     task: str,
     nworld: int,
-    backend: str = "mujoco",
+    backend: str | Backend = "mujoco",
     device: str | None = None,
     *,
     seed: int | None = None,
@@ -45,8 +48,10 @@ def load(
       domain: a domain of the suite (`cheetah`).
       task: one of its tasks (`run`).
       nworld: number of worlds.
-      backend: `mujoco`.
-      device: `cpu` or None.
+      backend: what steps, by name (`mujoco`, `warp`, `learned`) or an object. Episodes begin in C
+        MuJoCo whatever it is, and what tasks read goes through MuJoCo's position and velocity
+        stages on the host (see `orbisim.Physics`).
+      device: where the backend computes.
       seed: of the first world's random numbers; None for one that nobody knows.
       task_kwargs: passed to the task, except `random`.
       environment_kwargs: passed to the environment (`{"flat_observation": True}`).
@@ -55,7 +60,9 @@ def load(
 
     Raises:
       InputError: the number of worlds, the seed, the backend or the device is none.
-      UnknownNameError: no such domain or task.
+      UnknownNameError: no such domain, task or backend.
+      UnsupportedSceneError: the backend cannot simulate the scene, does not report what the task
+        reads, or simulates one model where the task changes it from world to world.
     """
     suite.check_name(domain, task)
     if "random" in (task_kwargs or {}):
@@ -84,7 +91,7 @@ def load(
 def from_environment(
     make_environment: Callable[[int], control.Environment],
     nworld: int,
-    backend: str = "mujoco",
+    backend: str | Backend = "mujoco",
     device: str | None = None,
     *,
     seed: int | None = None,
@@ -107,10 +114,6 @@ def from_environment(
       InputError: no such environment can be run in many worlds; the message says why.
     """
     count, first = whole_number("nworld", nworld, 1), _first_seed(seed)
-    if backend != "mujoco":
-        raise InputError(f"backend {backend!r} does not run tasks in many worlds; use 'mujoco'")
-    if device not in (None, "cpu"):
-        raise InputError(f"backend 'mujoco' runs on the CPU only; got device {device!r}")
     environments = [make_environment(first)]
     _check_environment(environments[0])
     task = environments[0].task
@@ -121,7 +124,29 @@ def from_environment(
         for environment in environments:
             _check_environment(environment)
         tasks = [environment.task for environment in environments]
-    return _made(environments, tasks, name=name, nthread=nthread, arrays=arrays)
+    return _made(
+        environments,
+        tasks,
+        name=name,
+        backend=_stepper(backend, device, environments[0], count, name),
+        nthread=nthread,
+        arrays=arrays,
+    )
+
+
+def _stepper(
+    backend: str | Backend, device: str | None, environment: Any, nworld: int, name: str
+) -> Backend | None:
+    """The backend with the environment's scene loaded; None for C MuJoCo in threads."""
+    model = environment.physics.model.ptr
+    native = backend == "mujoco" and not acts_between_timesteps(model)
+    if native and device in (None, "cpu"):
+        return None
+    scene = Scene.from_model(model, source=name)
+    if isinstance(backend, Backend):
+        backend.load(scene)
+        return backend
+    return make_backend(backend, scene, nworld=nworld, device=device)
 
 
 def _first_seed(seed: int | None) -> int:
@@ -158,8 +183,6 @@ def _check_environment(environment: Any) -> None:
             f"the environment's physics uses backend {physics.backend!r}; make it with 'mujoco', "
             "and name the backend of all worlds here"
         )
-    if acts_between_timesteps(physics.model.ptr):
-        raise InputError("the scene carries effects that act between timesteps; they would be lost")
     own = type(physics).step
     if own.__module__ not in (engine.__name__, "orbisim.physics.switching"):
         raise InputError(

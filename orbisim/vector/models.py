@@ -16,6 +16,27 @@ _ASSETS = ("mesh_", "tex_", "skin_", "bvh_", "names", "paths", "text_", "tuple_"
 """Parts of a model that no task changes at run time."""
 
 
+COSMETIC = ("rgba", "light_", "mat_", "cam_", "vis.", "_group", "_user", "hfield_size")
+"""Parts of the names of fields that no step reads."""
+
+
+def _moves_or_touches(model: mujoco.MjModel, body: int) -> bool:
+    """Whether a body, or one that it carries, has a joint or a geom that touches something."""
+    below = [body]
+    for other in range(body + 1, model.nbody):
+        if model.body_parentid[other] in below:
+            below.append(other)
+    touches = _touching(model)[np.isin(model.geom_bodyid, below)]
+    return bool(touches.any() or model.body_dofnum[below].any() or model.body_weldid[body] != 0)
+
+
+def _touching(model: mujoco.MjModel) -> npt.NDArray[np.bool_]:
+    """[ngeom]: which geoms can touch others."""
+    kinds = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    on = not model.opt.disableflags & int(kinds)
+    return np.asarray((model.geom_contype | model.geom_conaffinity) != 0) & on
+
+
 def numbers(model: mujoco.MjModel) -> dict[str, Floats]:
     """Every array of a model and of its options by name (`geom_pos`, `opt.gravity`), as views."""
     found = {}
@@ -113,9 +134,25 @@ class ModelFields:
             else:
                 setattr(model.opt, name.removeprefix("opt."), rows[world].item())
 
-    def known(self, name: str) -> bool:
-        """Whether there is such a field."""
-        return name in self._base
+    def harmless(self, name: str) -> bool:
+        """Whether what differs in a field is seen and sensed only, and moves nothing.
+
+        Colours, lights, cameras and sites; geoms that touch nothing; bodies that cannot move and
+        carry no geom that touches something.
+        """
+        if any(part in name for part in COSMETIC) or name.startswith("site_"):
+            return True
+        rows = self.varied[name]
+        differ = (rows != self._base[name]).reshape(
+            len(rows), rows.shape[1] if rows.ndim > 1 else 1, -1
+        )
+        numbers_of = np.flatnonzero(differ.any(axis=(0, 2)))
+        model = self._working
+        if name in ("geom_pos", "geom_quat", "geom_size"):
+            return not _touching(model)[numbers_of].any()
+        if name in ("body_pos", "body_quat"):
+            return not any(_moves_or_touches(model, int(body)) for body in numbers_of)
+        return False
 
     def _value(self, name: str) -> Any:
         view = self._views.get(name)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from orbisim.host.cpus import usable_cpus
 from orbisim.state import MEMORY, State
-from orbisim.vector.models import ModelFields
+from orbisim.vector.models import COSMETIC, ModelFields
 from orbisim.vector.worlds import NotBatchedError
 
 Rows = npt.NDArray[Any]
@@ -20,8 +20,6 @@ Ids = npt.NDArray[np.int64]
 
 _SPEC = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _PHYSICAL = ("time", "qpos", "qvel", "act")
-_COSMETIC = ("rgba", "light_", "mat_", "cam_", "vis.", "_group", "_user", "hfield_size")
-"""Fields that a batch cannot vary, and that no step reads."""
 
 
 class Threads:
@@ -64,7 +62,7 @@ class Threads:
 
     def set_models(self, worlds: Ids) -> None:
         """Gives worlds the values that the fields of their models have now."""
-        needed = [n for n in self._fields.varied if not any(part in n for part in _COSMETIC)]
+        needed = [n for n in self._fields.varied if not any(part in n for part in COSMETIC)]
         if self._models is None and all(n in mujoco.batch.MODEL_FIELDS for n in needed):
             for name in needed:
                 self._expand(name)[worlds] = self._fields.varied[name][worlds]
