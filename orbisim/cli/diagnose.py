@@ -17,6 +17,7 @@ from orbisim.cli.common import (
     seed_option,
     writable_folder,
 )
+from orbisim.errors import InputError
 
 
 @click.command(
@@ -24,7 +25,19 @@ from orbisim.cli.common import (
     epilog="Example: orbisim diagnose arm.xml run1.npz run2.npz run3.npz run4.npz --out diagnosis",
 )
 @click.argument("scene")
-@click.argument("recordings", nargs=-1, required=True, metavar="RECORDING...")
+@click.argument("recordings", nargs=-1, metavar="RECORDING...")
+@click.option(
+    "--fleet",
+    type=click.Path(path_type=Path),
+    default=None,
+    metavar="DIR",
+    help="Instead of recordings: a folder with a folder of recordings for each robot. One "
+    "diagnosis for each, and one table in --out; the same command goes on where it was stopped.",
+)
+@click.option(
+    "--workers", type=int, default=None, help="Of --fleet: processes. Default: all cores."
+)
+@click.option("--ray", is_flag=True, help="Of --fleet: spread over a Ray cluster (or local).")
 @click.option(
     "--held-out",
     "held_out",
@@ -85,6 +98,9 @@ from orbisim.cli.common import (
 def command(
     scene: str,
     recordings: tuple[str, ...],
+    fleet: Path | None,
+    workers: int | None,
+    ray: bool,
     held_out: tuple[str, ...],
     window: float,
     residual: Literal["motion", "force"] | None,
@@ -101,6 +117,8 @@ def command(
 ) -> None:
     """Find the physical effect that SCENE lacks, from measurements of the real thing.
 
+    With --fleet, of each robot of a fleet, and tell which robot differs from the others.
+
     Computes the residual, traces it to effects of the catalogue, adds them to the scene, and
     reports the free-running error before and after on data that nothing was fitted to.
     """
@@ -108,6 +126,7 @@ def command(
     from orbisim.effects import find
     from orbisim.recording import load_recordings
 
+    _check_fleet(recordings, held_out, fleet, out, workers, ray, learn_rest)
     for name in effects:
         find(name)
     settings = Settings(
@@ -117,6 +136,14 @@ def command(
         patience=patience,
         seed=seed,
     )
+    if fleet is not None and out is not None:
+        from orbisim.diagnosis.fleet import Options, diagnose_fleet
+
+        chosen = Options(window, residual, backend, settings, mapping)
+        _print_fleet(
+            diagnose_fleet(scene, fleet, out, chosen, workers=workers, ray=ray), out, as_json
+        )
+        return
     measured = load_recordings(recordings, mapping)
     unseen = load_recordings(held_out, mapping)
     result = diagnose(
@@ -129,6 +156,52 @@ def command(
         emit_json(result.to_json())
         return
     _print(result)
+
+
+def _check_fleet(
+    recordings: tuple[str, ...],
+    held_out: tuple[str, ...],
+    fleet: Path | None,
+    out: Path | None,
+    workers: int | None,
+    ray: bool,
+    learn_rest: bool,
+) -> None:
+    """Raises `InputError` unless there are recordings or a fleet, and options that fit."""
+    if fleet is None:
+        if not recordings:
+            raise InputError("name recordings, or a folder of robots with --fleet DIR")
+        if workers is not None or ray:
+            raise InputError("--workers and --ray go with --fleet DIR")
+        return
+    if recordings or held_out or learn_rest:
+        raise InputError(
+            "--fleet DIR takes the recordings from its folders, and goes without RECORDING, "
+            "--held-out and --learn-rest"
+        )
+    if out is None:
+        raise InputError("--fleet needs --out DIR: that is where what is done is kept")
+
+
+def _print_fleet(result: Any, out: Path, as_json: bool) -> None:
+    """The table of robots by effects; outliers have an exclamation mark."""
+    note(f"report: {out / 'report.html'}")
+    if as_json:
+        emit_json(result.to_json())
+        return
+    heads = [f"{r.effect} {r.target} ({r.unit})" for r in result.rows if r.effect != "left over"]
+    lines = []
+    for one in result.robots:
+        shown = [r.cells.get(one.name) for r in result.rows if r.effect != "left over"]
+        numbers = [
+            "-" if c is None or not c.found else f"{c.value:.4g}{' !' * c.outlier}" for c in shown
+        ]
+        verdict = one.report["verdict"] if one.report else f"no diagnosis: {one.problem}"
+        mark = "!" if one.name in result.outliers else ""
+        lines.append((one.name, mark, *numbers, verdict))
+    print_table("Fleet", ("robot", "outlier", *heads, "verdict"), lines)
+    if result.outliers:
+        click.echo(f"\n{', '.join(result.outliers)}: unlike the others.")
 
 
 def _print(result: Any) -> None:
