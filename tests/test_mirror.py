@@ -144,10 +144,6 @@ SEEN_THROUGH = {
         "backends/world_model/test_training.py",
         "the baseline of every evaluation",
     ),
-    "orbisim_world_model.network.tokens": (
-        "backends/world_model/test_model.py",
-        "what networks share",
-    ),
     "orbisim_world_model.pack": (
         "backends/world_model/test_packing.py",
         "packs are written and read",

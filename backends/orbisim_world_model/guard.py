@@ -59,7 +59,7 @@ class Guard:
     ) -> None:
         self.ranges, self.layout = manifest["ranges"], layout
         self.names = (("robot",) if layout.has_robot else ()) + layout.objects
-        self.joint_limits = _joint_limits(layout, model)
+        self.joint_limits = _joint_limits(layout, self.ranges, model)
         self.speeds = {
             name: float(self.ranges[name])
             for name in ("joint_speed", "object_speed", "object_turning")
@@ -246,14 +246,20 @@ def blanked(states: Entities, diverged_at: npt.NDArray[np.int64]) -> Entities:
     return Entities(*map(blank, states))
 
 
-def _joint_limits(layout: Layout, model: mujoco.MjModel | None) -> npt.NDArray[np.float64]:
-    """[2, J]: coordinates that no joint reaches, rad or m."""
+def _joint_limits(
+    layout: Layout, ranges: dict[str, Any], model: mujoco.MjModel | None
+) -> npt.NDArray[np.float64]:
+    """[2, J]: coordinates that no joint reaches, rad or m.
+
+    Limits are soft: how far strong motors push past them, the training data know.
+    """
     limits = np.array([[-_FAR], [_FAR]]) * np.ones(len(layout.joints))
     for index, name in enumerate(layout.joints):
         if model is not None and model.joint(name).limited[0]:
             low, high = model.joint(name).range
             room = _PAST * (high - low) + 10 * _TINY
-            limits[:, index] = low - room, high + room
+            least, most = ranges["joints"][name]
+            limits[:, index] = min(low, least) - room, max(high, most) + room
     return limits
 
 

@@ -265,6 +265,7 @@ def _save(trainer: Trainer, run: Run, held: list[Pack] | None) -> dict[str, Any]
             "seconds": round(clock.elapsed, 1),
             "seed": run.seed,
             "device": _device_name(trainer.device),
+            "precision": trainer.precision,
             "processes": parallel.size(),
             "finished": clock.progress >= 1.0,
         },

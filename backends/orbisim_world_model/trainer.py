@@ -98,6 +98,11 @@ class Trainer:
         """One for each robot."""
         return [part.model for part in self.parts]
 
+    @property
+    def precision(self) -> str:
+        """Of the matrix products that it computes; only a GPU has TF32."""
+        return self.config.train.precision if self.device.type == "cuda" else "fp32"
+
     def step(self) -> None:
         """One step of training; the losses are collected for `losses`."""
         config, clock = self.config.train, self.clock

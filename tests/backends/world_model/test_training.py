@@ -14,11 +14,13 @@ import torch
 from orbisim_world_model.checkpoint import load_checkpoint
 from orbisim_world_model.config import Config
 from orbisim_world_model.evaluate import constant_velocity, evaluate
+from orbisim_world_model.network.objects import ObjectCentricNetwork
 from orbisim_world_model.pack import Pack, joined
 from orbisim_world_model.presets import PRESETS
 from orbisim_world_model.run import Run, train
 from orbisim_world_model.schedule import Clock
 from orbisim_world_model.trainer import Trainer
+from orbisim_world_model.unroll import moment_loss
 from safetensors.torch import load_file, save_file
 
 from orbisim.errors import InputError, OrbiSimError
@@ -225,3 +227,40 @@ def test_damaged_progress_is_not_gone_on_with(tmp_path: Path, damage: Any) -> No
     damage(tmp_path / "training.safetensors")
     with pytest.raises(InputError, match=r"training\.safetensors"):
         train(pack, toy(), Run(out=tmp_path, steps=4, resume=True))
+
+
+def test_manifests_say_in_what_precision_was_trained(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = set()
+    forward = ObjectCentricNetwork.forward
+
+    def watched(self: ObjectCentricNetwork, inputs: Any, *rest: Any) -> Any:
+        out = forward(self, inputs, *rest)
+        seen.add((out.latent.dtype, torch.is_autocast_enabled("cpu")))
+        return out
+
+    monkeypatch.setattr(ObjectCentricNetwork, "forward", watched)
+    manifest = train(simulate(TABLE, 4, 12, 4), toy(), Run(out=tmp_path, steps=2))
+    assert seen == {(torch.float32, False)}
+    assert manifest["training"]["precision"] == "fp32"
+    assert Config.from_dict(manifest["config"]).train.precision == "tf32"  # on a GPU it would be
+
+
+def test_gradients_are_cut_where_a_stage_says_so() -> None:
+    pack = simulate(TABLE, 3, 20, 4)
+    config = toy(stages="1x6x8arf/2", train__noise=0.0)
+    assert config.train.stages[0].reach == 2
+    trainer = Trainer(pack, config, Clock(1, None), seed=0)
+    cut = []
+
+    def each(objective: Any, moment: Any, context: Any) -> Any:
+        given = moment.predicted
+        cut.append(given is not None and not given.pos.requires_grad)
+        return moment_loss(objective, moment, context)
+
+    trainer._each = each
+    trainer._prepare(0)
+    cut.clear()
+    trainer.step()
+    assert cut == [False, False, True, False, True, False]
