@@ -134,12 +134,17 @@ class Comparison:
             "faults": list(self.faults),
         }
 
-    def report(self, folder: str | Path, *, video: bool = True) -> Path:
-        """Writes `report.html` and `report.json` into a folder; returns the path of the page."""
+    def report(self, folder: str | Path, *, video: bool = True, renderer: str = "mujoco") -> Path:
+        """Writes `report.html` and `report.json` into a folder; returns the path of the page.
+
+        Args:
+          folder: where to. video: whether the page shows one.
+          renderer: of the video; one other than MuJoCo's is shown beside it.
+        """
         folder = make_folder(folder)
         write_json(folder / "report.json", self.to_json())
         write_report = plugins.load("orbisim.reports", "compare", "report")
-        page: Path = write_report(self, folder / "report.html", video=video)
+        page: Path = write_report(self, folder / "report.html", video=video, renderer=renderer)
         return page
 
 

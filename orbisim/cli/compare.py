@@ -41,6 +41,12 @@ from orbisim.cli.common import (
     help="Folder for report.html and .json.",
 )
 @click.option("--video/--no-video", default=True, help="Whether the report shows a video.")
+@click.option(
+    "--renderer",
+    default="mujoco",
+    show_default=True,
+    help="Of the video; another one is shown beside MuJoCo's.",
+)
 @device_option
 @seed_option
 @json_option
@@ -53,6 +59,7 @@ def command(
     horizon: float | None,
     out: Path | None,
     video: bool,
+    renderer: str,
     device: str | None,
     seed: int,
     as_json: bool,
@@ -71,7 +78,7 @@ def command(
     for fault in result.faults:
         note(f"warning: {fault}")
     if out is not None:
-        note(f"report: {result.report(out, video=video)}")
+        note(f"report: {result.report(out, video=video, renderer=renderer)}")
     summary = result.to_json()
     if as_json:
         emit_json(summary)

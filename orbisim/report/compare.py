@@ -21,6 +21,7 @@ from orbisim.scene.descriptor import name_of
 
 _SIZE = {"height": 240, "width": 320}
 """Of a video, pixels: two of them side by side fit a page."""
+_MUJOCO = "mujoco"
 _FPS = 30
 """Frames of the videos for each second of simulated time."""
 _TITLES = {
@@ -34,9 +35,11 @@ _MAX_JOINTS = 6
 """Charts of the worst episode: the joints that differ most say what there is to see."""
 
 
-def write_report(comparison: Comparison, path: Path, *, video: bool = True) -> Path:
+def write_report(
+    comparison: Comparison, path: Path, *, video: bool = True, renderer: str = _MUJOCO
+) -> Path:
     """Writes the page; returns its path."""
-    film, reason = _film(comparison) if video else (None, "it was not asked for")
+    film, reason = _film(comparison, renderer) if video else (None, "it was not asked for")
     page = render_page(
         "compare.html",
         source=comparison.source,
@@ -58,6 +61,7 @@ def write_report(comparison: Comparison, path: Path, *, video: bool = True) -> P
         diverged=comparison.diverged,
         faults=comparison.faults,
         video=film,
+        renderer="" if renderer == _MUJOCO else renderer,
         no_video=reason,
         command=_command(comparison),
     )
@@ -187,29 +191,41 @@ def _state_charts(comparison: Comparison) -> list[Markup]:
     return charts
 
 
-def _film(comparison: Comparison) -> tuple[str | None, str]:
-    """The worst episode side by side as a data URI, or None and why not."""
-    world = comparison.worst_episode
+def _film(comparison: Comparison, renderer: str) -> tuple[str | None, str]:
+    """The worst episode as a data URI, or None and why not.
+
+    Both sides next to each other; with a renderer other than MuJoCo's the second side as MuJoCo
+    and as that renderer shows it, and how far they are apart.
+    """
     try:
-        renderer = make_renderer("mujoco", comparison.scene)
-        films = [
-            video.frames_of(
-                renderer,
-                side.trajectory.time[world],
-                side.trajectory.qpos[world],
-                dataclasses.replace(side.trajectory.initial)[world],
-                _FPS,
-                camera=_camera(comparison.scene.model),
-                **_SIZE,
-            )
-            for side in (comparison.a, comparison.b)
-        ]
-        renderer.close()
+        if renderer == _MUJOCO:
+            films = [_frames(comparison, s, _MUJOCO) for s in (comparison.a, comparison.b)]
+        else:
+            films = [_frames(comparison, comparison.b, name) for name in (_MUJOCO, renderer)]
+            films.append(video.difference(*films))
     except RenderingUnavailableError as error:
         return None, str(error)
     except OrbiSimError as error:
         return None, f"rendering failed: {error}"
     return video.data_uri(video.side_by_side(*films), _FPS), ""
+
+
+def _frames(comparison: Comparison, side: Side, name: str) -> list[video.Frames]:
+    """The worst episode of one side, by one renderer."""
+    world = comparison.worst_episode
+    renderer = make_renderer(name, comparison.scene)
+    try:
+        return video.frames_of(
+            renderer,
+            side.trajectory.time[world],
+            side.trajectory.qpos[world],
+            dataclasses.replace(side.trajectory.initial)[world],
+            _FPS,
+            camera=_camera(comparison.scene.model),
+            **_SIZE,
+        )
+    finally:
+        renderer.close()
 
 
 def _camera(model: mujoco.MjModel) -> int:

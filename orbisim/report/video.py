@@ -52,10 +52,23 @@ def data_uri(frames: Sequence[Frames], fps: float) -> str:
     return f"data:video/mp4;base64,{encoded}"
 
 
-def side_by_side(left: Sequence[Frames], right: Sequence[Frames]) -> list[Frames]:
-    """Frames of two videos next to each other, with a gap."""
-    gap = np.full((left[0].shape[0], 4, 3), 128, np.uint8)
-    return [np.concatenate([a, gap, b], axis=1) for a, b in zip(left, right, strict=True)]
+def side_by_side(*films: Sequence[Frames]) -> list[Frames]:
+    """Frames of several videos next to each other, with gaps."""
+    gap = np.full((films[0][0].shape[0], 4, 3), 128, np.uint8)
+
+    def joined(frames: tuple[Frames, ...]) -> Frames:
+        parts = [part for frame in frames for part in (gap, frame)]
+        return np.concatenate(parts[1:], axis=1)
+
+    return [joined(frames) for frames in zip(*films, strict=True)]
+
+
+def difference(a: Sequence[Frames], b: Sequence[Frames]) -> list[Frames]:
+    """How far the frames of two videos are apart, four times as bright as it is."""
+    return [
+        np.minimum(4 * np.abs(x.astype(np.int16) - y), 255).astype(np.uint8)
+        for x, y in zip(a, b, strict=True)
+    ]
 
 
 def frames_of(

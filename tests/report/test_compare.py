@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from orbisim import load_scene, metrics
+from orbisim import load_scene, make_renderer, metrics
 from orbisim.compare import Comparison, compare
+from orbisim.errors import RenderingUnavailableError
 from orbisim.report.compare import _command, _qpos_names, _summary
 from tests.physics.test_switching import Drift
 from tests.test_compare import MIXED
@@ -57,3 +58,13 @@ def test_coordinates_are_named() -> None:
     names = _qpos_names(load_scene(MIXED).model)
     assert names[:3] == ["joint0/x", "joint0/y", "joint0/z"]
     assert names[3:] == [*(f"joint0/{q}" for q in ("qw", "qx", "qy", "qz")), "hinge", "slide"]
+
+
+def test_another_renderer_is_shown_beside_mujocos(comparison: Comparison, tmp_path: Path) -> None:
+    try:
+        make_renderer("mujoco", comparison.scene).render(comparison.a.trajectory.initial)
+    except RenderingUnavailableError:
+        pytest.skip("no OpenGL")
+    page = comparison.report(tmp_path, renderer="null").read_text()
+    assert "in the middle as null does" in page
+    assert "data:video/mp4" in page

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from orbisim.errors import InputError
-from orbisim.report.video import data_uri, frames_of, side_by_side, write_video
+from orbisim.report.video import data_uri, difference, frames_of, side_by_side, write_video
 from orbisim.scene import Scene
 from orbisim.state import State
 from tests.test_renderer import Height
@@ -47,6 +47,18 @@ def test_side_by_side() -> None:
     assert (frame[:, :32] == 1).all()
     assert (frame[:, 32:36] == 128).all()
     assert (frame[:, 36:] == 9).all()
+
+
+def test_three_side_by_side() -> None:
+    (frame, *_) = side_by_side(grey(1), grey(9), grey(5))
+    assert frame.shape == (16, 3 * 32 + 2 * 4, 3)
+    assert (frame[:, -32:] == 5).all()
+
+
+def test_differences_are_shown_four_times_as_bright() -> None:
+    assert (difference(grey(100), grey(110))[0] == 40).all()
+    assert (difference(grey(110), grey(100))[0] == 40).all()
+    assert (difference(grey(0), grey(200))[0] == 255).all()
 
 
 class Painter(Height):
