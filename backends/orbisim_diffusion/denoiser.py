@@ -92,7 +92,7 @@ class VideoBlock(nn.Module):
 
 
 class Denoiser(nn.Module):
-    """A video U-Net of two sizes over the sequence y_{t-K:t}.
+    """Denoiser: a video U-Net of two sizes over the sequence y_{t-K:t}.
 
     Each frame is a slot: its (noisy) latent, its clean latent (context only), the anchor, and the
     features of the condition maps (target only), concatenated by channel.
