@@ -12,10 +12,18 @@ if TYPE_CHECKING:
     from orbisim.vector.gymnasium_adapter import gym as gym
     from orbisim.vector.loading import from_environment as from_environment
     from orbisim.vector.loading import load as load
+    from orbisim.vector.randomization import between as between
+    from orbisim.vector.randomization import factor as factor
+    from orbisim.vector.randomization import intervals as intervals
+    from orbisim.vector.scenes import from_scene as from_scene
     from orbisim.vector.worlds import NotBatchedError as NotBatchedError
     from orbisim.vector.worlds import Worlds as Worlds
 
 _HOMES = {
+    "from_scene": "orbisim.vector.scenes",
+    "intervals": "orbisim.vector.randomization",
+    "factor": "orbisim.vector.randomization",
+    "between": "orbisim.vector.randomization",
     "NotBatchedError": "orbisim.vector.worlds",
     "Step": "orbisim.vector.environment",
     "VectorEnvironment": "orbisim.vector.environment",

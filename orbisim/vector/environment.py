@@ -21,6 +21,7 @@ from orbisim.state import Array, State
 from orbisim.vector.evaluation import Batched, Evaluator, Values, WorldByWorld, disagreement
 from orbisim.vector.mirrored import Mirrored
 from orbisim.vector.models import ModelFields
+from orbisim.vector.randomization import Randomization
 from orbisim.vector.simulator import Threads
 from orbisim.vector.tasks import Tasks
 
@@ -68,6 +69,7 @@ class VectorEnvironment:
       tasks: a task for each world.
       name: used in messages.
       backend: what steps, with the scene loaded; None for C MuJoCo in threads.
+      randomization: draws what differs in the models of the worlds, with each episode.
       nthread: number of threads; 0 for one per usable core.
       arrays: `numpy` or `torch` (tensors that share the arrays' memory).
       check: whether to compare both ways of evaluation first; it draws random numbers.
@@ -87,6 +89,7 @@ class VectorEnvironment:
         *,
         name: str,
         backend: Backend | None = None,
+        randomization: Randomization | None = None,
         nthread: int = 0,
         arrays: Literal["numpy", "torch"] = "numpy",
         check: bool = False,
@@ -98,7 +101,7 @@ class VectorEnvironment:
         self._flat = first._flat_observation
         self._pristine: engine.Physics = first.physics
         self._physics: engine.Physics = first.physics.copy()
-        self._tasks = Tasks(tasks)
+        self._tasks, self._randomization = Tasks(tasks), randomization
         self._action_spec = first.action_spec()
         model = self._pristine.model.ptr
         self._fields = ModelFields(model, self._physics.model.ptr, self.nworld)
@@ -160,6 +163,8 @@ class VectorEnvironment:
         for world, one in enumerate(_seeds(seed, self.nworld)):
             if one is not None:
                 self._tasks.seed(world, one)
+                if self._randomization is not None:
+                    self._randomization.seed(world, one)
         observation = self._blank()
         self._begin(np.arange(self.nworld), observation)
         self._last = observation
@@ -226,6 +231,8 @@ class VectorEnvironment:
         for world in worlds:
             task = self._tasks.each[world]
             self._fields.place(world)
+            if self._randomization is not None:
+                self._randomization.apply(world, physics.model.ptr)
             with physics.reset_context():
                 task.initialize_episode(physics)
             first = self._flattened(task.get_observation(physics))

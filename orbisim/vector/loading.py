@@ -19,6 +19,7 @@ from orbisim.registry import make_backend
 from orbisim.scene import Scene
 from orbisim.scene.texts import acts_between_timesteps
 from orbisim.vector.environment import VectorEnvironment
+from orbisim.vector.randomization import Draw, Randomization
 from orbisim.vector.tasks import copies, untouched
 
 _SEEDS = 2**31
@@ -37,6 +38,7 @@ def load(
     seed: int | None = None,
     task_kwargs: Mapping[str, Any] | None = None,
     environment_kwargs: Mapping[str, Any] | None = None,
+    randomize: Mapping[str, Draw] | None = None,
     nthread: int = 0,
     arrays: Literal["numpy", "torch"] = "numpy",
 ) -> VectorEnvironment:
@@ -55,6 +57,10 @@ def load(
       seed: of the first world's random numbers; None for one that nobody knows.
       task_kwargs: passed to the task, except `random`.
       environment_kwargs: passed to the environment (`{"flat_observation": True}`).
+      randomize: fields of the model that are drawn for each episode of each world, by name
+        (`geom_friction`) or name and element (`body_mass/torso`): `factor(low, high)` of the
+        declared numbers, `between(low, high)`, or a function of a `numpy.random.Generator` and the
+        declared numbers. What MuJoCo derives from them follows (`mj_setConst`).
       nthread: number of threads; 0 for one per usable core.
       arrays: `numpy`, or `torch` for tensors that share the arrays' memory.
 
@@ -83,6 +89,7 @@ def load(
         device,
         seed=seed,
         name=f"{domain}-{task}",
+        randomize=randomize,
         nthread=nthread,
         arrays=arrays,
     )
@@ -96,6 +103,8 @@ def from_environment(
     *,
     seed: int | None = None,
     name: str = "task",
+    randomize: Mapping[str, Draw] | None = None,
+    one_by_one: bool = False,
     nthread: int = 0,
     arrays: Literal["numpy", "torch"] = "numpy",
 ) -> VectorEnvironment:
@@ -107,8 +116,9 @@ def from_environment(
         this seed that it has not drawn from yet (world i then has a copy of the task and the
         numbers of `seed + i`), and once for each world otherwise.
       nworld: number of worlds.
-      backend, device, seed, nthread, arrays: see `load`.
+      backend, device, seed, randomize, nthread, arrays: see `load`.
       name: used in messages.
+      one_by_one: whether worlds differ in more than random numbers, so that each is made.
 
     Raises:
       InputError: no such environment can be run in many worlds; the message says why.
@@ -117,16 +127,18 @@ def from_environment(
     environments = [make_environment(first)]
     _check_environment(environments[0])
     task = environments[0].task
-    if untouched(task, first):
+    if untouched(task, first) and not one_by_one:
         tasks = copies(task, first, count)
     else:
         environments += [make_environment(first + world) for world in range(1, count)]
         for environment in environments:
             _check_environment(environment)
         tasks = [environment.task for environment in environments]
+    physics = environments[0].physics
     return _made(
         environments,
         tasks,
+        None if randomize is None else lambda n: Randomization(physics, randomize, n, first),
         name=name,
         backend=_stepper(backend, device, environments[0], count, name),
         nthread=nthread,
@@ -154,12 +166,17 @@ def _first_seed(seed: int | None) -> int:
 
 
 def _made(
-    environments: Sequence[control.Environment], tasks: Sequence[Any], **options: Any
+    environments: Sequence[control.Environment],
+    tasks: Sequence[Any],
+    randomization: Callable[[int], Randomization] | None,
+    **options: Any,
 ) -> VectorEnvironment:
     """A `VectorEnvironment` (see there) whose evaluation was tried on copies of its tasks."""
     few = copy.deepcopy(list(tasks[:_CHECKED_WORLDS]))
-    probe = VectorEnvironment(environments[: len(few)], few, **options, check=True)
-    made = VectorEnvironment(environments, tasks, **options)
+    draws = [None if randomization is None else randomization(n) for n in (len(few), len(tasks))]
+    options_of_probe = {**options, "randomization": draws[0], "check": True}
+    probe = VectorEnvironment(environments[: len(few)], few, **options_of_probe)
+    made = VectorEnvironment(environments, tasks, **options, randomization=draws[1])
     made.evaluate_as(probe)
     probe.close()
     return made
