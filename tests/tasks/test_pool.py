@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 _PARENT = """
-import signal, sys, time
+import multiprocessing, signal, sys, time
 from pathlib import Path
 from orbisim.tasks import pool
 {before}
@@ -20,7 +20,8 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # shells let backgroun
 
 def work(folder):
     import os
-    (folder / str(os.getpid())).touch()
+    kind = type(multiprocessing.current_process()).__name__
+    (folder / "-".join([str(os.getpid()), kind])).touch()
     time.sleep(60)
 
 if __name__ == "__main__":
@@ -45,18 +46,20 @@ def wait_until(condition, seconds: float = 60.0) -> bool:
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
-@pytest.mark.parametrize("start", ["fork", "spawn"])
+@pytest.mark.parametrize("loaded", ["", "torch", "OpenGL.EGL"])
 @pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGKILL, signal.SIGINT])
-def test_workers_end_with_their_parent(tmp_path: Path, kind: signal.Signals, start: str) -> None:
+def test_workers_end_with_their_parent(tmp_path: Path, kind: signal.Signals, loaded: str) -> None:
     script = tmp_path / "parent.py"
-    before = "import types; sys.modules['torch'] = types.ModuleType('torch')"
-    script.write_text(_PARENT.format(before=before if start == "spawn" else ""))
+    before = f"import types; sys.modules[{loaded!r}] = types.ModuleType({loaded!r})"
+    script.write_text(_PARENT.format(before=before if loaded else ""))
     folder = tmp_path / "workers"
     folder.mkdir()
     parent = subprocess.Popen([sys.executable, str(script), str(folder)], stderr=subprocess.DEVNULL)
     try:
         assert wait_until(lambda: len(list(folder.iterdir())) == 2)
-        workers = [int(path.name) for path in folder.iterdir()]
+        workers = {int(path.name.partition("-")[0]): path.name for path in folder.iterdir()}
+        begun = "SpawnProcess" if loaded else "ForkProcess"
+        assert all(name.endswith(begun) for name in workers.values())
         assert not any(map(gone, workers))
         os.kill(parent.pid, kind)
         parent.wait(60)
