@@ -45,7 +45,12 @@ from orbisim.errors import InputError
     metavar="RECORDING",
     help="A recording that nothing may be fitted to (repeatable). Default: some are kept back.",
 )
-@click.option("--window", default=0.5, show_default=True, help="Duration of a free run, s.")
+@click.option(
+    "--window",
+    type=float,
+    help="Duration of a free run, s. Default: 0.5, or as long as 60 samples take where that has "
+    "fewer than 30.",
+)
 @click.option(
     "--residual",
     type=click.Choice(["motion", "force"]),
@@ -102,7 +107,7 @@ def command(
     workers: int | None,
     ray: bool,
     held_out: tuple[str, ...],
-    window: float,
+    window: float | None,
     residual: Literal["motion", "force"] | None,
     backend: str,
     effects: tuple[str, ...],

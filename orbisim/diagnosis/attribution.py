@@ -5,10 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-import numpy as np
-
 from orbisim.diagnosis.bench import SAME, Bench, Hypothesis
-from orbisim.diagnosis.conclusion import Attribution, conclude
+from orbisim.diagnosis.conclusion import Attribution, conclude, sure
 from orbisim.diagnosis.joint import propose
 from orbisim.diagnosis.paying import few_bad, settles, strain, unpaid
 from orbisim.diagnosis.refine import Judge, Judged
@@ -19,6 +17,7 @@ from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.state import NEAR, Progress, SearchState, quiet
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.swapping import swapped, united
+from orbisim.diagnosis.worth import worth
 from orbisim.effects import EffectInstance
 
 
@@ -33,10 +32,9 @@ def attribute(bench: Bench, settings: Settings, say: Progress = lambda _: None) 
     state.say("screening effects")
     first = state.screen(nothing)
     found = _explain(state, nothing, first)
-    together = _jointly(state, found)
-    if together is not None:
-        found = state.prune(_add_all(state, together))
-    return conclude(state, united(state, swapped(state, found)), first)
+    if not state.heavy:
+        found = united(state, swapped(state, found))
+    return conclude(state, found, first)
 
 
 def _explain(state: SearchState, nothing: Judged, first: Screening) -> Judged:
@@ -95,6 +93,9 @@ def _several(
         return min(ends, key=lambda one: one.cost)
     starts = [one for one in (retuned, best and state.tuned(best.hypothesis)) if one is not None]
     start = min(starts, key=lambda one: one.cost) if starts else best or tuned or nothing
+    together = _jointly(state, start)
+    if together is not None:
+        return together
     if start is nothing or _explained(state, start):
         return state.untuned(state.prune(start, newest=True))
     return _forward(state, start, tuned or nothing, first)
@@ -211,33 +212,27 @@ def _paired(
 
 
 def _jointly(state: SearchState, rival: Judged) -> Judged | None:
-    """Several effects at once, if they are better than what was found before."""
+    """Several effects at once, if they surely predict better than what was found before."""
     if state.bench.contacts or rival.ratio <= NEAR:
         return None
     state.say("several effects at once")
     bench, settings = state.given, state.settings
-    most = max(settings.most_effects, _TOGETHER)
-    effects = propose(bench, bench.intervals, settings.effects, most)
-    if len(effects) < max(1, len(rival.hypothesis.effects)):
+    effects = propose(bench, bench.intervals, settings.effects, _TOGETHER)
+    if not effects:
         return None
-    robust = settings.robust or _HUBER
-    judge = Judge(bench, bench.intervals, (), None, settings.windows, robust)
-    fitted = judge.judge(Hypothesis(effects), 6)
+    judge = Judge(bench, bench.intervals, (), None, settings.windows, None, heavy=True)
+    nothing = judge.judge(Hypothesis(), 6)
+    fitted = judge.judge(Hypothesis(effects), _ITERATIONS)
+    if fitted is None or nothing is None:
+        return None
+    fitted = sure(state, judge, nothing, fitted)
     plain = dataclasses.replace(rival.hypothesis, factors=())
-    others = [judge.judge(one, 6) for one in (Hypothesis(), plain)]
-    if fitted is None or not all(o is not None and _steadier(settings, o, fitted) for o in others):
+    other = nothing if not plain.effects else judge.judge(plain, _ITERATIONS)
+    model = bench.scene.model
+    if fitted is nothing or (other is not None and worth(model, other, fitted).sure <= 0):
         return None
-    state.restart(judge, robust)
-    return state.prune(fitted)
-
-
-def _steadier(settings: Settings, before: Judged, after: Judged) -> bool:
-    """Whether check windows get better in amplitude: squares are those of a few windows where
-    models of a real machine fall short."""
-    drop = np.sqrt(before.checked) - np.sqrt(after.checked)
-    error = float(drop.std() / np.sqrt(max(len(drop), 1)))
-    sure = float(drop.mean()) > settings.certainty * error
-    return sure and before.cost - after.cost > settings.margin
+    state.restart(judge)
+    return fitted
 
 
 def _forward(state: SearchState, start: Judged, base: Judged, first: Screening) -> Judged:
@@ -275,8 +270,9 @@ def _add_all(state: SearchState, current: Judged) -> Judged:
     return current
 
 
-_TOGETHER = 6
-_HUBER = 4.0
+_TOGETHER = 12
+"""Effects at most that are selected together."""
+_ITERATIONS = 8
 _HALF = 0.5
 _MOST = 0.2
 _CLOSE = 1.3

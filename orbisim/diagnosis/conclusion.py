@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
-from orbisim.diagnosis.consistency import doubtful
+from orbisim.diagnosis.consistency import absurd
 from orbisim.diagnosis.laws import imitated
 from orbisim.diagnosis.paying import strain
 from orbisim.diagnosis.refine import Judge, Judged
@@ -18,6 +16,7 @@ from orbisim.diagnosis.rounds import ROUNDED, TIE, hollowed, numbers
 from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.state import NEAR, Rival, SearchState
 from orbisim.diagnosis.suspects import Screening
+from orbisim.diagnosis.worth import worth
 from orbisim.effects import EffectInstance, find
 
 Floats = npt.NDArray[np.float64]
@@ -68,20 +67,22 @@ def conclude(state: SearchState, current: Judged, first: Screening | None) -> At
     whole = state.bench.whole()
     judge = Judge(
         whole, state.intervals, state.tunables, state.columns, _MOST_WINDOWS,
-        state.robust,
+        state.robust, state.heavy,
     )  # fmt: skip
     before = _finally(state, judge, state.declared or current, Hypothesis())
     assert before is not None
     after = _finally(state, judge, current, current.hypothesis) or current
-    after = scanned(state, judge, duel(state, judge, after))
+    after = after if state.heavy else scanned(state, judge, duel(state, judge, after))
     if not current.hypothesis.effects and not current.hypothesis.factors:
         after = before
     else:
-        problem = doubt(state, whole, before, after)
+        if after.ratio > NEAR:
+            after = sure(state, judge, before, after)
+        problem = doubt(after)
         if problem is None and not state.bench.contacts:
             problem = imitated(judge, after, state.settings.margin)
         if problem is not None:
-            state.rejected += [(effect, problem) for effect in after.hypothesis.effects]
+            state.rejected += [(effect, problem) for effect in current.hypothesis.effects]
             after = before
     judge.start_from(after)
     fewer = (
@@ -245,50 +246,47 @@ def _needed(state: SearchState, other: Hypothesis, best: Judged) -> float:
 _DUELS = 2
 
 
-def _share_left(state: SearchState, before: Judged, after: Judged) -> float:
-    """Share of the residual's amplitude beyond the noise that is left. Where bodies touch, in the
-    typical window if the residual shows there: some impacts no start brings about, of the true
-    scene neither."""
-
-    def left(of: Callable[[Floats], Any]) -> tuple[float, float]:
-        squares = (float(of(judged.checked)) - 1.0 for judged in (before, after))
-        one, other = (_amplitude(square, state.robust) for square in squares)
-        return one, other / max(one, 1e-12)
-
-    share = left(np.mean)[1]
-    size, typical = left(np.median)
-    return min(share, typical) if state.bench.contacts and size > _SHOWS else share
-
-
-_SHOWS = 0.5
-"""Amplitude beyond the noise, in units of it, that typical windows must have had to tell."""
-
-
-def doubt(state: SearchState, whole: Bench, before: Judged, after: Judged) -> str | None:
-    """Why an explanation is none, as it leaves too much, differs from motion to motion, or takes
-    declared parameters too far; None if it is one."""
-    strained = bool(strain(after.hypothesis))
-    if strained and (after.ratio > NEAR or not after.hypothesis.effects):
+def doubt(after: Judged) -> str | None:
+    """Why an explanation is none, as it takes declared parameters too far, or names no effect where
+    much is left; None if it is one."""
+    effects = after.hypothesis.effects
+    if strain(after.hypothesis) and (after.ratio > NEAR or not effects):
         return "a declared parameter would have to be further off than any is"
-    if after.ratio <= NEAR:
-        return None
-    if not after.hypothesis.effects:
-        return "declared parameters alone do not explain it"
-    left = _share_left(state, before, after)
-    if left > state.settings.most_left:
-        return f"{100 * left:.0f} % of the residual's amplitude remains"
-    for index in range(len(after.hypothesis.effects)):
-        problem = doubtful(whole, after, index, state.settings.tolerance)
-        if problem is not None:
-            return problem
+    if after.ratio > NEAR and not effects:
+        return "nothing surely improves prediction"
     return None
 
 
-def _amplitude(square: float, threshold: float | None) -> float:
-    """Amplitude of residuals whose mean Huber loss (2 k |r| - k^2 beyond a threshold k) is this."""
-    if threshold is None or square <= threshold**2:
-        return float(np.sqrt(max(square, 0.0)))
-    return (square + threshold**2) / (2 * threshold)
+def sure(state: SearchState, judge: Judge, before: Judged, after: Judged) -> Judged:
+    """An explanation that leaves more than noise, with those effects only that surely improve
+    prediction beside the others; what there was before if none does.
+
+    Args:
+      before: the declared scene, judged on the same windows.
+    """
+    model, samples = state.bench.scene.model, state.bench.samples
+    while after.hypothesis.effects:
+        problems, fewer = [], []
+        for index, effect in enumerate(after.hypothesis.effects):
+            only = len(after.hypothesis.effects) == 1
+            judge.start_from(after)
+            less = before if only else judge.judge(after.hypothesis.without(index), 3)
+            gain = worth(model, less or before, after)
+            problem = absurd(model, effect, samples)
+            if problem is None and gain.sure <= 0:
+                problem = (
+                    f"beside the others it is worth {gain.total:.3g} +- {gain.error:.2g} in the "
+                    "logarithm of the predictive score, which is not sure"
+                )
+            problems.append((gain.sure if problem is None else min(gain.sure, 0.0), problem))
+            fewer.append(less)
+        number = min(range(len(problems)), key=lambda i: problems[i][0])
+        reason = problems[number][1]
+        if reason is None:
+            return after
+        state.rejected.append((after.hypothesis.effects[number], reason))
+        after = fewer[number] or before
+    return before
 
 
 _MOST_WINDOWS = 96

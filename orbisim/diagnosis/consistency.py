@@ -16,7 +16,6 @@ import numpy.typing as npt
 from orbisim.diagnosis.bench import Bench
 from orbisim.diagnosis.refine import Judged, thinned
 from orbisim.diagnosis.samples import Samples, extent
-from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.base import index_of, is_scalar_joint
 
@@ -24,10 +23,12 @@ Floats = npt.NDArray[np.float64]
 
 _SIGMAS = 3.0
 _FEWEST = 8
+TOLERANCE = 0.35
+"""Share of its size by which an effect may be another in slow and fast motion and so on."""
 
 
 def inconsistency(
-    bench: Bench, judged: Judged, number: int, tolerance: float = Settings().tolerance
+    bench: Bench, judged: Judged, number: int, tolerance: float = TOLERANCE
 ) -> str | None:
     """What the parameters of an effect depend on, if they do; None if they are the same everywhere.
 
@@ -66,14 +67,12 @@ def inconsistency(
     return None
 
 
-def doubtful(
-    bench: Bench, judged: Judged, number: int, tolerance: float = Settings().tolerance
-) -> str | None:
+def doubtful(bench: Bench, judged: Judged, number: int) -> str | None:
     """Why an effect is not believed where more than noise is left: its numbers are absurd, or they
     are not the same everywhere (`inconsistency`); None if it is believed."""
     instance = judged.hypothesis.effects[number]
     problem = absurd(bench.scene.model, instance, bench.samples)
-    return problem or inconsistency(bench, judged, number, tolerance)
+    return problem or inconsistency(bench, judged, number)
 
 
 def absurd(

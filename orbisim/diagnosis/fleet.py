@@ -43,7 +43,7 @@ class Options:
       mapping: which column of the recordings is which signal.
     """
 
-    window: float = 0.5
+    window: float | None = None
     residual: Literal["motion", "force"] | None = "motion"
     backend: str = "mujoco"
     settings: Settings = dataclasses.field(default_factory=Settings)

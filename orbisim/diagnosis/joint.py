@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
-from orbisim.diagnosis.evidence import Blocks
+from orbisim.diagnosis.evidence import Blocks, independent_share
 from orbisim.diagnosis.holding import holding
 from orbisim.diagnosis.linear import Intervals
 from orbisim.diagnosis.samples import extent
@@ -20,7 +20,9 @@ from orbisim.effects import EffectInstance, effect_names, find
 Floats = npt.NDArray[np.float64]
 
 _MOST_WINDOWS = 120
+_ROUNDS = 2
 _SHARE = 0.05
+"""Share of data that counts as independent, until it is known what is left."""
 
 
 def propose(
@@ -50,11 +52,30 @@ def propose(
         return find(instance.effect).log_prior(model, instance, known)
 
     normals = data.normals(_holding(view.missing_force))
-    size = np.maximum(data.count * _SHARE, 1.0)
-    counts = Blocks(size, np.zeros(len(size), np.int64), np.ones(len(size)))
-    blocks = data_of(normals, counts)
-    chosen = select(blocks, groups_of(model, found, blocks.whole(), prior), most)
-    return _instances(bench, chosen)
+    share, effects = _SHARE, tuple[EffectInstance, ...]()
+    for _ in range(_ROUNDS):
+        size = np.maximum(data.count * share, 1.0)
+        counts = Blocks(size, np.zeros(len(size), np.int64), np.ones(len(size)))
+        blocks = data_of(normals, counts)
+        chosen = select(blocks, groups_of(model, found, blocks.whole(), prior), most)
+        effects, before = _instances(bench, chosen), share
+        share = independent_share(_courses(data.design, data.target, chosen, windows.length))
+        if abs(np.log(share / before)) < _ALIKE:
+            break
+    return effects
+
+
+_ALIKE = 0.5
+"""Logarithm of the ratio of two shares of independent data that select alike."""
+
+
+def _courses(design: Floats, target: Floats, chosen: Selected, length: int) -> list[Floats]:
+    """What a selection leaves of each signal in each window."""
+    left = target.copy()
+    for group, x in zip(chosen.groups, chosen.coefficients, strict=True):
+        left -= design[:, :, list(group.index)] @ x
+    course = left.reshape(len(left), length + 1, -1)
+    return [course[w, :, c] for w in range(course.shape[0]) for c in range(course.shape[2])]
 
 
 _STATED = ("hard_stop",)

@@ -11,6 +11,7 @@ import numpy as np
 from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.refine import Judge, Judged
 from orbisim.diagnosis.state import NEAR
+from orbisim.diagnosis.worth import worth
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.base import index_of, names_of_kind
 from orbisim.effects.unnamed import UNNAMED, Law, OneSidedLaw, PositionLaw
@@ -39,7 +40,7 @@ def imitated(judge: Judge, found: Judged, margin: float) -> str | None:
         for joint in dict.fromkeys(_joints(model, hypothesis)):
             for law in UNNAMED:
                 judged = _judged(judge, hypothesis, law, joint)
-                if judged is not None and judged.cost <= found.cost:
+                if judged is not None and _as_good(model, judged, found):
                     return f"{law.phrase}, at {joint!r} alone, explains it as well"
     elif hypothesis.effects and found.ratio > NEAR:
         own = hypothesis.effects[0]
@@ -50,6 +51,14 @@ def imitated(judge: Judge, found: Judged, margin: float) -> str | None:
             if judged.ratio**2 - 1 <= _BETTER * (found.ratio**2 - 1):
                 return f"{law.phrase} explains it much better"
     return None
+
+
+def _as_good(model: mujoco.MjModel, law: Judged, found: Judged) -> bool:
+    """Whether a law does what effects do: at no higher cost where these reach the noise; where
+    model error is left with either, if it surely predicts better."""
+    if found.ratio <= NEAR:
+        return law.cost <= found.cost
+    return worth(model, found, law).sure > 0
 
 
 def _judged(judge: Judge, hypothesis: Hypothesis, law: type[Law], joint: str) -> Judged | None:

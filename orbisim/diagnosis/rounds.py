@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis, clean
 from orbisim.diagnosis.confidence import confidence
-from orbisim.diagnosis.consistency import absurd, doubtful
+from orbisim.diagnosis.consistency import absurd
 from orbisim.diagnosis.glances import Candidate, generalizations, shortlist
 from orbisim.diagnosis.paying import few_bad, settles, unpaid
 from orbisim.diagnosis.refine import Judged, is_structural
@@ -212,7 +212,9 @@ def _winner(
         elif reason is None and place >= 3:
             reason = "it explains less than three others, none of which was believed"
         elif reason is None and judged.ratio > NEAR:
-            reason = doubtful(state.bench, judged, last, state.settings.tolerance)
+            reason = absurd(
+                state.bench.scene.model, judged.hypothesis.effects[last], state.bench.samples
+            )
             if reason is not None:
                 state.rejected.append((judged.hypothesis.effects[-1], reason))
         if reason is None:

@@ -13,8 +13,9 @@ import numpy as np
 
 from orbisim.backend import Backend
 from orbisim.diagnosis.attribution import attribute
-from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench, touches
+from orbisim.diagnosis.bench import Bench, make_bench, touches
 from orbisim.diagnosis.conclusion import Attribution
+from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.findings import (
     alternatives_of,
     candidates_of,
@@ -30,7 +31,7 @@ from orbisim.diagnosis.findings import (
 )
 from orbisim.diagnosis.force_result import diagnose_forces
 from orbisim.diagnosis.paying import few_bad
-from orbisim.diagnosis.refine import Judge, Judged
+from orbisim.diagnosis.refine import Judged
 from orbisim.diagnosis.rest import learn_rest as learn
 from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.samples import Samples, prepare_all
@@ -38,8 +39,9 @@ from orbisim.diagnosis.scoring import score
 from orbisim.diagnosis.sensing import Sensed, sense
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.split import bounded, split
+from orbisim.diagnosis.state import NEAR
 from orbisim.diagnosis.suspicious import refuse
-from orbisim.diagnosis.thinning import thinned
+from orbisim.diagnosis.thinning import thinned, usual_window
 from orbisim.effects import add_effects, find
 from orbisim.errors import InputError
 from orbisim.host.engine_log import engine_warnings, ignore
@@ -58,7 +60,7 @@ def diagnose(
     recordings: Source | Sequence[Source],
     held_out: Source | Sequence[Source] | None = None,
     *,
-    window: float = 0.5,
+    window: float | None = None,
     residual: Literal["motion", "force"] | None = None,
     backend: str | Backend = "mujoco",
     settings: Settings | None = None,
@@ -72,7 +74,8 @@ def diagnose(
       scene: a path or task name, or a scene: the system as declared.
       recordings: measurements to learn from.
       held_out: measurements that no choice and no fit may see; kept back from `recordings` if None.
-      window: duration of the windows of free-running simulation, s.
+      window: duration of the windows of free-running simulation, s. If None, 0.5 s or, where that
+        has fewer than 30 samples, as long as 60 samples take.
       residual: what is explained: `motion`, the error of free runs over windows; or `force`, the
         generalized force that is missing along the measured motion by inverse dynamics. If None,
         the forces of an arm of three joints or more at which all forces are known (torques, or
@@ -91,7 +94,7 @@ def diagnose(
       InputError: the recordings are too short, or an option is out of range.
       MissingDependencyError: `learn_rest` without torch.
     """
-    if not window > 0:
+    if window is not None and not window > 0:
         raise InputError(f"window is a duration in s, greater than 0; got {window}")
     if residual not in ("motion", "force", None):
         raise InputError(f"residual is 'motion' or 'force'; got {residual!r}")
@@ -119,8 +122,9 @@ def diagnose(
             if residual is None and len(result.effects) < loaded.model.nv:
                 result = None
         if result is None:
+            chosen = usual_window(fit) if window is None else window
             result = _by_motion(
-                loaded, named, fit, held, settings, window, backend, learn_rest, notes, say
+                loaded, named, fit, held, settings, chosen, backend, learn_rest, notes, say
             )
         if out is not None:
             say("writing the report")
@@ -149,7 +153,7 @@ def _by_motion(
         notes.append(f"the search was ended after {settings.patience:g} s; more may be found")
     say("checking on held-out data")
     unseen = unseen.whole(found.bench.noise)
-    found = _confirmed(found, unseen, held, window, notes)
+    notes += _elsewhere(found)
     if found.rugged and found.after is not found.before:
         notes.append(
             "impacts make the cost rugged: intervals of effects on contacts do not contain that; "
@@ -170,6 +174,21 @@ def _by_motion(
         hint = "the forces at all joints are known: residual='force' explains them instead"
         result = dataclasses.replace(result, notes=(*result.notes, hint))
     return result
+
+
+def _elsewhere(found: Attribution) -> list[str]:
+    """Notes on effects that leave more than noise and would have to be others in other motion."""
+    notes: list[str] = []
+    if found.after.ratio > NEAR:
+        whole = found.bench.whole()
+        for number, effect in enumerate(found.hypothesis.effects):
+            problem = inconsistency(whole, found.after, number)
+            notes += [] if problem is None else [f"{effect.effect} at {effect.target}: {problem}"]
+    return notes
+
+
+_FAR_OFF = 1.5
+"""Residual over noise of a window that is bad where others are not."""
 
 
 def bad_windows(declared: Judged) -> str:
@@ -237,60 +256,6 @@ def _held_back(scene: Scene, held: Sequence[Recording], window: float) -> Bench:
     except InputError as error:
         sources = ", ".join(one.source for one in held)
         raise InputError(f"held-out data ({sources}): {error}") from None
-
-
-def _confirmed(
-    found: Attribution, unseen: Bench, held: Sequence[Recording], window: float, notes: list[str]
-) -> Attribution:
-    """The finding, or none if it does not lower the residual of data that it has not seen.
-
-    Window starts are estimated for both scenes, so that noisy starts do not hide the gain; but free
-    runs from the recorded starts must not get worse either; a little, where the windows get much
-    better, as a free run into an impact parts from the recording by what its start is off. What
-    happens in a few moments only, a stop say, may lie between the windows, or starts may make up
-    for it: then free runs decide.
-
-    Args:
-      notes: takes what is to be said of free runs.
-    """
-    hypothesis, scene = found.after.hypothesis, found.bench.scene
-    if found.after is found.before:
-        return found
-    judge = Judge(unseen, unseen.intervals, most=_HELD_WINDOWS)
-    before = judge.score(Hypothesis(), judge.check)
-    after = judge.score(hypothesis, judge.check)
-    felt, worse = 1 - _FELT, 1 + _FELT
-    if after.square < worse * before.square:
-        data = list(held)
-        free = score(hypothesis.scene(scene), data, window, hypothesis.effects).rms
-        least = 1.0 if after.square < felt * before.square else _CLEARLY
-        least = _PARTING if after.square < _MUCH * before.square else least
-        declared = score(scene, data, window).rms
-        if free <= least * declared:
-            if free > declared:
-                share = 100 * after.square / before.square
-                notes.append(
-                    f"with the starts of windows estimated, {share:.2g} % of the squared residual "
-                    "of held-out data remain; free runs from the recorded starts do not get "
-                    "better, as impacts magnify what starts are off"
-                )
-            return found
-    doubt = [(effect, "it does not help on held-out data") for effect in hypothesis.effects]
-    return dataclasses.replace(
-        found, after=found.before, evidence=(), rejected=(*found.rejected, *doubt)
-    )
-
-
-_HELD_WINDOWS = 96
-_FELT = 1e-4
-_FAR_OFF = 1.5
-"""Residual over noise of a window that is bad where others are not."""
-_CLEARLY = 0.8
-"""Share of the free-running error that an effect may leave which windows do not feel."""
-_MUCH = 0.1
-"""Share of the squared residual of windows that is much better."""
-_PARTING = 1.5
-"""How many times the free-running error may be what it was if windows are."""
 
 
 def _result(

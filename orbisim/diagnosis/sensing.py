@@ -28,6 +28,8 @@ Floats = npt.NDArray[np.float64]
 
 _NEAR = 1.5
 _VISIBLE = 0.05
+_MOST_LEFT = 0.35
+"""Share of a sensor's error that a name for it may leave."""
 _NAMES = {"scale": "sensor_scale", "offset": "sensor_bias", "delay": "sensor_delay"}
 _PARAMETERS = {"scale": "factor", "offset": "offset", "delay": "delay"}
 
@@ -157,7 +159,7 @@ def _one(data: SensorData, unseen: SensorData, settings: Settings) -> SensorFind
     assert best is not None
     kept = _kept(data, unseen, best, size, alike, settings)
     before, after = (_rms(left_over(data, values) / size) for values in ({}, kept))
-    if _excess(after) > settings.most_left * _excess(before) or not _possible(kept):
+    if _excess(after) > _MOST_LEFT * _excess(before) or not _possible(kept):
         kept, after = (
             {},
             before,

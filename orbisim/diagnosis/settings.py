@@ -19,9 +19,6 @@ class Settings:
         exceeds the noise.
       certainty: ... and by so many standard errors over the windows.
       margin: information criterion by which an effect must pay.
-      most_left: share of the residual's amplitude that an explanation may leave at most.
-      tolerance: share of its size by which an effect may be another in slow and fast motion, early
-        and late and so on.
       retune: whether declared parameters may be retuned.
       robust: Huber threshold; None for 4 with contacts, and none without.
       patience: s after which no further effect is looked for. A fit under way, the one attempt at
@@ -37,8 +34,6 @@ class Settings:
     gain: float = 0.02
     certainty: float = 2.0
     margin: float = 12.0
-    most_left: float = 0.35
-    tolerance: float = 0.35
     retune: bool = True
     robust: float | None = None
     patience: float = 600.0

@@ -64,7 +64,7 @@ class SearchState:
       intervals: the linear system along the best scene so far. judge: of hypotheses.
       tunables: declared parameters that the data feel. columns: their effect on the motion,
         [intervals, 2 nv, tunables]; None without.
-      robust: Huber threshold; None for the default.
+      robust: Huber threshold; None for the default. heavy: as in `Judge`.
       declared: the declared scene, judged. round: number of the present round.
       rivals, rejected: as in `Attribution`.
     """
@@ -76,16 +76,17 @@ class SearchState:
         self.tunables: tuple[Tunable, ...] = ()
         self.columns: Floats | None = None
         self.intervals = bench.intervals
-        self.robust = settings.robust
+        self.robust, self.heavy = settings.robust, False
         self.round = 0
         self.declared: Judged | None = None
         self.judge = self._judge()
         self._started = time.monotonic()
 
-    def restart(self, judge: Judge, robust: float) -> None:
-        """Goes on with the data as they came, another judge of them, and nothing to retune."""
+    def restart(self, judge: Judge) -> None:
+        """Goes on with the data as they came, a judge of them to whom what is left is model error,
+        and nothing to retune."""
         self.bench, self.intervals, self.judge = self.given, self.given.intervals, judge
-        self.robust, self.tunables, self.columns = robust, (), None
+        self.robust, self.heavy, self.tunables, self.columns = None, True, (), None
 
     @property
     def late(self) -> bool:

@@ -181,7 +181,7 @@ def _improved(state: SearchState, current: Judged, index: int) -> Judged:
 def _doubtful(state: SearchState, judged: Judged) -> bool:
     """Whether the last effect would have to be another one in other motion."""
     last = len(judged.hypothesis.effects) - 1
-    return doubtful(state.bench, judged, last, state.settings.tolerance) is not None
+    return doubtful(state.bench, judged, last) is not None
 
 
 def _fitted(state: SearchState, start: Hypothesis, best: Judged) -> Judged | None:

@@ -15,6 +15,25 @@ MOST_SAMPLES = 200
 """Sampling intervals of a window at most."""
 
 
+WINDOW = 0.5
+"""Duration of a window, s: friction and loads show within it, and chaos does not yet."""
+FEW_SAMPLES = 30
+"""In a window, of which a motion hardly shows."""
+
+
+def usual_window(recordings: Sequence[Recording]) -> float:
+    """Duration of windows, s: `WINDOW` or, where that has few samples, twice as many as are few;
+    at most a third of the longest recording, so that there are several."""
+    steps = [np.diff(one.time) for one in recordings if len(one) > 1]
+    if not steps:
+        return WINDOW
+    step = float(np.median(np.concatenate(steps)))
+    if FEW_SAMPLES * step <= WINDOW:
+        return WINDOW
+    longest = max(float(one.time[-1] - one.time[0]) for one in recordings)
+    return float(max(WINDOW, min(2 * FEW_SAMPLES * step, longest / 3)))
+
+
 def thinned(recordings: Sequence[Recording], window: float, notes: list[str]) -> list[Recording]:
     """Recordings with at most `MOST_SAMPLES` intervals to a window: every so many samples is kept.
 

@@ -29,6 +29,7 @@ class Law(JointEffect):
     """A generalized force at a joint that no effect of the catalogue is."""
 
     native = False
+    rarity = -2.0
 
     @abc.abstractmethod
     def beginnings(self, q: Floats) -> list[dict[str, float]]:

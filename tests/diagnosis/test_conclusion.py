@@ -10,11 +10,12 @@ import pytest
 
 import orbisim
 from orbisim.diagnosis.bench import Hypothesis, make_bench
-from orbisim.diagnosis.conclusion import doubt, duel, on_contacts, rescaled, scanned
+from orbisim.diagnosis.conclusion import doubt, duel, on_contacts, rescaled, scanned, sure
 from orbisim.diagnosis.refine import Judge
 from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.state import Rival
+from orbisim.diagnosis.worth import worth
 from orbisim.effects import EffectInstance
 from orbisim.testing import inject_effect
 
@@ -37,7 +38,8 @@ def won_by(costs: dict[str, float], rival: Rival) -> str:
     def judge(hypothesis: Hypothesis, iterations: int) -> Any:
         return SimpleNamespace(hypothesis=hypothesis, cost=costs[hypothesis.effects[-1].effect])
 
-    moving = SimpleNamespace(qvel=np.ones((10, 1)), usable=np.ones(10, bool))
+    time, still = np.arange(10.0), np.ones((10, 2))
+    moving = SimpleNamespace(time=time, absolute=still, usable=np.ones(10, bool))
     scene = SimpleNamespace(model=mujoco.MjModel.from_xml_string(MOTOR))
     state: Any = SimpleNamespace(
         bench=SimpleNamespace(scene=scene, samples=[moving]),
@@ -141,30 +143,29 @@ def test_through_impacts_other_sizes_of_a_contact_effect_are_tried(begin: float)
     assert scanned(state, judge, after) is after
 
 
-def left(before: list[float], after: list[float], contacts: bool) -> str | None:
-    """Why an explanation that leaves these mean squares of windows is none."""
-    state: Any = SimpleNamespace(
-        robust=None, settings=Settings(), bench=SimpleNamespace(contacts=contacts)
-    )
-    one: Any = SimpleNamespace(checked=np.array(before))
-    held = Hypothesis((LAG,), frozen=frozenset({(0, "time_constant")}))
-    other: Any = SimpleNamespace(
-        checked=np.array(after), ratio=3.0, hypothesis=held,
-        fit=SimpleNamespace(per_window=np.zeros(1)),
-    )  # fmt: skip
-    whole: Any = SimpleNamespace(scene=orbisim.load_scene(MOTOR), samples=[TURNING])
-    return doubt(state, whole, one, other)
+def test_nothing_is_named_for_declared_parameters_alone_where_much_is_left() -> None:
+    loaded = Hypothesis((LAG,))
+    for ratio, hypothesis, named in ((3.0, Hypothesis(), False), (1.2, Hypothesis(), True),
+                                     (300.0, loaded, True)):  # fmt: skip
+        after: Any = SimpleNamespace(ratio=ratio, hypothesis=hypothesis)
+        assert (doubt(after) is None) == named
 
 
-TURNING: Any = SimpleNamespace(
-    time=np.array([0.0, 1.0]), absolute=np.zeros((2, 2)), usable=np.ones(2, bool)
-)
-
-
-def test_where_bodies_touch_the_typical_window_says_what_is_left() -> None:
-    """Impacts that no start brings about are in a third of the windows."""
-    before, after = [20.0, 22.0, 30.0], [1.0, 1.1, 24.0]
-    assert "remains" in str(left(before, after, contacts=False))
-    assert left(before, after, contacts=True) is None
-    assert "remains" in str(left([1.0, 1.1, 30.0], [1.0, 1.1, 24.0], contacts=True))  # few were bad
-    assert "remains" in str(left(before, [12.0, 13.0, 14.0], contacts=True))
+def test_effects_that_do_not_surely_predict_are_dropped(arm: orbisim.Scene) -> None:
+    """Of two effects on a machine with another one besides; what is left is far above the noise."""
+    true = EffectInstance("coulomb_friction", "shoulder", {"torque": 0.3})
+    other = EffectInstance("cogging", "elbow", {"amplitude": 0.1, "periods": 3.0, "phase": 0.4})
+    runs = inject_effect(arm, [true, other], duration=4.0, episodes=3, noise=1e-5, seed=4)
+    bench = make_bench(arm, prepare_all(runs, arm), 0.5)
+    judge = Judge(bench, bench.intervals, heavy=True)
+    before = judge.judge(Hypothesis())
+    idle = EffectInstance("armature", "shoulder", {"inertia": 1e-4})
+    after = judge.judge(Hypothesis((true, idle)))
+    assert before is not None and after is not None and after.ratio > 10
+    state: Any = SimpleNamespace(bench=bench, rejected=[])
+    found = sure(state, judge, before, after)
+    assert [e.effect for e in found.hypothesis.effects] == ["coulomb_friction"]
+    assert "not sure" in state.rejected[0][1]
+    alone = judge.judge(Hypothesis((idle,)))
+    assert alone is not None and sure(state, judge, before, alone) is before
+    assert worth(arm.model, before, found).sure > 20

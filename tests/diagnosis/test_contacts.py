@@ -208,10 +208,8 @@ def test_declared_parameters_at_the_end_of_their_range_explain_nothing() -> None
         hypothesis = dataclasses.replace(Hypothesis(), factors=((GAIN, factor),))
         return SimpleNamespace(hypothesis=hypothesis, ratio=1.05)
 
-    state: Any = SimpleNamespace(settings=Settings())
-    bench: Any = None
-    assert doubt(state, bench, of(1.0), of(1.04)) is None
-    assert "further off" in str(doubt(state, bench, of(1.0), of(1 + REACH)))
+    assert doubt(of(1.04)) is None
+    assert "further off" in str(doubt(of(1 + REACH)))
 
 
 def test_an_effect_that_paid_stays_while_all_gets_much_worse_without_it() -> None:

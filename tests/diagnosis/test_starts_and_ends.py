@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis import run
 from orbisim.diagnosis.attribution import _rivals
 from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
 from orbisim.diagnosis.conclusion import _finally, conclude
@@ -19,7 +18,6 @@ from orbisim.diagnosis.fits import Fit
 from orbisim.diagnosis.glances import Candidate
 from orbisim.diagnosis.paying import unpaid
 from orbisim.diagnosis.rounds import _structural, _tamed, stops, vague
-from orbisim.diagnosis.run import _confirmed
 from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.state import Rival, SearchState
@@ -269,69 +267,3 @@ def test_a_resample_without_what_feels_a_parameter_says_nothing() -> None:
     )  # fmt: skip
     low, high = confidence(fit, ["force"])["force"]
     assert 1.7 < low < 1.81 and 2.19 < high < 2.3
-
-
-def confirmed(
-    monkeypatch: pytest.MonkeyPatch, windows: tuple[float, float], free: tuple[float, float]
-) -> tuple[bool, list[str]]:
-    """Whether a finding stands, and what is noted.
-
-    Args:
-      windows: squared residual of held-out windows without and with it. free: error of free runs.
-    """
-    scene, effect = SimpleNamespace(), EffectInstance("hard_stop", "elbow", {})
-
-    class Unseen:
-        check = None
-
-        def __init__(self, *args: Any, **more: Any) -> None:
-            pass
-
-        def score(self, hypothesis: Any, check: None) -> Any:
-            return SimpleNamespace(square=windows[bool(hypothesis.effects)])
-
-    def score(which: Any, held: Any, window: float, effects: Any = ()) -> Any:
-        return SimpleNamespace(rms=free[bool(effects)])
-
-    monkeypatch.setattr(run, "Judge", Unseen)
-    monkeypatch.setattr(run, "score", score)
-
-    @dataclasses.dataclass(frozen=True)
-    class Found:
-        after: Any
-        before: Any
-        bench: Any
-        evidence: tuple[float, ...] = ()
-        rejected: tuple[Any, ...] = ()
-
-    hypothesis = SimpleNamespace(effects=(effect,), scene=lambda declared: scene)
-    found: Any = Found(
-        SimpleNamespace(hypothesis=hypothesis), SimpleNamespace(), SimpleNamespace(scene=scene)
-    )
-    notes: list[str] = []
-    unseen: Any = SimpleNamespace(intervals=None)
-    return _confirmed(found, unseen, [], 0.5, notes) is found, notes
-
-
-@pytest.mark.parametrize(
-    ("windows", "free", "stands"),
-    [
-        ((1000.0, 500.0), (1.0, 0.9), True),
-        ((1000.0, 500.0), (1.0, 1.1), False),  # free runs get worse
-        ((1000.0, 20.0), (1.0, 1.3), True),  # windows are much better
-        ((1000.0, 20.0), (1.0, 1.6), False),
-        ((1000.0, 1000.0), (1.0, 0.9), False),  # not felt by windows, and little by free runs
-        ((1000.0, 1000.0), (1.0, 0.7), True),
-        ((1000.0, 1200.0), (1.0, 0.5), False),  # windows get worse
-    ],
-)
-def test_held_out_data_have_the_last_word(
-    monkeypatch: pytest.MonkeyPatch,
-    windows: tuple[float, float],
-    free: tuple[float, float],
-    stands: bool,
-) -> None:
-    kept, notes = confirmed(monkeypatch, windows, free)
-    assert kept == stands
-    told = [note for note in notes if "free runs from the recorded starts" in note]
-    assert bool(told) == (stands and free[1] > free[0])

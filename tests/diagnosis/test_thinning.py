@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from orbisim.diagnosis.samples import substeps
 from orbisim.diagnosis.split import bounded
-from orbisim.diagnosis.thinning import MOST_SAMPLES, thinned
+from orbisim.diagnosis.thinning import MOST_SAMPLES, thinned, usual_window
 from orbisim.recording import Recording
 
 TIME = np.arange(0, 4, 1e-3)
@@ -30,6 +30,16 @@ def test_windows_have_at_most_so_many_samples() -> None:
     assert slow["xpos/b"].shape == (len(slow), 3)
     assert slow["ctrl/m"][7] == pytest.approx(fast["ctrl/m"][35:40].mean())
     assert f"{len(slow)} of {len(fast)}" in notes[0]
+
+
+@pytest.mark.parametrize(
+    ("rate", "duration", "window"),
+    [(200.0, 8.0, 0.5), (60.0, 8.0, 0.5), (30.0, 18.0, 2.0), (10.0, 60.0, 6.0), (10.0, 9.0, 3.0)],
+)
+def test_slow_recordings_have_longer_windows(rate: float, duration: float, window: float) -> None:
+    time = np.arange(0, duration + 1e-9, 1 / rate)
+    run = Recording(time=time, signals={"qpos/x": np.sin(time)})
+    assert usual_window([run]) == pytest.approx(window)
 
 
 def test_missing_controls_stay_missing() -> None:
