@@ -16,10 +16,14 @@ if TYPE_CHECKING:
     from orbisim.vector.randomization import factor as factor
     from orbisim.vector.randomization import intervals as intervals
     from orbisim.vector.scenes import from_scene as from_scene
+    from orbisim.vector.stable_baselines import StableBaselinesVecEnv as StableBaselinesVecEnv
+    from orbisim.vector.tensors import TensorEnvironment as TensorEnvironment
     from orbisim.vector.worlds import NotBatchedError as NotBatchedError
     from orbisim.vector.worlds import Worlds as Worlds
 
 _HOMES = {
+    "TensorEnvironment": "orbisim.vector.tensors",
+    "StableBaselinesVecEnv": "orbisim.vector.stable_baselines",
     "from_scene": "orbisim.vector.scenes",
     "intervals": "orbisim.vector.randomization",
     "factor": "orbisim.vector.randomization",

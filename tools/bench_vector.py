@@ -1,0 +1,176 @@
+"""Environment steps per second of `orbisim.vector` and of what people use now, in one run.
+
+    python tools/bench_vector.py --out out/bench_vector.json
+
+For each task and number of worlds: `orbisim.vector` on C MuJoCo (all cores) and, with `--warp`,
+on MuJoCo-Warp; dm_control's own environments in gymnasium's `AsyncVectorEnv` (by shimmy, one
+process for each core, each with its share of the worlds one after the other); gymnasium's own
+MuJoCo environments in `AsyncVectorEnv`, where there is one of that robot. Actions are random;
+episodes begin anew where they end. Best of `--repeats`, each at least `--seconds` long. Take the
+figures on a machine that does nothing else.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import json
+import logging
+import os
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import from_source
+import gymnasium
+import numpy as np
+
+import orbisim
+from orbisim.host.cpus import usable_cpus
+
+TASKS = {
+    "cartpole-swingup": "InvertedPendulum-v5",
+    "cheetah-run": "HalfCheetah-v5",
+    "walker-walk": "Walker2d-v5",
+    "humanoid-walk": "Humanoid-v5",
+}
+"""Tasks of the suite, and gymnasium's environment of a like robot."""
+
+WORLDS = (1, 64, 4096, 16384)
+
+
+class Several(gymnasium.Env):
+    """A few environments one after the other in one process, seen as one."""
+
+    def __init__(self, make: Callable[[], Any], count: int) -> None:
+        self.parts = [make() for _ in range(count)]
+        nu = self.parts[0].action_space.shape[0]
+        self.action_space = gymnasium.spaces.Box(-1, 1, (count * nu,), np.float64)
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (count,), np.float64)
+        self.nu = nu
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        """Resets all."""
+        for part in self.parts:
+            part.reset()
+        return np.zeros(len(self.parts)), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Steps all; resets those that have ended at once."""
+        rewards = np.zeros(len(self.parts))
+        for i, part in enumerate(self.parts):
+            _, rewards[i], ended, cut, _ = part.step(action[i * self.nu : (i + 1) * self.nu])
+            if ended or cut:
+                part.reset()
+        return rewards, float(rewards.sum()), False, False, {}
+
+
+def _shimmy(domain: str, task: str) -> Any:
+    from dm_control import suite
+    from shimmy.dm_control_compatibility import DmControlCompatibilityV0
+
+    return DmControlCompatibilityV0(suite.load(domain, task))
+
+
+def _gymnasium(name: str) -> Any:
+    return gymnasium.make(name)
+
+
+def rate(step: Callable[[], None], worlds: int, seconds: float, repeats: int) -> float:
+    """The best number of environment steps per second."""
+    step()
+    best = 0.0
+    for _ in range(repeats):
+        begun, count = time.perf_counter(), 0
+        while time.perf_counter() - begun < seconds:
+            step()
+            count += 1
+        best = max(best, count * worlds / (time.perf_counter() - begun))
+    return best
+
+
+def ours(domain: str, task: str, worlds: int, backend: str, options: Any) -> float:
+    """`orbisim.vector`."""
+    environment = orbisim.vector.load(domain, task, worlds, backend, seed=0)
+    environment.reset()
+    spec, random = environment.action_spec(), np.random.default_rng(0)
+    actions = random.uniform(spec.minimum, spec.maximum, (16, worlds, *spec.shape))
+    chosen = iter(range(10**9))
+    found = rate(
+        lambda: environment.step(actions[next(chosen) % 16]) and None,
+        worlds,
+        options.seconds,
+        options.repeats,
+    )
+    environment.close()
+    return found
+
+
+def processes(make: Callable[[], Any], worlds: int, options: Any) -> float:
+    """`AsyncVectorEnv` with a process for each core, which share the worlds."""
+    count = min(worlds, options.processes)
+    shares = [worlds // count + (i < worlds % count) for i in range(count)]
+    if len(set(shares)) > 1:
+        raise ValueError(f"{worlds} worlds cannot be shared evenly by {count} processes")
+    env = gymnasium.vector.AsyncVectorEnv(
+        [functools.partial(Several, make, share) for share in shares], context="spawn"
+    )
+    env.reset()
+    env.action_space.seed(0)
+    actions = [env.action_space.sample() for _ in range(16)]
+    chosen = iter(range(10**9))
+    found = rate(
+        lambda: env.step(actions[next(chosen) % 16]) and None,
+        worlds,
+        options.seconds,
+        options.repeats,
+    )
+    env.close()
+    return found
+
+
+def measure(name: str, worlds: int, options: Any) -> dict[str, float]:
+    """All that is compared, for one task and number of worlds."""
+    domain, task = name.split("-")
+    rates = {"orbisim mujoco": ours(domain, task, worlds, "mujoco", options)}
+    if options.warp:
+        rates["orbisim warp"] = ours(domain, task, worlds, "warp", options)
+    if worlds <= options.most:
+        make = functools.partial(_shimmy, domain, task)
+        rates["dm_control async"] = processes(make, worlds, options)
+        like = functools.partial(_gymnasium, TASKS[name])
+        rates[f"gymnasium {TASKS[name]} async"] = processes(like, worlds, options)
+    return rates
+
+
+def main() -> None:
+    """Prints a line for each measurement, and writes all of them."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--tasks", nargs="*", default=list(TASKS), choices=list(TASKS))
+    parser.add_argument("--worlds", nargs="*", type=int, default=list(WORLDS))
+    parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--processes", type=int, default=usable_cpus())
+    parser.add_argument("--most", type=int, default=4096, help="worlds in processes")
+    parser.add_argument("--warp", action="store_true")
+    parser.add_argument("--out", type=Path, default=None)
+    options = parser.parse_args()
+    logging.disable(logging.WARNING)
+    warnings.simplefilter("ignore")
+    from_source.register()
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    found: dict[str, Any] = {"cpus": usable_cpus(), "steps_per_s": {}}
+    for name in options.tasks:
+        for worlds in options.worlds:
+            rates = measure(name, worlds, options)
+            found["steps_per_s"].setdefault(name, {})[worlds] = rates
+            print(name, worlds, {n: f"{r:,.0f}" for n, r in rates.items()}, flush=True)
+    if options.out is not None:
+        options.out.parent.mkdir(parents=True, exist_ok=True)
+        options.out.write_text(json.dumps(found, indent=1))
+
+
+if __name__ == "__main__":
+    main()
