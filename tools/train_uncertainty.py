@@ -37,11 +37,11 @@ from orbisim_world_model.checkpoint import (  # noqa: E402  (needs the path abov
 from orbisim_world_model.pack import Pack  # noqa: E402
 from orbisim_world_model.packing import read_data  # noqa: E402
 from orbisim_world_model.schedule import Clock  # noqa: E402
-from orbisim_world_model.spread import UNITS  # noqa: E402
+from orbisim_world_model.spread import UNITS, factors_of  # noqa: E402
 from orbisim_world_model.spread_fitting import (  # noqa: E402
-    LEVEL,
     SpreadRun,
     deviations,
+    factors,
     fit_spread,
     rollouts,
 )
@@ -66,7 +66,7 @@ def main() -> None:
     length = run.length or int(train.length.max())
     data = rollouts(model, test, min(length, int(test.length.max())), options.test_windows, 99)
     with torch.no_grad():
-        interval = deviations(model, data) * _factor(known["factor"], data)
+        interval = deviations(model, data) * _factor(known["factor"], model, data)
     result = {"seconds": round(time.monotonic() - began, 1), **known}
     result["head"] = measured(interval, data.errors, data.mask)
     if options.out:
@@ -118,12 +118,10 @@ def ensemble(checkpoint: Any, train: Pack, held: Pack, test: Any, options: Any) 
     length = test.control.shape[0]
     there = rollouts(checkpoint.model, held, length, 512, 98)
     spread = _disagreement(members, there)
-    mask = there.mask.expand(length, *there.mask.shape) > 0
-    ratio = there.errors / spread
-    factor = [float(np.quantile(ratio[..., i][mask].cpu().numpy(), LEVEL)) for i in range(2)]
-    interval = _disagreement(members, test) * _factor(factor, test)
+    known = factors(spread, there, 1)
+    interval = _disagreement(members, test) * _factor(known, checkpoint.model, test)
     return {
-        "factor": factor,
+        "factor": known,
         "members": options.ensemble,
         **measured(interval, test.errors, test.mask),
     }
@@ -170,8 +168,8 @@ def _disagreement(members: Any, data: Any) -> Any:
     return (torch.stack(apart).mean(0) + 1e-6).sqrt()
 
 
-def _factor(factor: list[float], data: Any) -> Any:
-    return torch.tensor(factor, device=data.errors.device)
+def _factor(known: dict[str, list[float]], model: Any, data: Any) -> Any:
+    return factors_of(known, model.layout).to(data.errors.device)
 
 
 def _write(checkpoint: Any, model: Any, known: dict[str, Any], out: Path) -> None:

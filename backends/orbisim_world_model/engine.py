@@ -17,7 +17,7 @@ from orbisim_world_model.checkpoint import Checkpoint
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.guard import Guard
 from orbisim_world_model.reading import read_attributes, read_settings
-from orbisim_world_model.spread import half_widths
+from orbisim_world_model.spread import factors_of, half_widths
 from orbisim_world_model.stepper import Speedups, Stepper
 
 MEMORY = "world_model_memory"
@@ -105,7 +105,12 @@ class Engine:
         """Half-widths [..., K, 2], m and rad, of the 90 % intervals of variances."""
         if variance is None:
             return None
-        return half_widths(variance, self.checkpoint.manifest["uncertainty"]["factor"])
+        return half_widths(variance, self.factors)
+
+    @property
+    def factors(self) -> Tensor:
+        """[K, 2] of the checkpoint's calibration (see `spread.factors_of`)."""
+        return factors_of(self.checkpoint.manifest["uncertainty"]["factor"], self.layout)
 
     def prepare_native(self) -> None:
         """Compiles the step of one world (see `native`).

@@ -84,9 +84,12 @@ def _check_uncertainty(known: dict[str, Any], where: str) -> None:
     width = checked(int, _entry(known, "width", where), f"{where}.width")
     if not 1 <= width <= _MOST["width"]:
         raise InputError(f"{where}.width is {width}; expected 1 to {_MOST['width']}")
-    factor = checked(tuple[float, float], _entry(known, "factor", where), f"{where}.factor")
-    if min(factor) <= 0:
-        raise InputError(f"{where}.factor is {list(factor)}; expected two numbers above 0")
+    factor = _object(known, "factor", where)
+    for kind in ("robot", "objects"):
+        place = f"{where}.factor.{kind}"
+        pair = checked(tuple[float, float], _entry(factor, kind, f"{where}.factor"), place)
+        if min(pair) <= 0:
+            raise InputError(f"{place} is {list(pair)}; expected two numbers above 0")
 
 
 def _check_sources(data: dict[str, Any], path: str) -> None:

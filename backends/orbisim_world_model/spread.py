@@ -8,7 +8,7 @@ control, from rollouts of a finished model against the truth (see `spread_fittin
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -94,10 +94,15 @@ def propagated(gain: Tensor, noise: Tensor, variance: Tensor) -> Tensor:
     return (sent + noise).clamp(max=_MOST)
 
 
-def half_widths(variance: Tensor, factor: Sequence[float]) -> Tensor:
-    """Half-widths [..., K, 2] of intervals, m and rad, from variances and calibrated factors."""
-    scale = torch.tensor([f * u for f, u in zip(factor, UNITS, strict=True)])
-    return deviation(variance) * scale.to(variance.device)
+def half_widths(variance: Tensor, factors: Tensor) -> Tensor:
+    """Half-widths [..., K, 2] of intervals, m and rad, from variances and `factors_of` them."""
+    return deviation(variance) * factors.to(variance.device) * variance.new_tensor(UNITS)
+
+
+def factors_of(known: Mapping[str, Sequence[float]], layout: Layout) -> Tensor:
+    """[K, 2]: by how much standard deviations are multiplied, of each entity of a layout."""
+    rows = [known["robot"]] if layout.has_robot else []
+    return torch.tensor([*rows, *[known["objects"]] * len(layout.objects)])
 
 
 def deviation(variance: Tensor) -> Tensor:

@@ -80,7 +80,7 @@ def fit_spread(model: Dynamics, pack: Pack, held: Pack, run: SpreadRun) -> dict[
 
     Returns:
       What the manifest keeps: `width`, and the `factor`s by which the standard deviations of
-      position and rotation become the half-widths of 90 % intervals.
+      position and rotation become the half-widths of 90 % intervals, of `robot` and `objects`.
     """
     torch.manual_seed(run.seed)
     model.eval().requires_grad_(False)
@@ -156,12 +156,27 @@ def spread_loss(sizes: Tensor, data: Rollouts) -> Tensor:
 
 
 @torch.no_grad()  # type: ignore[untyped-decorator]
-def calibrated(model: Dynamics, held: Pack, length: int, run: SpreadRun) -> list[float]:
-    """Factors of the standard deviations that cover `LEVEL` of the errors of held-out rollouts."""
+def calibrated(model: Dynamics, held: Pack, length: int, run: SpreadRun) -> dict[str, list[float]]:
+    """Factors of the standard deviations that cover `LEVEL` of the errors of held-out rollouts.
+
+    Of the second half of each rollout, since at first nothing has happened and any interval will
+    do; of robots and of objects apart, since a robot is hardly ever wrong.
+    """
     data = rollouts(model, held, min(length, int(held.length.max())), 1024, run.seed + 1)
-    ratio = data.errors / deviations(model, data)
+    return factors(deviations(model, data), data, int(model.layout.has_robot))
+
+
+def factors(sizes: Tensor, data: Rollouts, robots: int) -> dict[str, list[float]]:
+    """See `calibrated`; `robots` is how many of the entities are."""
+    late = len(sizes) // 2
+    ratio = (data.errors / sizes)[late:]
     there = data.mask.expand(len(ratio), *data.mask.shape) > 0
-    return [float(_quantile(ratio[..., i][there], LEVEL)) for i in range(2)]
+    found = {}
+    for kind, part in (("robot", slice(0, robots)), ("objects", slice(robots, None))):
+        rows = ratio[:, :, part][there[:, :, part]]
+        known = [_quantile(rows[:, i], LEVEL) if len(rows) else torch.ones(()) for i in range(2)]
+        found[kind] = [max(float(value), 1e-6) for value in known]
+    return found
 
 
 def _quantile(values: Tensor, level: float) -> Tensor:

@@ -64,8 +64,8 @@ class Watch:
         self.engine, self.label = engine, label
         self.names = engine.guard.names
         if engine.spreads:  # variances below which no interval is wider
-            factor = np.asarray(engine.checkpoint.manifest["uncertainty"]["factor"])
-            self._sure = np.square(np.array([FAR, TURNED]) / (factor * UNITS)) - _ROUNDING
+            scale = engine.factors.double().numpy() * UNITS
+            self._sure = np.square(np.array([FAR, TURNED]) / scale) - _ROUNDING
 
     def began(self, state: State) -> Times:
         """[B, K]: when entities left the training data, up to a state; warns of a new one's."""

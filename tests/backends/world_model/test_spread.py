@@ -83,7 +83,8 @@ def test_the_backend_carries_it_along(folder: Path, native: bool) -> None:
     np.testing.assert_allclose(
         state.memory[MEMORY][..., -2:], path.final.memory[MEMORY][..., -2:], rtol=4e-3
     )
-    factor = np.array(backend.checkpoint.manifest["uncertainty"]["factor"])
+    known = backend.checkpoint.manifest["uncertainty"]["factor"]
+    factor = np.array([known["robot"], known["objects"], known["objects"]])
     exact = np.sqrt(path.final.memory[MEMORY][..., -2:] + 1e-6) * factor * UNITS
     np.testing.assert_allclose(whole[:, -1], exact, rtol=1e-4)
 
@@ -101,7 +102,8 @@ def test_the_rest_of_a_step_is_the_same_with_it(pack: Pack, folder: Path) -> Non
 
 def test_an_interval_that_is_too_wide_is_warned_of(folder: Path) -> None:
     backend = _backend(folder, False)
-    backend.checkpoint.manifest["uncertainty"]["factor"] = [1.5e4, 1.5e4]  # of a micrometre: 15 mm
+    wide = {"robot": [1.0, 1.0], "objects": [1.5e4, 1.5e4]}  # of a micrometre: 15 mm
+    backend.checkpoint.manifest["uncertainty"]["factor"] = wide
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         backend.rollout(backend.reset(2), np.zeros((2, 3, 2)))
@@ -114,8 +116,9 @@ def test_an_interval_that_is_too_wide_is_warned_of(folder: Path) -> None:
     ("change", "message"),
     [
         ({"width": 0}, r"uncertainty\.width is 0"),
-        ({"factor": [1.0, -1.0]}, "two numbers above 0"),
-        ({"factor": [1.0]}, "expected 2 entries"),
+        ({"factor": {"robot": [1.0, 1.0], "objects": [1.0, -1.0]}}, "two numbers above 0"),
+        ({"factor": {"robot": [1.0]}}, "expected 2 entries"),
+        ({"factor": {"robot": [1.0, 1.0]}}, "no entry 'objects'|objects"),
         ({"width": 17}, "weights|the manifest describes"),
     ],
 )
