@@ -126,6 +126,7 @@ def work(name: str, seed: int, indices: range, scratch: Path, pipe: int) -> None
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     with os.fdopen(pipe, "w") as told:
         for index in indices:
+            resource.setrlimit(resource.RLIMIT_CPU, (resource.RLIM_INFINITY,) * 2)
             folder = make_case(kind, pristine, seed, index, scratch / "case")
             print(json.dumps({"begin": index}), file=told, flush=True)
             own = resource.getrusage(resource.RUSAGE_SELF)

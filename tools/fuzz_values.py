@@ -48,7 +48,7 @@ def _changed(value: Any, rng: random.Random) -> Any:
     if how < 0.2:
         del holder[key]
     elif how < 0.3 and isinstance(holder, list):
-        holder.extend(holder * rng.choice((1, 1, 1000)))
+        holder.extend(holder * rng.choice((1, 1, 1000)) if len(holder) < 100 else [])
     elif how < 0.3:
         holder[f"{key}x"] = holder.pop(key)
     elif how < 0.5 and isinstance(holder[key], (int, float)):

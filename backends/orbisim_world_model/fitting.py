@@ -131,7 +131,9 @@ def _concerns(manifest: dict[str, Any], model: mujoco.MjModel, layout: Layout) -
         concerns += _outside(f"world setting {column}", value, found["settings"][column])
     ours, theirs = robot_parameters(model, layout), manifest["data"].get("robot", {})
     for name, values in theirs.items():
-        if len(values) != len(ours[name]) or not np.allclose(values, ours[name], 1e-3, 1e-6):
+        if name not in ours:
+            concerns.append(f"the training scene had {name!r}, which this version does not read")
+        elif len(values) != len(ours[name]) or not np.allclose(values, ours[name], 1e-3, 1e-6):
             concerns.append(f"the scene's {name} differs from the training scene's")
     return concerns
 

@@ -16,6 +16,7 @@ from orbisim_world_model.checkpoint import load_checkpoint
 from orbisim_world_model.manifest import read_manifest
 from safetensors.torch import load_file, save_file
 
+from orbisim import load_scene, make_backend
 from orbisim.errors import InputError
 from tests.clock import Stopwatch
 
@@ -155,3 +156,9 @@ def test_the_manifest_stays_as_it_is() -> None:
     before = copy.deepcopy(manifest)
     load_checkpoint(ZOO / "push")
     assert manifest == before
+
+
+def test_numbers_of_a_robot_that_this_version_does_not_read(folder: Path) -> None:
+    _rewrite(folder, _set([1.0], "data", "robot", "colour"))
+    with pytest.warns(UserWarning, match="'colour', which this version does not read"):
+        make_backend(f"learned:{folder}", load_scene("suite:cartpole-swingup"), native=False)
