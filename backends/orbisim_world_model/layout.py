@@ -245,4 +245,6 @@ def _has_shape(values: Any, shape: tuple[int, ...]) -> bool:
         array = np.asarray(values, np.float64)
     except (ValueError, TypeError, OverflowError):
         return False
+    if not shape[0]:  # nested tuples of nothing have no further axes
+        return array.shape == (0,)
     return array.shape == shape and bool(np.isfinite(array).all())

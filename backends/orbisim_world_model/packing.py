@@ -13,7 +13,8 @@ import numpy as np
 import torch
 
 from orbisim.errors import InputError
-from orbisim.scene import named_scene
+from orbisim.scene import load_scene, named_scene
+from orbisim.scene.load import is_scene_name
 from orbisim.tasks.dataset import EpisodeFile
 from orbisim_world_model.baseline import pack_recordings, with_baseline
 from orbisim_world_model.episode_rows import RUNNING, STATIC, EpisodeRows, read_rows
@@ -22,6 +23,9 @@ from orbisim_world_model.layout import Layout
 from orbisim_world_model.pack import Pack, grouped, hands, joined
 from orbisim_world_model.reading import read_layout
 from orbisim_world_model.usable import check_numbers
+
+PACK, EPISODES = ".pack", (".h5", ".hdf5")
+"""Suffixes; what has another is a recording."""
 
 
 def read_data(
@@ -63,10 +67,10 @@ def _read(
         raise InputError("no data: give the files that `orbisim collect` wrote, or packs of them")
     packs, recordings = [], []
     for path in map(Path, paths):
-        if path.suffix not in _READERS:
+        if path.suffix not in (PACK, *EPISODES):
             recordings.append(path)
             continue
-        packs.append(_READERS[path.suffix](path))
+        packs.append(Pack.load(path) if path.suffix == PACK else pack_file(path, scene=scene))
         check_numbers(packs[-1], str(path))
     if recordings:
         if scene is None:
@@ -78,12 +82,13 @@ def _read(
     return packs
 
 
-def pack_file(path: str | Path, layout: Layout | None = None) -> Pack:
+def pack_file(path: str | Path, layout: Layout | None = None, scene: str | None = None) -> Pack:
     """The episodes of one HDF5 file.
 
     Args:
       path: the file.
       layout: of its scene; read from the task's model if None.
+      scene: of episodes that were collected from a scene's file. Their own word for it opens none.
 
     Raises:
       InputError: the file is no collection, or an episode does not fit the task's scene.
@@ -91,7 +96,8 @@ def pack_file(path: str | Path, layout: Layout | None = None) -> Pack:
     with EpisodeFile(path) as file:
         if not len(file):
             raise InputError(f"{path}: holds no episodes")
-        nominal = layout or task_layout(file.task, file.control_timestep, str(path))
+        model = _nominal(file.task, str(path), scene)
+        nominal = layout or read_layout(model, file.control_timestep, source=file.task)
         indices = range(len(file))
         entities = [_entities(file, index) if nominal.objects else [] for index in indices]
         layout = _with_all_objects(nominal, entities)
@@ -102,7 +108,7 @@ def pack_file(path: str | Path, layout: Layout | None = None) -> Pack:
     notes = {
         "groups": list(dict.fromkeys(subtasks)),
         "sources": [{**source, "episodes": len(rows)}],
-        "robot": robot_parameters(_nominal(source["task"], str(path)), nominal),
+        "robot": robot_parameters(model, nominal),
     }
     return _packed(layout, rows, subtasks, notes, str(path))
 
@@ -134,22 +140,16 @@ def _packed(
     )
 
 
-_READERS = {".pack": Pack.load, ".h5": pack_file, ".hdf5": pack_file}
-
-
-def task_layout(task: str, control_timestep: float, path: str = "") -> Layout:
-    """The layout of a task's nominal scene.
-
-    Raises:
-      InputError: that is no name of a task, but a file or a document: data say which task they are
-        of, and must not have other files opened.
-    """
-    return read_layout(_nominal(task, path), control_timestep, source=task)
-
-
 @functools.lru_cache(maxsize=8)
-def _nominal(task: str, path: str) -> mujoco.MjModel:
-    return named_scene(task, path).model
+def _nominal(task: str, path: str, scene: str | None = None) -> mujoco.MjModel:
+    if scene is None or is_scene_name(task):
+        try:
+            return named_scene(task, path).model
+        except InputError as error:
+            if Path(task).suffix:
+                raise InputError(f"{error}; of episodes of a file, name it with --scene") from None
+            raise
+    return load_scene(scene).model
 
 
 def _with_all_objects(layout: Layout, entities: list[list[str]]) -> Layout:

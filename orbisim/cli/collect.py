@@ -22,7 +22,7 @@ from orbisim.errors import InputError
     "collect",
     epilog="Example: orbisim collect push --episodes 200 --workers 8 --out push.h5",
 )
-@click.argument("task")
+@click.argument("task", metavar="TASK-OR-SCENE")
 @click.option("--episodes", type=int, default=None, help="How many. Default: as in the paper.")
 @click.option("--subtask", default=None, help="Only this one. Default: all, as in the paper.")
 @click.option("--workers", type=int, default=None, help="Processes. Default: all cores.")
@@ -64,7 +64,9 @@ def command(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Collect episodes of TASK (push, ball, suite:cheetah-run ...) into an HDF5 file.
+    """Collect episodes of a task (push, ball, suite:cheetah-run ...) into an HDF5 file.
+
+    Or of a scene (arm.xml), with the effects that it carries, under noise, rhythms and reaching.
 
     The same seed gives the same bytes, whatever the number of workers. If the work is interrupted,
     the same command goes on where it stopped. docs/episodes.md has the format.

@@ -51,7 +51,11 @@ def command() -> None:
     default=None,
     help="Checkpoint to fine-tune, with its scales.",
 )
-@click.option("--scene", default=None, help="Scene of recordings and of --residual-on.")
+@click.option(
+    "--scene",
+    default=None,
+    help="Scene of recordings, of episodes of a scene's file, and of --residual-on.",
+)
 @click.option("--control-timestep", type=float, default=None, help="Control step of recordings, s.")
 @click.option(
     "--residual-on",

@@ -59,6 +59,11 @@ class Task(abc.ABC):
         """The name as `load_scene` and `orbisim collect` take it."""
         return f"task:{self.name}"
 
+    @property
+    def identity(self) -> str:
+        """Of what the name may stand for at another time: of the content of a file."""
+        return ""
+
     @abc.abstractmethod
     def scene(self, subtask: str | None = None, seed: int | None = None) -> Scene:
         """A scene drawn from the distribution; the nominal one without a seed."""

@@ -67,7 +67,7 @@ def collect(
     """Collects episodes of a task into a file.
 
     Args:
-      task: name as `make` takes it.
+      task: name as `make` takes it, or the path of a scene.
       path: the file, which must not exist.
       episodes: how many; the paper's counts if None.
       seed: of the collection; every episode has its own, derived from it.
@@ -95,7 +95,7 @@ def collect(
     storage.check_destination(path)
     if camera is not None:
         check_camera(made.scene(), camera)
-    order = Order(made.label, dict(changes or {}), seed, camera, entries)
+    order = Order(made.label, dict(changes or {}), seed, camera, entries, made.identity)
     folder = path.with_name(path.name + ".partial")
     with claimed(make_folder(folder), "another collection", "wait for it, or choose another name"):
         missing = _make_missing(order, folder, _with_ray if ray else _with_processes, count)

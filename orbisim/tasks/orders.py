@@ -31,6 +31,7 @@ class Order:
       task: name as `make` takes it. changes: to its configuration.
       seed: of the collection. camera: whose images to record, if any.
       entries: (subtask, number within the subtask) of each episode.
+      identity: of what the name stands for.
     """
 
     task: str
@@ -38,6 +39,7 @@ class Order:
     seed: int
     camera: Camera | None
     entries: tuple[tuple[str, int], ...]
+    identity: str = ""
 
     @property
     def key(self) -> str:

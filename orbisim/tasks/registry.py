@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from pathlib import Path
 from typing import Any
 
 from orbisim.episodes import Episodes
@@ -21,6 +22,7 @@ _TASKS: dict[str, str | type[Task]] = {
 
 
 _SUITE = "orbisim.tasks.suite:SuiteTask"
+_SCENE = "orbisim.tasks.scene_task:SceneTask"
 
 
 def available() -> tuple[str, ...]:
@@ -42,18 +44,21 @@ def register(name: str, task: type[Task]) -> None:
 
 
 def make(name: str, **changes: Any) -> Task:
-    """A task by name: `push`, `task:push`, or `suite:cheetah-run`.
+    """A task by name: `push`, `task:push`, `suite:cheetah-run`; or the path of a scene.
 
     Args:
-      name: its name.
+      name: its name; what has a suffix, such as `arm.xml`, is a path.
       **changes: fields of its configuration to replace (`table_friction=0.1`).
 
     Raises:
       UnknownNameError: there is no such task, or no such field.
+      SceneError: the scene cannot be read.
     """
     prefix, _, rest = name.partition(":")
     if prefix == "suite" and rest:
         return _imported(_SUITE)(rest, **changes)
+    if Path(name).suffix:
+        return _imported(_SCENE)(name, **changes)
     short = rest if prefix == "task" and rest else name
     if short not in _TASKS:
         known = [f"task:{n}" for n in _TASKS] if prefix == "task" else list(_TASKS)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import mujoco
@@ -157,12 +157,14 @@ def simulate(
     steps: int,
     control_timestep: float,
     substeps: int = 1,
+    step: Callable[..., Any] = mujoco.mj_step,
 ) -> Rollout:
     """Runs a policy from the state in `data`; its clock restarts at 0.
 
     Args:
       steps: controls that the policy gives, each held for `control_timestep` seconds.
       substeps: states that are kept of each.
+      step: called like `mujoco.mj_step`.
     """
     data.time = 0.0
     timesteps = round(control_timestep / substeps / model.opt.timestep)
@@ -171,7 +173,7 @@ def simulate(
     for t in range(steps):
         ctrl[t] = data.ctrl[:] = policy(data)
         for _ in range(substeps):
-            mujoco.mj_step(model, data, timesteps)
+            step(model, data, timesteps)
             states.append((data.qpos.copy(), data.qvel.copy(), data.act.copy()))
     check_stable(data)
     qpos, qvel, act = (np.array(part) for part in zip(*states, strict=True))
