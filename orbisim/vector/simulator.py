@@ -53,6 +53,7 @@ class Threads:
         self._data = mujoco.MjData(model)
         self._expanded: dict[str, Rows] = {}
         self._models: list[mujoco.MjModel] | None = None
+        self._bound: set[str] = set()
         self._late: dict[str, Rows] = {}
         self.ctrl: Rows = self._batch.bind("ctrl")
 
@@ -91,7 +92,8 @@ class Threads:
         """
         if name not in mujoco.batch.DATA_FIELDS:
             raise NotBatchedError(f"physics.data.{name}")
-        if name not in self._batch._bound:
+        if name not in self._bound:
+            self._bound.add(name)
             self._late[name] = self._gathered(name)
         rows = self._late.get(name)
         return self._shaped(name, self._batch.bind(name) if rows is None else rows)
@@ -113,9 +115,9 @@ class Threads:
 
     def _gathered(self, name: str) -> Rows:
         """A field that was not copied out by the last call: read from every world."""
-        self._batch.bind(name)
-        if name in mujoco.batch._STATE_FIELDS:
-            return self._batch.bind(name)
+        bound: Rows = self._batch.bind(name)
+        if bound.flags.writeable:  # a part of the state
+            return bound
         rows = []
         for world in range(self.nworld):
             self.fill(world, self._data)
@@ -150,3 +152,4 @@ class Threads:
         self._batch.state[:] = before.state
         self.ctrl = self._batch.bind("ctrl")
         self._expanded.clear()
+        self._bound.clear()

@@ -155,7 +155,7 @@ class Worlds(np.lib.mixins.NDArrayOperatorsMixin):
             return each_world(np.matmul, inputs, {}) if product is NotImplemented else product
         if method != "__call__" or ufunc.signature is not None or kwargs.keys() - {"out"}:
             return each_world(getattr(ufunc, method), inputs, kwargs)
-        ndim = max(np.ndim(x) for x in inputs)
+        ndim = max(map(_ndim, inputs))
         rows = [_aligned(x, ndim) for x in inputs]
         if "out" in kwargs:
             (target,) = kwargs["out"]
@@ -316,6 +316,13 @@ def _aligned(value: Any, ndim: int) -> Any:
     return value.rows.reshape(len(value.rows), *fill, *value.shape) if fill else value.rows
 
 
+def _ndim(value: Any) -> int:
+    """As `np.ndim`, sooner."""
+    if isinstance(value, Worlds):
+        return value.rows.ndim - 1
+    return 0 if isinstance(value, float | int) else np.ndim(value)
+
+
 def _wrapped(result: Any) -> Any:
     return tuple(map(Worlds, result)) if isinstance(result, tuple) else Worlds(result)
 
@@ -408,7 +415,7 @@ def _where(condition: Any, *choices: Any) -> Any:
     if not choices:
         return NotImplemented
     parts = (condition, *choices)
-    ndim = max(np.ndim(x) for x in parts)
+    ndim = max(map(_ndim, parts))
     return Worlds(np.where(*(_aligned(x, ndim) for x in parts)))
 
 
