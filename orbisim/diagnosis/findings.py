@@ -20,6 +20,7 @@ from orbisim.diagnosis.paying import enough
 from orbisim.diagnosis.scoring import Score, score
 from orbisim.diagnosis.sensing import Sensed
 from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.state import Rival
 from orbisim.effects import find
 from orbisim.recording import Recording
 from orbisim.recording.joints import joints
@@ -250,7 +251,7 @@ def alternatives_of(found: Attribution) -> tuple[Alternative, ...]:
             text += f"; {rival.reason or 'dropped later'}"
         if tips:
             text += f"; to tell them apart, {tips[0]}"
-        best[key] = Alternative(*key, rival.delta_bic, text)
+        best[key] = Alternative(*key, rival.delta_bic, text, _likely(rival, found.rivals))
     result = list(best.values())[:8]
     doubted = {(e.effect, e.target): problem for e, problem in found.rejected}
     for key, problem in doubted.items():
@@ -262,6 +263,14 @@ def alternatives_of(found: Attribution) -> tuple[Alternative, ...]:
             if not any(a.effect == other for a in result) and other not in {t[0] for t in taken}:
                 result.append(Alternative(other, "", None, f"known to look alike; {text}"))
     return tuple(result)
+
+
+def _likely(rival: Rival, every: Sequence[Rival]) -> float:
+    """Probability of a suspect among those of its round, by the information criterion (Kass and
+    Raftery, J. Am. Stat. Assoc. 90, 1995)."""
+    own = [one for one in every if one.round == rival.round]
+    shares = probabilities(-0.5 * np.array([one.delta_bic for one in own]))
+    return round(float(shares[own.index(rival)]), 4)
 
 
 def suspected(

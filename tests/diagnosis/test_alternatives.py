@@ -5,6 +5,9 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+import pytest
+
 from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.findings import alternatives_of
 from orbisim.diagnosis.state import Rival
@@ -57,3 +60,16 @@ def test_why_it_was_dropped_is_said_if_it_is_known() -> None:
     swapped = rival("cogging", 528.0, 3, "it explains less than joint_spring at elbow")
     reasons = told(("joint_spring",), rival("cogging", 0.0, 1, ""), swapped)
     assert "less than joint_spring" in reasons["cogging"]
+
+
+def test_suspects_have_probabilities_in_their_round() -> None:
+    hypothesis = Hypothesis(())
+    rivals = (rival("cogging", 0.0, 1), rival("armature", 4.0, 1), rival("backlash", 0.0, 2))
+    found: Any = SimpleNamespace(
+        after=SimpleNamespace(hypothesis=hypothesis), rivals=rivals, rejected=()
+    )
+    shares = {a.effect: a.probability for a in alternatives_of(found)}
+    share = np.exp(-2.0) / (1 + np.exp(-2.0))
+    assert shares == pytest.approx(
+        {"cogging": 1 - share, "armature": share, "backlash": 1.0}, abs=1e-4
+    )
