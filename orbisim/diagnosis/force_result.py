@@ -67,9 +67,25 @@ def diagnose_forces(
         retuned=(),
         error=_error(scene, found, fitted, kept),
         augmented_scene=found.hypothesis.scene(scene),
-        notes=tuple(dict.fromkeys(notes)),
+        notes=tuple(dict.fromkeys([*notes, *_implausible(scene, found)])),
         attribution=found,
     )
+
+
+def _implausible(scene: Scene, found: ForceAttribution) -> list[str]:
+    """Notes on joints whose noise would be as large as the forces of the machine itself."""
+    data, notes = found.data, []
+    noise = np.sqrt(np.nanmean(data.std**2, axis=0))
+    needed = np.sqrt(np.nanmean(data.total**2, axis=0))
+    for joint in joints(scene.model):
+        own, whole = (float(np.linalg.norm(one[joint.v])) for one in (noise, needed))
+        if own > whole:
+            notes.append(
+                f"the noise of {joint.label!r} would be a force of {own:.3g} where its motion "
+                f"needs {whole:.3g}: positions jump, or time stamps do; rows that are known so "
+                "badly hardly count"
+            )
+    return notes
 
 
 class _Errors:

@@ -2,11 +2,14 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import orbisim
+from orbisim.diagnosis.force_data import ForceData
+from orbisim.diagnosis.force_result import _implausible
 from orbisim.effects import EffectInstance
 from orbisim.errors import InputError
 from orbisim.recording import Recording
@@ -58,6 +61,14 @@ def test_an_unknown_force_gets_no_name(arm: orbisim.Scene) -> None:
     found = orbisim.diagnose(arm, runs, residual="force", progress=False)
     assert found.verdict == "unexplained"
     assert not found.effects
+
+
+def test_noise_beyond_the_machine_is_said(arm: orbisim.Scene) -> None:
+    one = ForceData(
+        arm, (), 1, np.zeros((4, 2)), np.array([[0.1, 9.0]] * 4), np.ones((4, 2)), np.zeros(4, int)
+    )
+    notes = _implausible(arm, SimpleNamespace(data=one))  # type: ignore[arg-type]
+    assert len(notes) == 1 and "'elbow'" in notes[0] and "positions jump" in notes[0]
 
 
 def test_refuses_an_unknown_residual(arm: orbisim.Scene) -> None:
