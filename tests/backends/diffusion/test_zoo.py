@@ -1,0 +1,38 @@
+"""The checkpoints that come with the package: small, and showing the scene as it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from orbisim_diffusion.quality import psnr
+from orbisim_diffusion.zoo import FOLDER
+
+from orbisim.errors import RenderingUnavailableError, UnsupportedSceneError
+from orbisim.registry import make_backend, make_renderer
+from orbisim.scene import load_scene
+from orbisim.tasks.registry import make
+
+_SIDE = {"camera": "side", "height": 128, "width": 128}
+
+
+def test_all_of_them_together_are_small() -> None:
+    sizes = [path.stat().st_size for path in FOLDER.rglob("*") if path.is_file()]
+    assert 0 < sum(sizes) <= 16e6
+
+
+def test_an_episodes_start_is_shown_as_mujoco_shows_it() -> None:
+    scene = make("push").scene("to_hit", 5)  # not one of the training's
+    state = make_backend("mujoco", scene).reset(1)
+    ours = make_renderer("diffusion", scene, device="cpu").render(state, **_SIDE)
+    try:
+        true = make_renderer("mujoco", scene).render(state, **_SIDE)
+    except RenderingUnavailableError as error:
+        pytest.skip(str(error))
+    assert float(psnr(torch.tensor(ours), torch.tensor(true))) > 28.0
+    assert np.abs(ours.astype(int) - true).max() > 0
+
+
+def test_scenes_that_none_was_trained_on_are_refused() -> None:
+    with pytest.raises(UnsupportedSceneError, match="no vision checkpoint of the zoo"):
+        make_renderer("diffusion", load_scene("task:ball"), device="cpu")
