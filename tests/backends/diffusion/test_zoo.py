@@ -23,7 +23,7 @@ def test_all_of_them_together_are_small() -> None:
 
 def test_an_episodes_start_is_shown_as_mujoco_shows_it() -> None:
     scene = make("push").scene("to_hit", 5)  # not one of the training's
-    state = make_backend("mujoco", scene).reset(1)
+    state = make_backend("mujoco", scene).reset(1).replace(qpos=scene.model.key("start").qpos[None])
     ours = make_renderer("diffusion", scene, device="cpu").render(state, **_SIDE)
     try:
         true = make_renderer("mujoco", scene).render(state, **_SIDE)
