@@ -19,6 +19,8 @@ from orbisim.tasks.sampling import episode_seed
 
 _CHUNK = 16
 """Episodes that a process makes before it writes: little is lost when it is killed."""
+_SEEN_CHUNK = 4
+"""The same with images: an episode takes seconds, and processes should end together."""
 _ATTEMPTS = 5
 """Draws of an episode whose simulation is unstable; five in a row mean that the task is."""
 
@@ -49,8 +51,8 @@ class Order:
 
     def chunks(self) -> list[range]:
         """Numbers of the episodes in each chunk."""
-        count = len(self.entries)
-        return [range(i, min(i + _CHUNK, count)) for i in range(0, count, _CHUNK)]
+        count, size = len(self.entries), _CHUNK if self.camera is None else _SEEN_CHUNK
+        return [range(i, min(i + size, count)) for i in range(0, count, size)]
 
 
 def write_episodes(order: Order, numbers: Sequence[int], path: Path) -> None:
