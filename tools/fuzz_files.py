@@ -82,8 +82,8 @@ def make_case(kind: Any, pristine: Path, seed: int, index: int, folder: Path) ->
     return folder
 
 
-def judge(kind: Any, folder: Path, index: int) -> Outcome:
-    """Reads an input, and says how that went."""
+def judge(kind: Any, folder: Path, index: int, most_bytes: float = MAX_BYTES) -> Outcome:
+    """Reads an input, and says how that went; `most_bytes` are of the whole process."""
     from orbisim.errors import OrbiSimError
     from orbisim.scene.safety.guard import FAILED
 
@@ -107,7 +107,7 @@ def judge(kind: Any, folder: Path, index: int) -> Outcome:
     seconds, peak = _used() - before, _peak()
     if outcome in FINE and seconds > MAX_SECONDS:
         outcome = "over 5 s"
-    elif outcome in FINE and peak > MAX_BYTES:
+    elif outcome in FINE and peak > most_bytes:
         outcome = "over 2 GB"
     return Outcome(index, outcome, message, seconds, peak)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 
@@ -25,7 +26,7 @@ def test_damaged_files_are_read_or_refused(tmp_path: Path, name: str) -> None:
     found = []
     for index in range(_COUNTS.get(name, 12 if name.startswith("log_") else _COUNT)):
         folder = make_case(kind, pristine, 0, index, tmp_path / "case")
-        found.append(judge(kind, folder, index))
+        found.append(judge(kind, folder, index, most_bytes=math.inf))  # this process did much else
     assert not [one for one in found if one.outcome not in FINE]
     assert sum(one.outcome == "refused" for one in found) >= len(found) // 3
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import mmap
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -85,8 +86,8 @@ def _records(content: Any, allowance: Allowance, notes: list[str]) -> Iterator[A
             record = next(records)
         except StopIteration:
             return
-        except EndOfFile:
-            if not found:
+        except (EndOfFile, struct.error):  # the latter within a record's length
+            if not found or content.tell() < len(content):
                 raise
             notes.append("the file ends early (was its writer interrupted?); what is there is read")
             return

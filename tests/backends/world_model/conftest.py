@@ -27,15 +27,21 @@ def toy(name: str = "default", stages: str = "1x1x64", **changes: object) -> Con
 
 
 @pytest.fixture(scope="session")
-def toy_zoo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A zoo with a hardly trained model for each scene of the conformance tests."""
+def toy_checkpoints(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a hardly trained model for each scene of the conformance tests."""
     folder = tmp_path_factory.mktemp("zoo")
     for name in ("CARTPOLE", "FILTERED", "FREE_BODY", "RESTING_BOX"):
         pack = simulate(getattr(scenes, name), 6, 30, 1)
         train(pack, toy(), Run(out=folder / name.lower(), steps=30))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def toy_zoo(toy_checkpoints: Path) -> Iterator[Path]:
+    """Instead of the zoo, until the module's tests are over."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(zoo, "FOLDER", folder)
-        yield folder
+        patch.setattr(zoo, "FOLDER", toy_checkpoints)
+        yield toy_checkpoints
 
 
 @pytest.fixture(scope="session", autouse=True)
