@@ -12,7 +12,7 @@ import random
 import sqlite3
 import struct
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +30,6 @@ from orbisim.recording.files import opened
 from orbisim.recording.summary import summarize
 from orbisim.recording.template import propose
 from tests.recording.formats import bags
-
-bags.JOINTS, bags.IMU = bags.JOINTS[:10], bags.IMU[:40]  # small files: many cases
 
 SCENE = """
 <mujoco model="arm">
@@ -240,16 +238,30 @@ def _damage_ros(name: str) -> Callable[[Path, random.Random], None]:
     return damage
 
 
+@contextlib.contextmanager
+def _short_bags() -> Iterator[None]:
+    """Bags of a fifth of the messages that the tests write: small files, many cases."""
+    whole = bags.JOINTS, bags.IMU
+    bags.JOINTS, bags.IMU = bags.JOINTS[:10], bags.IMU[:40]
+    try:
+        yield
+    finally:
+        bags.JOINTS, bags.IMU = whole
+
+
 def _make_bag1(folder: Path) -> None:
-    bags.bag1(folder / "log.bag")
+    with _short_bags():
+        bags.bag1(folder / "log.bag")
 
 
 def _make_packed_bag1(folder: Path) -> None:
-    bags.bag1(folder / "log.bag", "bz2")
+    with _short_bags():
+        bags.bag1(folder / "log.bag", "bz2")
 
 
 def _make_bag2(folder: Path) -> None:
-    bags.bag2(folder / "bag")
+    with _short_bags():
+        bags.bag2(folder / "bag")
 
 
 def _damage_bag2(folder: Path, rng: random.Random) -> None:
@@ -300,11 +312,13 @@ def _damage_bag2(folder: Path, rng: random.Random) -> None:
 
 
 def _make_mcap(folder: Path) -> None:
-    bags.mcap_file(folder / "log.mcap", "none")
+    with _short_bags():
+        bags.mcap_file(folder / "log.mcap", "none")
 
 
 def _make_packed_mcap(folder: Path) -> None:
-    bags.mcap_file(folder / "log.mcap", "zstd")
+    with _short_bags():
+        bags.mcap_file(folder / "log.mcap", "zstd")
 
 
 # -- LeRobot -------------------------------------------------------------------------------------
