@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from orbisim.errors import MissingDependencyError
 from orbisim.files.temporary import temporary_folder
+from orbisim.tasks.ray_pool import cluster
 
 Attempt = Callable[..., str]
 Result = tuple[Path, str, dict[str, bytes], str]
@@ -31,21 +30,8 @@ def spread(
     Raises:
       MissingDependencyError: Ray is not installed.
     """
-    try:
-        import ray
-    except ImportError as error:
-        raise MissingDependencyError("--ray", "ray", "no module 'ray'") from error
-
-    ours = not ray.is_initialized()
-    if ours:
-        known = os.environ.get("RAY_ADDRESS")
-        options: dict[str, Any] = {} if known else {"num_cpus": workers, "include_dashboard": False}
-        ray.init(log_to_driver=False, logging_level="error", **options)
-    try:
+    with cluster(workers) as ray:
         yield from _spread(ray, attempt, scene, tasks)
-    finally:
-        if ours:
-            ray.shutdown()
 
 
 def _spread(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -24,6 +25,20 @@ def run(order: Order, missing: Sequence[list[int]], folder: Path, workers: int) 
     Raises:
       MissingDependencyError: Ray is not installed.
     """
+    with cluster(workers) as ray:
+        yield from _spread(ray, order, missing, folder, workers)
+
+
+@contextlib.contextmanager
+def cluster(workers: int) -> Iterator[Any]:
+    """The module `ray`, connected to a cluster; leaves it in the end if it was not before.
+
+    Args:
+      workers: of a new cluster on this machine, if there is none.
+
+    Raises:
+      MissingDependencyError: Ray is not installed.
+    """
     try:
         import ray
     except ImportError as error:
@@ -35,7 +50,7 @@ def run(order: Order, missing: Sequence[list[int]], folder: Path, workers: int) 
         options: dict[str, Any] = {} if known else {"num_cpus": workers, "include_dashboard": False}
         ray.init(log_to_driver=False, logging_level="error", **options)
     try:
-        yield from _spread(ray, order, missing, folder, workers)
+        yield ray
     finally:
         if ours:
             ray.shutdown()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -23,6 +22,7 @@ from orbisim.effects.running import HookRunner
 from orbisim.errors import InputError, UnknownNameError
 
 from .motion import Motion
+from .transmissions import TRANSMISSIONS
 
 
 def test_json_round_trip() -> None:
@@ -89,35 +89,6 @@ def test_units_of_joints() -> None:
     assert joint_unit(model, "joint0", "rad", "m") == "rad"
     assert joint_unit(model, "slide", "rad", "m") == "m"
     assert [is_scalar_joint(model, n) for n in ("joint0", "slide", "root")] == [True, True, False]
-
-
-TRANSMISSIONS = mujoco.MjModel.from_xml_string("""
-<mujoco>
-  <worldbody>
-    <body name="cart">
-      <joint name="slide" type="slide" axis="1 0 0"/><geom size=".1"/>
-      <body name="pole"><joint name="hinge" axis="0 1 0"/><geom size=".1"/>
-        <site name="tip" pos="0 0 1"/></body>
-    </body>
-    <body name="drone"><freejoint name="free"/><geom size=".1"/><site name="hub"/></body>
-  </worldbody>
-  <tendon>
-    <fixed name="angle"><joint joint="hinge" coef="1"/></fixed>
-    <fixed name="mixed"><joint joint="hinge" coef="1"/><joint joint="slide" coef="1"/></fixed>
-    <spatial name="cable"><site site="tip"/><site site="hub"/></spatial>
-  </tendon>
-  <actuator>
-    <motor name="hinge" joint="hinge"/>
-    <motor name="slide" joint="slide"/>
-    <motor name="angle" tendon="angle"/>
-    <motor name="mixed" tendon="mixed"/>
-    <motor name="cable" tendon="cable"/>
-    <motor name="rotor" site="hub" gear="0 0 1 0 0 0.1"/>
-    <motor name="wheel" site="hub" gear="0 0 0 0 0 1"/>
-    <motor name="spin" joint="free" gear="0 0 0 1 0 0"/>
-  </actuator>
-</mujoco>
-""")
 
 
 def test_units_of_actuators() -> None:
