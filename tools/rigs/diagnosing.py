@@ -22,21 +22,28 @@ def recordings_of(folder: Path, part: str) -> list[Path]:
     return sorted(folder.glob(f"{part}_*.npz"))
 
 
-def diagnosed(folder: Path, patience: float) -> int:
-    """Prints one JSON line: the report's main parts, or what failed."""
+def diagnosed(folder: Path, patience: float, seed: int = 0, half: bool = False) -> int:
+    """Prints one JSON line: the report's main parts, or what failed.
+
+    Args:
+      half: whether every second recording is left out, of those to fit to and of those held out.
+    """
     from_source.register("mujoco")
     from orbisim.cli.main import cli
 
-    held = [part for path in recordings_of(folder, "held") for part in ("--held-out", str(path))]
-    fit = [str(path) for path in recordings_of(folder, "fit")]
+    every = 2 if half else 1
+    kept = recordings_of(folder, "held")[::every]
+    held = [part for path in kept for part in ("--held-out", str(path))]
+    fit = [str(path) for path in recordings_of(folder, "fit")[::every]]
     with tempfile.TemporaryDirectory() as out:
         words = ["diagnose", str(scene_of(folder)), *fit, *held, "--out", out]
+        words += ["--patience", str(patience), "--seed", str(seed)]
         try:
-            cli.main([*words, "--patience", str(patience)], standalone_mode=False)
+            cli.main(words, standalone_mode=False)
         except Exception as error:
             print(json.dumps({"report": None, "failure": f"{error!r}"[:2000]}))
             return 0
         report: dict[str, Any] = json.loads((Path(out) / "report.json").read_text())
-    kept = {key: report[key] for key in KEPT if key in report}
-    print(json.dumps({"report": kept, "failure": None}))
+    told = {key: report[key] for key in KEPT if key in report}
+    print(json.dumps({"report": told, "failure": None}))
     return 0

@@ -14,11 +14,13 @@ Rng = np.random.Generator
 Draw = Callable[[Usual, str, Rng], Law]
 
 _LEAST, _MOST = 0.05, 0.6
+_FAINT = 0.1
+"""So much smaller than what an engineer would look for may a law be: some hardly show."""
 
 
 def _share(rng: Rng, least: float = _LEAST, most: float = _MOST) -> float:
-    """How large, relative to what is usual: log-uniform."""
-    return float(np.exp(rng.uniform(np.log(least), np.log(most))))
+    """How large, relative to what is usual: log-uniform, down to a tenth of what is worth it."""
+    return float(np.exp(rng.uniform(np.log(_FAINT * least), np.log(most))))
 
 
 def _sign(rng: Rng) -> float:

@@ -65,17 +65,22 @@ def drawn(
     rng: np.random.Generator,
 ) -> Chain:
     """A chain with these artefacts; how bad each is, is drawn."""
+    # everything is drawn whether it is used or not, so that an artefact changes nothing else
     noise = float(np.exp(rng.uniform(np.log(1e-4), np.log(2e-3))))
-    delays = np.zeros(model.njnt)
-    if "sensor_delays" in artefacts:
-        delays = rng.uniform(0.001, 0.008, model.njnt)
-    late = float(rng.uniform(0.2, 0.9)) / rate if "late_commands" in artefacts else 0.0
-    tick = float(rng.uniform(2.2, 3.8)) / rate if "slow_commands" in artefacts else 1 / rate
-    velocities = "positions_only" not in artefacts and (
-        "filtered_velocity" in artefacts or bool(rng.random() < 0.5)
-    )
+    late, tick = float(rng.uniform(0.2, 0.9)) / rate, float(rng.uniform(2.2, 3.8)) / rate
+    velocities = bool(rng.random() < 0.5) or "filtered_velocity" in artefacts
     seed = int(rng.integers(2**32))
-    return Chain(noise, rate, tuple(artefacts), velocities, delays, late, tick, seed)
+    delays = rng.uniform(0.001, 0.008, model.njnt)
+    return Chain(
+        noise,
+        rate,
+        tuple(artefacts),
+        velocities and "positions_only" not in artefacts,
+        delays if "sensor_delays" in artefacts else np.zeros(model.njnt),
+        late if "late_commands" in artefacts else 0.0,
+        tick if "slow_commands" in artefacts else 1 / rate,
+        seed,
+    )
 
 
 def logged(

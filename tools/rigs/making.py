@@ -66,15 +66,35 @@ class Plan:
     rate: float
 
 
-def plan(rng: np.random.Generator, machines: tuple[str, ...]) -> Plan:
+@dataclasses.dataclass(frozen=True)
+class Wish:
+    """What is asked of all trials, instead of being drawn.
+
+    Attributes:
+      machines: to draw from; all if empty. kind: of `KINDS`; drawn if empty.
+      artefacts: of each trial, these alone (`()` for white noise only); drawn if None.
+      louder: factor on the noise of positions.
+    """
+
+    machines: tuple[str, ...] = ()
+    kind: str = ""
+    artefacts: tuple[str, ...] | None = None
+    louder: float = 1.0
+
+
+def plan(rng: np.random.Generator, wish: Wish) -> Plan:
     """Draws machine, kind, artefacts and how the truth is stepped."""
     kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
+    kind = wish.kind or kind
+    machines = wish.machines or tuple(MACHINES)
     able = [name for name in machines if kind != "outside" or MACHINES[name].drive != "thrown"]
+    if wish.artefacts:
+        able = [n for n in able if all(applies(a, MACHINES[n]) for a in wish.artefacts)]
     machine = MACHINES[str(rng.choice(able or machines))]
     touches = bool(machine.contact) or machine.name in ("suite_finger", "gym_pusher")
     step = float(rng.choice([2e-4, 5e-4, 1e-3]))
     integrator = "implicitfast" if touches or rng.random() < 0.5 else "rk4"
-    known = [a for a in instruments.ARTEFACTS if _applies(a, machine)]
+    known = [a for a in instruments.ARTEFACTS if applies(a, machine)]
     among = rng.random()
     count = 0 if among < 0.2 else 1 if among < 0.85 else 3
     artefacts = tuple(str(a) for a in rng.choice(known, min(count, len(known)), replace=False))
@@ -83,10 +103,13 @@ def plan(rng: np.random.Generator, machines: tuple[str, ...]) -> Plan:
     if {"jitter", "host_stamps"} <= set(artefacts):
         artefacts = tuple(a for a in artefacts if a != "jitter")
     rate = float(rng.choice([100.0, 125.0, 200.0]))
+    if wish.artefacts is not None:
+        artefacts = wish.artefacts
     return Plan(kind, machine, Stepping(step, integrator), artefacts, rate)
 
 
-def _applies(artefact: str, machine: Machine) -> bool:
+def applies(artefact: str, machine: Machine) -> bool:
+    """Whether a machine's recordings can have an artefact."""
     if machine.drive == "thrown":
         return artefact not in (
             "filtered_velocity", "late_commands", "slow_commands", "current_torque",
@@ -100,20 +123,19 @@ def name_of(number: int) -> str:
     return f"r{number:05d}"
 
 
-def make(
-    number: int, seed: int, out: Path, only: tuple[str, ...] = (), kind: str = ""
-) -> dict[str, Any]:
-    """Writes a trial, unless it is there; one that cannot be made says why under `dropped`."""
+def make(number: int, seed: int, out: Path, asked: Wish = Wish()) -> dict[str, Any]:
+    """Writes a trial, unless it is there; one that cannot be made says why under `dropped`.
+
+    Plan, measuring chain, motions and laws are drawn from streams of their own: a number is the
+    same machine with the same law along the same motion whatever its artefacts and noise are.
+    """
     name = name_of(number)
     path = out / "truth" / f"{name}.json"
     if path.exists():
         known: dict[str, Any] = json.loads(path.read_text())
         if "dropped" in known or (out / "trials" / name).exists():
             return known
-    rng = np.random.default_rng([seed, number])
-    wish = plan(rng, only or tuple(MACHINES))
-    if kind:
-        wish = dataclasses.replace(wish, kind=kind)
+    wish = plan(np.random.default_rng([seed, number, 0]), asked)
     started = time.perf_counter()
     entry: dict[str, Any] = {
         "trial": name,
@@ -125,7 +147,7 @@ def make(
         "integrator": wish.stepping.integrator,
     }
     try:
-        entry |= _written(wish, name, rng, out)
+        entry |= _written(wish, name, (seed, number), out, asked.louder)
     except (Unmakeable, Diverged, Missing) as error:
         entry["dropped"] = str(error)
     entry["seconds"] = round(time.perf_counter() - started, 1)
@@ -135,13 +157,18 @@ def make(
     return entry
 
 
-def _written(wish: Plan, name: str, rng: np.random.Generator, out: Path) -> dict[str, Any]:
+def _written(
+    wish: Plan, name: str, seeds: tuple[int, int], out: Path, louder: float
+) -> dict[str, Any]:
     machine, text = wish.machine, wish.machine.text()
     plain = Truth(machine, text, wish.stepping, ())
-    chain = instruments.drawn(plain.model, wish.rate, wish.artefacts, rng)
-    motions = [motion(machine, plain, rng, chain.noise) for _ in range(machine.fit + machine.held)]
+    of_chain, of_motions, of_laws = (np.random.default_rng([*seeds, k]) for k in (1, 2, 3))
+    chain = instruments.drawn(plain.model, wish.rate, wish.artefacts, of_chain)
+    count = machine.fit + machine.held
+    motions = [motion(machine, plain, of_motions, chain.noise) for _ in range(count)]
+    chain = dataclasses.replace(chain, noise=louder * chain.noise)
     usual = _usual(plain, _run(plain, motions[0], chain, 0))
-    laws = _laws(wish, usual, rng)
+    laws = _laws(wish, usual, of_laws)
     truth = Truth(machine, text, wish.stepping, laws)
     runs = [_run(truth, one, chain, i) for i, one in enumerate(motions)]
     folder = out / "trials" / name

@@ -25,11 +25,12 @@ AROUND = 60.0
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """A tool on a trial, and how long it may work, s."""
+    """A tool on a trial, how long it may work, s, and further words for `one`."""
 
     trial: str
     tool: str
     seconds: float
+    words: tuple[str, ...] = ()
 
 
 def read_lines(path: Path) -> list[dict[str, Any]]:
@@ -66,8 +67,11 @@ def jobs_of(args: argparse.Namespace) -> list[Job]:
         for entry in read_lines(Path(args.out))
         if not (args.again and entry["failure"])
     }
+    words = ("--seed", str(args.seed), *(["--half"] if args.half else []))
     every = [
-        Job(name, tool, args.timeout if tool == "diagnose" else args.peer_timeout)
+        Job(name, tool, args.timeout, words)
+        if tool == "diagnose"
+        else Job(name, tool, args.peer_timeout)
         for name in names
         for tool in args.tools
     ]
@@ -83,7 +87,7 @@ def run_all(args: argparse.Namespace) -> int:
     folder = Path(args.trials) / "trials"
     with ThreadPoolExecutor(args.workers) as pool, out.open("a") as stream:
         stream.write("\n" if jobs else "")  # ends a line that a killed run has left unfinished
-        waiting = [pool.submit(_entry, folder / job.trial, job, until) for job in jobs]
+        waiting = [pool.submit(entry_of, folder / job.trial, job, until) for job in jobs]
         for finished in as_completed(waiting):
             entry = finished.result()
             if entry is None:
@@ -108,16 +112,17 @@ def _brief(entry: dict[str, Any]) -> str:
     return f"{head} {report['verdict']} {effects} {error['before']} -> {error['after']}"
 
 
-def _entry(folder: Path, job: Job, until: float) -> dict[str, Any] | None:
-    """The line of a job; None if the time for the whole run was over first."""
+def entry_of(folder: Path, job: Job, until: float) -> dict[str, Any] | None:
+    """The line of a job; None, without beginning, if it might outlast the time for the whole run:
+    what is cut off at the end would be what takes long, and shares would be of the easy ones."""
     entry = {"trial": job.trial, "tool": job.tool, "failure": None, "report": None}
     started = time.perf_counter()
-    limit = min(job.seconds + AROUND, until - started)
-    if limit <= 0:
+    limit = job.seconds + AROUND
+    if limit > until - started:
         return None
     command = [sys.executable, str(ENTRY), "one", str(folder), "--tool", job.tool]
     process = subprocess.Popen(
-        [*command, "--seconds", str(job.seconds)],
+        [*command, "--seconds", str(job.seconds), *job.words],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -129,8 +134,6 @@ def _entry(folder: Path, job: Job, until: float) -> dict[str, Any] | None:
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)  # what it has started, too
         process.communicate()
-        if time.perf_counter() >= until:
-            return None
         entry["failure"] = f"took more than {limit:g} s"
     else:
         try:

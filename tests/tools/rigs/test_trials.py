@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,12 @@ TOOLS = Path(__file__).resolve().parents[3] / "tools"
 sys.path.insert(0, str(TOOLS))
 
 import rig_trials  # noqa: E402  (needs the path above)
-from rigs import instruments, scoring  # noqa: E402
+from rigs import instruments, running, scoring, stability  # noqa: E402
 from rigs.excitation import motion  # noqa: E402
 from rigs.machines import MACHINES  # noqa: E402
-from rigs.making import make, name_of  # noqa: E402
+from rigs.making import Wish, make, name_of  # noqa: E402
 from rigs.outcomes import Outcome  # noqa: E402
-from rigs.running import jobs_of, read_lines  # noqa: E402
+from rigs.running import Job, jobs_of, read_lines  # noqa: E402
 from rigs.truth import Run, Stepping, Truth  # noqa: E402
 
 
@@ -41,7 +42,7 @@ def log(arm: tuple[Truth, Run], *artefacts: str) -> dict[str, Any]:
 
 def test_a_trial_is_the_same_for_the_same_seed_and_says_nothing(tmp_path: Path) -> None:
     for out in (tmp_path / "a", tmp_path / "b"):
-        made = make(NUMBER, 5, out, ("served_ball",), "single")
+        made = make(NUMBER, 5, out, Wish(("served_ball",), "single"))
         assert made["laws"] and made["visibility"] > 0
     folders = [tmp_path / x / "trials" / name_of(NUMBER) for x in "ab"]
     files = sorted(path.name for path in folders[0].iterdir())
@@ -50,6 +51,19 @@ def test_a_trial_is_the_same_for_the_same_seed_and_says_nothing(tmp_path: Path) 
         one, other = (np.load(folder / name) for folder in folders)
         assert all(np.array_equal(one[key], other[key]) for key in one.files)
     assert (folders[0] / "scene.xml").read_text() == MACHINES["served_ball"].text()
+
+
+def test_artefacts_and_noise_change_nothing_else(tmp_path: Path) -> None:
+    wishes = {
+        "plain": Wish(("served_ball",), "single", ()),
+        "late": Wish(("served_ball",), "single", ("jitter",)),
+        "loud": Wish(("served_ball",), "single", (), 2.0),
+    }
+    made = {name: make(NUMBER, 5, tmp_path / name, wish) for name, wish in wishes.items()}
+    assert made["plain"]["laws"] == made["late"]["laws"] == made["loud"]["laws"]
+    assert made["late"]["artefacts"] == ["jitter"] and not made["plain"]["artefacts"]
+    assert made["loud"]["noise"] == 2 * made["plain"]["noise"]
+    assert made["loud"]["visibility"] == pytest.approx(made["plain"]["visibility"] / 2, rel=1e-6)
 
 
 def test_clean_commands_change_exactly_at_samples(arm: tuple[Truth, Run]) -> None:
@@ -130,6 +144,14 @@ def test_a_summary_counts_with_bounds() -> None:
     assert "| all | 1 of 1, 100 % (3 to 100) | explained 1 |" in text  # a false alarm
 
 
+def test_stability_compares_the_same_trials() -> None:
+    before = {"r1": outcome([("a", "x")]), "r2": outcome([("a", "x")]), "r3": outcome([])}
+    after = {"r1": outcome([("a", "x")]), "r2": outcome([("d", "x")])}
+    text = "\n".join(stability.table(before, {"half": after}))
+    assert "| half | 1 of 2, 50 % (9 to 91) |" in text and "| 2 and 1 of 2 |" in text
+    assert "a(x) -> d(x)" in text
+
+
 def test_a_run_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
     for name in ("r00000", "r00001", "r00002"):
         (tmp_path / "trials" / name).mkdir(parents=True)
@@ -139,7 +161,7 @@ def test_a_run_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
     results.write_text(json.dumps(done) + '\n{"trial": "r00002", "to')
     args = argparse.Namespace(
         trials=tmp_path, out=results, only=[], limit=0, shard=(0, 2), tools=["diagnose", "recipe"],
-        timeout=5.0, peer_timeout=5.0, again=False,
+        timeout=5.0, peer_timeout=5.0, again=False, seed=1, half=True,
     )  # fmt: skip
     assert [(job.trial, job.tool) for job in jobs_of(args)] == [
         ("r00000", "recipe"),
@@ -147,6 +169,13 @@ def test_a_run_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
         ("r00002", "recipe"),
     ]
     assert len(read_lines(results)) == 1
+    assert jobs_of(args)[1].words == ("--seed", "1", "--half")  # a peer has no seed
+    assert jobs_of(args)[0].words == ()
+
+
+def test_what_might_not_end_in_time_is_not_begun(tmp_path: Path) -> None:
+    until = time.perf_counter() + 30  # less than a process may take at worst
+    assert running.entry_of(tmp_path, Job("r00000", "diagnose", 60.0), until) is None
 
 
 def test_shards_are_read() -> None:
