@@ -23,6 +23,7 @@ COMMANDS = {
     "eval": "measure a learned model",
     "infer": "read the states that a video shows; write them as a recording",
     "view": "interactive viewer in the browser",
+    "doctor": "try what is installed; what a bug report needs",
 }
 """Commands in the order of the help text, each a module of this package."""
 

@@ -35,13 +35,23 @@ def read_mjcf(path: str) -> ReadResult:
         refuse_other_encodings(data, str(document))
     folders = list(dict.fromkeys(document.parent for document in found))
     try:
-        spec = mujoco.MjSpec.from_file(path)
+        spec = _spec(path)
     except COMPILER_ERRORS as error:
         raise as_scene_error(error, path) from None
     notes = check_meshes(spec, folders, path)
     if confinement() is not None:  # the files are there only while the scene is read
         embed(spec, folders, path)
     return ReadResult(spec, warnings=notes)
+
+
+def _spec(path: str) -> mujoco.MjSpec:
+    """MuJoCo tells documents by the suffix `.xml`; others are read under a name that has it."""
+    if path.endswith(".xml"):
+        return mujoco.MjSpec.from_file(path)
+    alias = f"{path}.xml"
+    with mujoco.MjVfs() as files:
+        files[alias] = Path(path).read_bytes()
+        return mujoco.MjSpec.from_file(alias, vfs=files)
 
 
 def read_mjcf_string(

@@ -163,3 +163,14 @@ def test_compiler_warnings_are_collected() -> None:
     scene = load_scene("<mujoco><compiler settotalmass='1'/><worldbody><body><freejoint/>"
                        "<geom size='1'/></body></worldbody></mujoco>")  # fmt: skip
     assert any("settotalmass" in warning for warning in scene.warnings)
+
+
+def test_other_suffixes_with_includes(tmp_path: Path) -> None:
+    """MuJoCo tells documents by `.xml`; ours may be called `.mjcf`."""
+    (tmp_path / "options.xml").write_text("<mujoco><option timestep='0.004'/></mujoco>")
+    text = "<mujoco model='m'><include file='options.xml'/><worldbody><geom size='1'/></worldbody>"
+    path = tmp_path / "scene.mjcf"
+    path.write_text(text + "</mujoco>")
+    scene = load_scene(path)
+    assert scene.model.opt.timestep == 0.004
+    assert load_scene(scene.save(tmp_path / "saved")).fingerprint == scene.fingerprint
