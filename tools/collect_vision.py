@@ -1,19 +1,22 @@
 """Collects the images that the diffusion renderer is trained and measured on.
 
     MUJOCO_GL=egl python tools/collect_vision.py --out DIR [--workers 16] [--scale 1.0]
+        [--only 'train_push_?' test_push]
 
 Train, validation and test have different seeds; the sets whose names begin with `ood` lie outside
-the training distribution in one respect each. Files that exist are kept; an interrupted run goes
-on where it stopped.
+the training distribution in one respect each. Sets are made in the order in which they are named.
+Files that exist are kept; an interrupted run goes on where it stopped.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import fnmatch
 import json
 import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +47,7 @@ def data_sets() -> list[DataSet]:
     held = {"seed": TEST, "buffers": True}
     outside: dict[str, Any] = {"task": "push", "episodes": 50, **held}
     return [
-        DataSet("train_push", "push", 480),
+        *(DataSet(f"train_push_{i}", "push", 80, TRAIN + 10 * i) for i in range(1, 7)),
         DataSet("train_push_cubes", "push_cubes", 240),
         DataSet("train_pick_and_place", "pick_and_place", 160),
         DataSet("train_push_random", "push", 160, camera=RANDOM),
@@ -67,17 +70,23 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--scale", type=float, default=1.0, help="of the numbers of episodes")
     parser.add_argument("--size", type=int, default=128, help="height and width, pixels")
-    parser.add_argument("--only", nargs="+", default=[], help="names, or beginnings of names")
+    parser.add_argument("--only", nargs="+", default=["*"], help="names; * and ? stand for letters")
+    parser.add_argument("--no-buffers", action="store_true", help="no depth and segmentation")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     started = time.monotonic()
     with quiet_engine():
-        for item in data_sets():
-            wanted = not arguments.only or item.name.startswith(tuple(arguments.only))
+        for item in wanted(arguments.only):
             path = arguments.out / f"{item.name}.h5"
-            if wanted and not path.exists():
+            if not path.exists():
                 print(json.dumps(one(item, path, arguments)), flush=True)
     print(json.dumps({"name": "all", "seconds": round(time.monotonic() - started, 1)}))
+
+
+def wanted(names: Sequence[str]) -> list[DataSet]:
+    """The data sets of those names, in their order."""
+    found = [item for name in names for item in data_sets() if fnmatch.fnmatch(item.name, name)]
+    return list({item.name: item for item in found}.values())
 
 
 def one(item: DataSet, path: Path, arguments: argparse.Namespace) -> dict[str, Any]:
@@ -89,7 +98,7 @@ def one(item: DataSet, path: Path, arguments: argparse.Namespace) -> dict[str, A
         seed=item.seed,
         workers=arguments.workers,
         subtask=item.subtask,
-        camera=Camera(item.camera, arguments.size, item.buffers),
+        camera=Camera(item.camera, arguments.size, item.buffers and not arguments.no_buffers),
         changes=item.changes,
     )
     return {

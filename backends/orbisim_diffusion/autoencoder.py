@@ -70,11 +70,10 @@ class Autoencoder(nn.Module):
         return images
 
     @torch.no_grad()  # type: ignore[untyped-decorator]
-    def settle(self, images: Tensor) -> None:
-        """Takes mean and standard deviation of the latents of these images."""
-        mean, _ = self.posterior(images)
-        self.mean.copy_(mean.mean((0, 2, 3)))
-        self.std.copy_(mean.std((0, 2, 3)).clamp_min(1e-3))
+    def settle(self, means: Tensor) -> None:
+        """Takes the scale of latents [N, C, h, w], as `posterior` gives their means."""
+        self.mean.copy_(means.mean((0, 2, 3)))
+        self.std.copy_(means.std((0, 2, 3)).clamp_min(1e-3))
 
 
 def kl_divergence(mean: Tensor, logvar: Tensor) -> Tensor:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from orbisim.scene.visible import ROBOT, STATIC
 from orbisim_diffusion.raycast import cast, shade
+from orbisim_diffusion.shapes import PRIMITIVES, Meet
 from orbisim_diffusion.solids import ABSENT, Lamps, Solids, View, project
 
 Meshes = Mapping[int, Tensor] | None
@@ -29,11 +30,17 @@ _HEAT = 0.03
 
 
 def geometry_maps(
-    solids: Solids, view: View, lamps: Lamps, height: int, width: int, meshes: Meshes = None
+    solids: Solids,
+    view: View,
+    lamps: Lamps,
+    height: int,
+    width: int,
+    meshes: Meshes = None,
+    primitives: Mapping[int, Meet] = PRIMITIVES,
 ) -> Tensor:
     """Spatial condition maps [B, 15, H, W] of geometry buffers (configuration `default`)."""
-    buffers = cast(solids, view, height, width, meshes)
-    free, lit = shade(buffers, solids, view, lamps, meshes)
+    buffers = cast(solids, view, height, width, meshes, primitives)
+    free, lit = shade(buffers, solids, view, lamps, meshes, primitives)
     entity = solids.entity
     kinds = torch.stack([entity == STATIC, entity == ROBOT, entity > ROBOT], 1)
     shares = torch.einsum("bkg,bghw->bkhw", kinds.to(buffers.weight.dtype), buffers.weight)

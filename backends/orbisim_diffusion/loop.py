@@ -21,6 +21,8 @@ from orbisim.files.writing import make_folder, writing
 from orbisim_diffusion.config import TrainConfig
 
 Loss = Callable[[int], Tensor]
+Kept = Callable[[nn.Module], None]
+"""Is given the running average at each save."""
 
 
 class Loop:
@@ -60,13 +62,20 @@ class Loop:
         """Spent so far, earlier runs included."""
         return self.before + time.monotonic() - self.started
 
-    def run(self, loss: Loss, every: float = 30.0, report: Callable[..., None] = print) -> None:
+    def run(
+        self,
+        loss: Loss,
+        every: float = 30.0,
+        report: Callable[..., None] = print,
+        kept: Kept | None = None,
+    ) -> None:
         """Trains until the limit; `loss` gives the loss of a step.
 
         Args:
           loss: of the number of the step.
           every: seconds between reports and saves.
           report: is told step, seconds and mean loss.
+          kept: see `Kept`.
         """
         total, count, last = torch.zeros((), device=self.parameters[0].device), 0, self.seconds
         self.module.train()
@@ -78,6 +87,8 @@ class Loop:
                 self.history.append(line)
                 report(json.dumps({k: round(v, 6) for k, v in line.items()}))
                 self.save()
+                if kept is not None:
+                    kept(self.average)
                 total, count, last = torch.zeros_like(total), 0, self.seconds
         if count:
             mean = float(total) / count

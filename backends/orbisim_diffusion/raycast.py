@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from orbisim_diffusion.shapes import MESH, PRIMITIVES, mesh
+from orbisim_diffusion.shapes import MESH, PRIMITIVES, Meet, mesh
 from orbisim_diffusion.solids import ABSENT, Lamps, Solids, View, rays
 
 LAYERS = 3
@@ -47,6 +47,7 @@ def cast(
     height: int,
     width: int,
     meshes: Mapping[int, Tensor] | None = None,
+    primitives: Mapping[int, Meet] = PRIMITIVES,
 ) -> Buffers:
     """Casts a ray through the middle of each pixel.
 
@@ -55,10 +56,11 @@ def cast(
       view: the cameras.
       height, width: pixels.
       meshes: triangles [F, 3, 3] by the geom's place G, the same in every view.
+      primitives: `orbisim_diffusion.shapes.PRIMITIVES`, or the same compiled.
     """
     ray = rays(view, height, width)  # [B, P, 3]
     eye = view.pos[:, None].expand_as(ray)
-    t, inside, normal = _meet(solids, eye, ray, meshes or {})  # [B, G, P (, 3)]
+    t, inside, normal = _meet(solids, eye, ray, meshes or {}, primitives)  # [B, G, P (, 3)]
     pixel = t.abs() / (height * view.focal[:, None, 1:])  # m at that depth
     cover = torch.sigmoid(inside / (_EDGE * pixel.clamp_min(1e-6)))
     seen = (t > _NEAR) & (cover > 1e-3)
@@ -89,6 +91,7 @@ def shade(
     view: View,
     lamps: Lamps,
     meshes: Mapping[int, Tensor] | None = None,
+    primitives: Mapping[int, Meet] = PRIMITIVES,
 ) -> tuple[Tensor, Tensor]:
     """How much light falls on what is seen: [B, H, W] each, mean over the lights.
 
@@ -105,7 +108,7 @@ def shade(
         far = -_FAR * lamps.direction[:, light, None]
         near = lamps.pos[:, light, None] - point
         ray = torch.where(lamps.directional[:, light, None, None] > 0, far, near)
-        t, inside, _ = _meet(solids, point, ray, meshes or {})
+        t, inside, _ = _meet(solids, point, ray, meshes or {}, primitives)
         cover = torch.sigmoid(inside / (_EDGE * size[:, None]))
         blocked = torch.where((t > _NEAR) & (t < 1.0), cover, 0.0)
         open_ = 1.0 - lamps.shadow[:, light, None] * (1.0 - (1.0 - blocked).prod(1))
@@ -130,14 +133,18 @@ def _layers(t: Tensor, cover: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _meet(
-    solids: Solids, eye: Tensor, ray: Tensor, meshes: Mapping[int, Tensor]
+    solids: Solids,
+    eye: Tensor,
+    ray: Tensor,
+    meshes: Mapping[int, Tensor],
+    primitives: Mapping[int, Meet],
 ) -> tuple[Tensor, Tensor, Tensor]:
     """t, inside, and normals in the world frame, of every geom and ray (from `eye` [B, P, 3])."""
     shape = (*solids.kind.shape, ray.shape[1])
     t, inside = ray.new_zeros(shape), ray.new_full(shape, -1.0)
     normal = ray.new_zeros((*shape, 3))
     there = solids.entity != ABSENT
-    for kind, meet in PRIMITIVES.items():
+    for kind, meet in primitives.items():
         b, g = ((solids.kind == kind) & there).nonzero(as_tuple=True)
         if len(b):
             rot = solids.rot[b, g]

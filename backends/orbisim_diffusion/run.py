@@ -1,4 +1,4 @@
-"""`orbisim train vision`: the three trainings one after another, with a checkpoint after each."""
+"""`orbisim train vision`: the three trainings one after another, with checkpoints all the time."""
 
 from __future__ import annotations
 
@@ -9,12 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import nn
 
 from orbisim.errors import InputError
 from orbisim.tasks.dataset import EpisodeFile
 from orbisim.tasks.storage import versions
-from orbisim_diffusion.checkpoint import AUTOENCODER, DENOISER, ONE_STEP, save_checkpoint
+from orbisim_diffusion.checkpoint import (
+    AUTOENCODER,
+    DENOISER,
+    ONE_STEP,
+    load_checkpoint,
+    save_checkpoint,
+)
 from orbisim_diffusion.config import Config
+from orbisim_diffusion.denoiser import Denoiser
 from orbisim_diffusion.loop import Loop
 from orbisim_diffusion.measures import reconstruction, single_frames
 from orbisim_diffusion.model import Painter
@@ -28,8 +36,8 @@ from orbisim_diffusion.training import (
     train_one_step,
 )
 
-SHARES = (0.3, 0.5, 0.2)
-"""Of the time: autoencoder, denoiser, one-step renderer."""
+COMPILED = ("rays", AUTOENCODER, DENOISER)
+"""What can be compiled."""
 _KEEP_MAPS = 0.65
 """Share of a GPU's memory that condition maps of all frames may take."""
 
@@ -43,6 +51,8 @@ class Job:
       out: folder of the checkpoint. limits: s of each part. device: where to compute.
       seed: of all random numbers. workers: processes that read. steps: at most so many steps of
         each part. resume: go on with the training that stands in `out`.
+      start: checkpoint to begin from; a part whose limit is 0 stays as it is there.
+      compiled: what torch compiles, of `COMPILED`.
     """
 
     data: tuple[Path, ...]
@@ -54,18 +64,29 @@ class Job:
     workers: int = 1
     steps: int | None = None
     resume: bool = False
+    start: Path | None = None
+    compiled: frozenset[str] = frozenset()
 
 
 def train(config: Config, job: Job, report: Callable[[str], None] = print) -> dict[str, Any]:
-    """Trains a vision model; leaves a checkpoint in `job.out` after the denoiser and at the end.
+    """Trains a vision model; from the autoencoder's end on there is a checkpoint in `job.out`.
+
+    Args:
+      config: of the model; that of `job.start` takes its place. job: what to do.
+      report: is told how it goes.
 
     Returns:
       Its metrics on the held-out files.
 
     Raises:
-      InputError: the data have no images, or another size than the configuration's.
+      InputError: the data have no images, or another size than the configuration's; a part that
+        is not trained has nothing to begin from.
     """
     device = torch.device(job.device)
+    start = load_checkpoint(job.start) if job.start else None
+    config = start.config if start else config
+    if start is None and not (job.limits[0] > 0 and job.limits[1] > 0):
+        raise InputError("autoencoder and denoiser must be trained, or come from --start")
     progress = job.out / "progress"
     if progress.exists() and not job.resume:
         raise InputError(f"{progress}: there is an unfinished training; --resume goes on with it")
@@ -75,29 +96,60 @@ def train(config: Config, job: Job, report: Callable[[str], None] = print) -> di
     if store.size != config.size:
         raise InputError(f"images of {store.size} pixels; the configuration is for {config.size}")
     runs = [
-        Run(limit, job.steps, progress / f"{name}.safetensors", job.seed)
+        Run(limit, job.steps, progress / f"{name}.safetensors", job.seed, name in job.compiled)
         for name, limit in zip((AUTOENCODER, DENOISER, ONE_STEP), job.limits, strict=True)
     ]
     scope, notes = read_scope(store), _notes(job, store)
     metrics: dict[str, Any] = {}
+    parts: dict[str, nn.Module] = {}
+    store, held = (dataclasses.replace(s, compiled="rays" in job.compiled) for s in (store, held))
 
-    autoencoder, loop = train_autoencoder(config, runs[0], lambda: store, report)
-    metrics[AUTOENCODER] = {**reconstruction(autoencoder, held), **_spent(loop)}
+    def keep(name: str, module: nn.Module) -> None:
+        parts[name] = module
+        save_checkpoint(job.out, parts, config, scope, {**notes, "metrics": metrics})
+
+    if job.limits[0] > 0:
+        first = start.autoencoder if start else None
+        autoencoder, loop = train_autoencoder(config, runs[0], store, report, first)
+        metrics[AUTOENCODER] = _spent(loop)
+    else:
+        assert start is not None
+        autoencoder = start.autoencoder.to(device)
+        metrics[AUTOENCODER] = {}
+    begun = start.denoiser if start else Denoiser(config.denoiser, config.autoencoder.channels)
+    parts[AUTOENCODER] = autoencoder
+    keep(DENOISER, begun)
+    metrics[AUTOENCODER] |= reconstruction(autoencoder, held)
     report(f"autoencoder: {metrics[AUTOENCODER]}")
     store = _with_maps(encoded(autoencoder, store), config, report)
-    denoiser, loop = train_denoiser(config, runs[1], store, report)
+    metrics[DENOISER] = {}
+    denoiser = begun.to(device)
+    if job.limits[1] > 0:
+        denoiser, loop = train_denoiser(
+            config, runs[1], store, report, begun, lambda module: keep(DENOISER, module)
+        )
+        metrics[DENOISER] = _spent(loop)
     painter = Painter(autoencoder, denoiser, None, config, device)
-    metrics[DENOISER] = {**single_frames(painter, held), **_spent(loop)}
+    metrics[DENOISER] |= single_frames(painter, held)
     report(f"denoiser: {metrics[DENOISER]}")
-    parts: dict[str, Any] = {AUTOENCODER: autoencoder, DENOISER: denoiser}
-    save_checkpoint(job.out, parts, config, scope, {**notes, "metrics": metrics})
+    keep(DENOISER, denoiser)
+    tuned = start.one_step.to(device) if start and start.one_step else None
     if job.limits[2] > 0:
-        one_step, loop = train_one_step(config, runs[2], store, autoencoder, denoiser, report)
+        one_step, loop = train_one_step(
+            config,
+            runs[2],
+            store,
+            autoencoder,
+            tuned or denoiser,
+            report,
+            lambda module: keep(ONE_STEP, module),
+        )
         painter = Painter(autoencoder, denoiser, one_step, config, device)
         metrics[ONE_STEP] = {**single_frames(painter, held, steps=(1,)), **_spent(loop)}
         report(f"one_step: {metrics[ONE_STEP]}")
-        parts[ONE_STEP] = one_step
-        save_checkpoint(job.out, parts, config, scope, {**notes, "metrics": metrics})
+        keep(ONE_STEP, one_step)
+    elif tuned is not None:
+        keep(ONE_STEP, tuned)
     return metrics
 
 

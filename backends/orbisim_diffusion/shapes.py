@@ -13,7 +13,8 @@ All three are differentiable in all arguments, except where a ray meets an edge.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Mapping
 
 import torch
 from torch import Tensor
@@ -105,7 +106,9 @@ def box(origin: Tensor, ray: Tensor, size: Tensor) -> Hit:
     return t, chord * _length(ray)[..., 0], -ray.sign() * axes
 
 
-PRIMITIVES: dict[int, Callable[[Tensor, Tensor, Tensor], Hit]] = {
+Meet = Callable[[Tensor, Tensor, Tensor], Hit]
+
+PRIMITIVES: Mapping[int, Meet] = {
     0: plane,
     2: sphere,
     3: capsule,
@@ -116,6 +119,12 @@ PRIMITIVES: dict[int, Callable[[Tensor, Tensor, Tensor], Hit]] = {
 """By MuJoCo's number of the geom's type (`mujoco.mjtGeom`)."""
 MESH = 7
 """MuJoCo's number of meshes."""
+
+
+@functools.cache
+def compiled_primitives() -> Mapping[int, Meet]:
+    """`PRIMITIVES`, each as one kernel for any number of geoms and rays (tens of seconds, once)."""
+    return {kind: torch.compile(meet, dynamic=True) for kind, meet in PRIMITIVES.items()}
 
 
 def mesh(origin: Tensor, ray: Tensor, triangles: Tensor) -> Hit:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import concurrent.futures
 import dataclasses
 import multiprocessing
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from orbisim_diffusion.conditions import (
     object_tokens,
 )
 from orbisim_diffusion.own import read_own
-from orbisim_diffusion.shapes import PRIMITIVES
+from orbisim_diffusion.shapes import PRIMITIVES, Meet, compiled_primitives
 from orbisim_diffusion.solids import ABSENT, Lamps, Solids, View, matrices
 
 Arrays = dict[str, npt.NDArray[Any]]
@@ -93,6 +93,7 @@ class Store:
       pos, quat: [N, G, 3 | 4] of the geoms. view_pos, view_rot: [N, 3], [N, 3, 3].
       lens: [E, 4] focal lengths and offsets. extras: [N, ...] of the robot, by name.
       latents: [N, C, h, w], once they were computed. maps: [N, M, H, W], likewise.
+      compiled: whether rays are cast by compiled kernels.
     """
 
     frames: Tensor
@@ -110,6 +111,7 @@ class Store:
     extras: dict[str, list[Tensor]]
     latents: Tensor | None = None
     maps: Tensor | None = None
+    compiled: bool = False
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -158,7 +160,9 @@ class Store:
         if self.maps is not None:
             return self.maps[index].float(), tokens, there
         lamps, size = self.lamps(index), self.size
-        return condition_maps(solids, view, lamps, size, size, maps), tokens, there
+        primitives = compiled_primitives() if self.compiled else PRIMITIVES
+        found = condition_maps(solids, view, lamps, size, size, maps, primitives=primitives)
+        return found, tokens, there
 
     def with_maps(self, maps: str) -> Store:
         """The same with the condition maps of all frames in half precision: 0.5 MB each at 128."""
@@ -182,11 +186,12 @@ def condition_maps(
     width: int,
     maps: str,
     meshes: Meshes = None,
+    primitives: Mapping[int, Meet] = PRIMITIVES,
 ) -> Tensor:
     """Spatial condition maps [B, M, H, W] of a kind (see `DenoiserConfig.maps`)."""
     if maps == "heatmaps":
         return heatmaps(solids, view, height, width)
-    return geometry_maps(solids, view, lamps, height, width, meshes)
+    return geometry_maps(solids, view, lamps, height, width, meshes, primitives)
 
 
 def load(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import random
 from collections.abc import Callable
@@ -14,7 +15,7 @@ from orbisim_diffusion import edm
 from orbisim_diffusion.autoencoder import Autoencoder, autoencoder_loss, to_float
 from orbisim_diffusion.config import MOST_CONTEXT, Config
 from orbisim_diffusion.denoiser import Condition, Denoiser, perturbed_anchor
-from orbisim_diffusion.loop import Loop, mixed
+from orbisim_diffusion.loop import Kept, Loop, mixed
 from orbisim_diffusion.store import Store, draw_frames
 
 Report = Callable[[str], None]
@@ -29,45 +30,54 @@ class Run:
     Attributes:
       limit: s, earlier runs included. steps: at most so many; None for no bound.
       progress: file to go on from; None for none. seed: of all random numbers.
+      compiled: whether torch compiles the networks (a minute or more, once).
     """
 
     limit: float
     steps: int | None = None
     progress: Path | None = None
     seed: int = 0
+    compiled: bool = False
 
 
 def train_autoencoder(
-    config: Config, run: Run, stores: Callable[[], Store], report: Report = print
+    config: Config,
+    run: Run,
+    store: Store,
+    report: Report = print,
+    start: Autoencoder | None = None,
 ) -> tuple[Autoencoder, Loop]:
     """Trains the autoencoder on single frames.
 
     Args:
-      config: of the model. run: see `Run`.
-      stores: gives the data; asked again at each save, so that data may still be coming in.
-      report: is told how it goes.
+      config: of the model. run: see `Run`. store: the data. report: is told how it goes.
+      start: trained before, to go on with.
     """
     _seed(run.seed)
-    store = stores()
-    model = Autoencoder(config.autoencoder).to(store.device, memory_format=torch.channels_last)
+    model = copy.deepcopy(start) if start else Autoencoder(config.autoencoder)
+    model = model.to(store.device, memory_format=torch.channels_last).requires_grad_(True)
+    measure = torch.compile(autoencoder_loss) if run.compiled else autoencoder_loss
     loop = Loop(model, config.train_autoencoder, run.limit, run.progress, run.steps)
 
     def loss(_: int) -> Tensor:
         index = torch.randint(len(store), (config.train_autoencoder.batch,), device=store.device)
         images = to_float(store.frames[index]).contiguous(memory_format=torch.channels_last)
         with mixed(store.device):
-            return autoencoder_loss(model, images)
+            found: Tensor = measure(model, images)
+            return found
 
     loop.run(loss, report=report)
     average = loop.average
     assert isinstance(average, Autoencoder)
-    every = max(1, len(store) // _SETTLE)
-    sample = store.frames[::every]
-    means = [average.posterior(to_float(part))[0] for part in sample.split(256)]
-    flat = torch.cat(means)
-    average.mean.copy_(flat.mean((0, 2, 3)))
-    average.std.copy_(flat.std((0, 2, 3)).clamp_min(1e-3))
+    settle(average, store)
     return average, loop
+
+
+@torch.no_grad()  # type: ignore[untyped-decorator]
+def settle(model: Autoencoder, store: Store) -> None:
+    """Takes the scale of the latents from frames spread over a store."""
+    sample = store.frames[:: max(1, len(store) // _SETTLE)]
+    model.settle(torch.cat([model.posterior(to_float(part))[0] for part in sample.split(256)]))
 
 
 @torch.no_grad()  # type: ignore[untyped-decorator]
@@ -96,12 +106,25 @@ def draw_condition(store: Store, config: Config, frames: Tensor) -> tuple[Condit
 
 
 def train_denoiser(
-    config: Config, run: Run, store: Store, report: Report = print, start: Denoiser | None = None
+    config: Config,
+    run: Run,
+    store: Store,
+    report: Report = print,
+    start: Denoiser | None = None,
+    kept: Kept | None = None,
 ) -> tuple[Denoiser, Loop]:
-    """Trains the denoiser on a store with latents; K is uniform in 0 to 6, one for each batch."""
+    """Trains the denoiser on a store with latents; K is uniform in 0 to 6, one for each batch.
+
+    Args:
+      config: of the model. run: see `Run`. store: the data. report: is told how it goes.
+      start: trained before, to go on with. kept: see `orbisim_diffusion.loop.Kept`.
+    """
     _seed(run.seed)
-    model = start or Denoiser(config.denoiser, config.autoencoder.channels)
+    model = (
+        copy.deepcopy(start) if start else Denoiser(config.denoiser, config.autoencoder.channels)
+    )
     model = model.to(store.device, memory_format=torch.channels_last).requires_grad_(True)
+    denoise = torch.compile(model) if run.compiled else model
     settings, training = config.denoiser, config.train_denoiser
     loop = Loop(model, training, run.limit, run.progress, run.steps)
 
@@ -112,10 +135,10 @@ def train_denoiser(
         sigma = edm.draw_sigma(len(frames), settings.noise_mean, settings.noise_std, store.device)
         noisy = target + sigma[:, None, None, None] * torch.randn_like(target)
         with mixed(store.device):
-            denoised = model(noisy, sigma, given)
+            denoised = denoise(noisy, sigma, given)
         return edm.denoising_loss(denoised, target, sigma, settings.sigma_data)
 
-    loop.run(loss, report=report)
+    loop.run(loss, report=report, kept=kept)
     average = loop.average
     assert isinstance(average, Denoiser)
     return average, loop
@@ -128,14 +151,14 @@ def train_one_step(
     autoencoder: Autoencoder,
     start: Denoiser,
     report: Report = print,
+    kept: Kept | None = None,
 ) -> tuple[Denoiser, Loop]:
     """Tunes a denoiser end to end to answer pure noise at once, through the frozen decoder.
 
     The loss is the squared error of the latent and, in images, that of the pixels.
     """
     _seed(run.seed)
-    model = Denoiser(config.denoiser, config.autoencoder.channels)
-    model.load_state_dict(start.state_dict())
+    model = copy.deepcopy(start).requires_grad_(True)
     model = model.to(store.device, memory_format=torch.channels_last)
     frozen = autoencoder.to(store.device).requires_grad_(False)
     settings, training = config.denoiser, config.train_one_step
@@ -154,7 +177,7 @@ def train_one_step(
             pixels.float() - images
         ).square().mean()
 
-    loop.run(loss, report=report)
+    loop.run(loss, report=report, kept=kept)
     average = loop.average
     assert isinstance(average, Denoiser)
     return average, loop

@@ -172,7 +172,28 @@ _VISION = (
     type=click.FloatRange(min=0, min_open=True),
     default=1500.0,
     show_default=True,
-    help="Seconds; 30 % for the autoencoder, 50 % for the denoiser, 20 % for the one-step model.",
+    help="Seconds, with what earlier runs took.",
+)
+@click.option(
+    "--shares",
+    nargs=3,
+    type=click.FloatRange(0, 1),
+    default=(0.3, 0.5, 0.2),
+    show_default=True,
+    help="Of the time: for autoencoder, denoiser, one-step model. 0 leaves a part as in --start.",
+)
+@click.option(
+    "--start",
+    default=None,
+    type=click.Path(path_type=Path),
+    help="Checkpoint to begin from; its configuration is used.",
+)
+@click.option(
+    "--compile",
+    "compiled",
+    multiple=True,
+    type=click.Choice(["rays", "autoencoder", "denoiser"]),
+    help="Compile this; repeatable. Takes a minute, and is faster then.",
 )
 @click.option("--steps", type=click.IntRange(min=1), default=None, help="At most, of each part.")
 @click.option(
@@ -191,6 +212,9 @@ def vision(
     name: str,
     out: Path,
     time_limit: float,
+    shares: tuple[float, float, float],
+    start: Path | None,
+    compiled: tuple[str, ...],
     steps: int | None,
     held_out_data: tuple[Path, ...],
     workers: int,
@@ -210,17 +234,18 @@ def vision(
         from orbisim_diffusion.config import preset
     except ImportError as error:
         raise MissingDependencyError("training", "learned", str(error)) from error
-    limits = tuple(time_limit * share for share in run.SHARES)
     job = run.Job(
         data=data,
         held=held_out_data,
         out=out,
-        limits=limits,  # type: ignore[arg-type]
+        limits=(time_limit * shares[0], time_limit * shares[1], time_limit * shares[2]),
         device=device or _default_device(),
         seed=seed,
         workers=workers,
         steps=steps,
         resume=resume,
+        start=start,
+        compiled=frozenset(compiled),
     )
     metrics = run.train(preset(name), job, note)
     if as_json:

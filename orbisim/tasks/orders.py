@@ -19,7 +19,7 @@ from orbisim.tasks.sampling import episode_seed
 
 _CHUNK = 16
 """Episodes that a process makes before it writes: little is lost when it is killed."""
-_SEEN_CHUNK = 4
+_SEEN_CHUNK = 2
 """The same with images: an episode takes seconds, and processes should end together."""
 _ATTEMPTS = 5
 """Draws of an episode whose simulation is unstable; five in a row mean that the task is."""

@@ -16,11 +16,6 @@ _NOT_FORKED = {"torch", "OpenGL.EGL"}
 driver makes no context on an EGL display that was opened before the fork (EGL_BAD_ALLOC)."""
 
 
-_NOT_FORKED = {"torch", "OpenGL.EGL"}
-"""Modules that a forked process cannot go on with: torch's threads may hang there, and NVIDIA's
-driver makes no context on an EGL display that was opened before the fork (EGL_BAD_ALLOC)."""
-
-
 def run(work: Callable[..., None], jobs: Sequence[tuple[Any, ...]], workers: int) -> Iterator[None]:
     """Runs `work(*job)` for every job; yields once for each that is done, in any order.
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 import pytest
+import torch
 from orbisim_diffusion.checkpoint import load_checkpoint
 from orbisim_diffusion.own import read_own, squares
 
@@ -95,3 +96,22 @@ def test_the_command_trains_on_them(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert run([*command, *options]) == 2
     assert "--resume" in capsys.readouterr().err
     assert run([*command, *options, "--resume"]) == 0
+
+
+def test_a_training_begins_from_a_checkpoint_and_leaves_parts_as_they_are(tmp_path: Path) -> None:
+    folder, start, out = write_own(tmp_path / "a"), tmp_path / "start", tmp_path / "out"
+    command = ["train", "vision", str(folder), "--steps", "2", "--device", "cpu"]
+    assert (
+        run([*command, "--out", str(out), "--shares", "0", "1", "0"]) == 2
+    )  # nothing to begin from
+    assert (
+        run([*command, "--config", "tiny", "--out", str(start), "--shares", "0.5", "0.5", "0"]) == 0
+    )
+    more = ["--out", str(out), "--start", str(start), "--shares", "0", "0.8", "0.2"]
+    assert run([*command, *more]) == 0
+    old, new = load_checkpoint(start), load_checkpoint(out)
+    assert new.config == old.config and new.one_step is not None
+    same, other = old.autoencoder.state_dict(), new.autoencoder.state_dict()
+    assert all(torch.equal(same[name], other[name]) for name in same)
+    pairs = zip(old.denoiser.parameters(), new.denoiser.parameters(), strict=True)
+    assert any(not torch.equal(a, b) for a, b in pairs)

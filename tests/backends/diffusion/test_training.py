@@ -48,7 +48,7 @@ def test_each_part_learns(name: str) -> None:
         ),
     )
     lines: list[str] = []
-    vae, loop = train_autoencoder(config, Run(200, 150), lambda: store, lines.append)
+    vae, loop = train_autoencoder(config, Run(200, 150), store, lines.append)
     assert loop.step == 150
     error = (vae.decode(vae.encode(to_float(store.frames))) - to_float(store.frames)).abs().mean()
     assert float(error) < 0.3  # of a range of 2; an untrained one has 0.5
@@ -85,7 +85,7 @@ def test_a_loss_that_is_not_finite_ends_the_training() -> None:
 
 
 def test_state_inference_learns_and_measures_in_the_papers_units() -> None:
-    store = encoded(train_autoencoder(TINY, Run(100, 2), _store)[0], _store())
+    store = encoded(train_autoencoder(TINY, Run(100, 2), _store())[0], _store())
     model, _ = train_inference(TINY, Run(100, 3), store)
     found = inference_errors(model, store, 8)
     assert json.dumps(found)
