@@ -21,6 +21,7 @@ from mujoco.sysid._src import optimize, parameter, residual, timeseries, traject
 
 from orbisim import Recording, Scene, load_scene, replay
 from orbisim.recording import bind
+from orbisim.recording.bound import Bound
 from orbisim.recording.initial import starts
 from orbisim.recording.joints import joints
 from orbisim.recording.windows import cut
@@ -31,7 +32,7 @@ Floats = npt.NDArray[np.float64]
 WINDOW = 0.5
 KINDS = ("armature", "frictionloss", "damping", "stiffness")
 
-__all__ = ["fit", "sysid"]
+__all__ = ["fit", "fitted_scene", "sysid"]
 
 
 class _TimeUp(Exception):
@@ -52,28 +53,34 @@ def fit(
       declared_start: whether it begins at the declared values; else where these are small at 5 % of
         the largest, as a fit that begins at a bound may stall there.
     """
-    started = time.perf_counter()
     declared = load_scene(scene, trusted=True)
     seen = [Recording.load(path) for path in recordings]
     held = [Recording.load(path) for path in held_out]
     before = replay(declared, held, window=WINDOW).rms
-    parameters, verdict = _parameters(declared, declared_start), "nothing to fit"
-    values: dict[str, float] = {}
-    fitted = declared
-    if parameters.size:
-        sequences = _sequences(declared, seen)
-        found, verdict = _optimum(parameters, sequences, started + seconds)
-        spec = declared.spec
-        for one in found.values():
-            one.apply_modifier(spec)
-            values[one.name] = float(np.ravel(one.value)[0])
-        fitted = Scene.from_spec(spec, source=declared.source)
+    fitted, values, verdict = fitted_scene(declared, seen, seconds, declared_start)
     after = replay(fitted, held, window=WINDOW).rms
     return {
         "verdict": verdict,
         "values": values,
         "error": {"held_out": {"before": before, "after": after}, "window_s": WINDOW},
     }
+
+
+def fitted_scene(
+    declared: Scene, recordings: Sequence[Recording], seconds: float, declared_start: bool
+) -> tuple[Scene, dict[str, float], str]:
+    """The scene with fitted numbers, these by name, and how the fit ended."""
+    started = time.perf_counter()
+    parameters = _parameters(declared, declared_start)
+    if not parameters.size:
+        return declared, {}, "nothing to fit"
+    sequences = _sequences(declared, recordings)
+    found, verdict = _optimum(parameters, sequences, started + seconds)
+    spec, values = declared.spec, {}
+    for one in found.values():
+        one.apply_modifier(spec)
+        values[one.name] = float(np.ravel(one.value)[0])
+    return Scene.from_spec(spec, source=declared.source), values, verdict
 
 
 def _optimum(
@@ -149,20 +156,23 @@ def _setter(joint: str, kind: str) -> Any:
 
 
 def _sequences(scene: Scene, recordings: Sequence[Recording]) -> trajectory.ModelSequences:
-    model, step = scene.model, float(scene.model.opt.timestep)
+    runs = [bind(recording, scene) for recording in recordings]
+    spec, pulled = _with_motors(scene, runs)
+    model = spec.compile()
+    step = float(model.opt.timestep)
     names: list[str] = []
     states: list[Floats] = []
     controls: list[Any] = []
     measured: list[Any] = []
     q_map, v_map, _, c_map = timeseries.TimeSeries.compute_all_state_mappings(model)
-    for number, recording in enumerate(recordings):
-        bound = bind(recording, scene)
+    for number, bound in enumerate(runs):
         begin = starts(bound, "recorded")
+        commands = np.hstack([bound.ctrl, np.nan_to_num(bound.torque[:, pulled])])
         for window in cut(bound.time, WINDOW, begin.usable):
             rows = slice(window.start, window.stop)
             time = bound.time[rows] - bound.time[window.start]
             ticks = np.arange(round(time[-1] / step) + 1) * step
-            held = Held(time, bound.ctrl[rows]).at(ticks + 1e-9)
+            held = Held(time, commands[rows]).at(ticks + 1e-9)
             first = window.start
             state = trajectory.create_initial_state(model, begin.qpos[first], begin.qvel[first])
             data, mapping = _measured(bound, rows, q_map, v_map, model.nq)
@@ -171,8 +181,21 @@ def _sequences(scene: Scene, recordings: Sequence[Recording]) -> trajectory.Mode
             controls.append(timeseries.TimeSeries(ticks, held, c_map))
             measured.append(timeseries.TimeSeries(time, data, mapping))
     return trajectory.ModelSequences(
-        scene.name, scene.spec, names, states, controls, measured, allow_missing_sensors=True
+        scene.name, spec, names, states, controls, measured, allow_missing_sensors=True
     )
+
+
+def _with_motors(scene: Scene, runs: Sequence[Bound]) -> tuple[mujoco.MjSpec, list[int]]:
+    """The scene with a motor at each joint whose recorded force drives it, which is how such a
+    force is given to sysid; and the degrees of freedom that these motors drive."""
+    spec, pulled = scene.spec, []
+    for joint in joints(scene.model):
+        dof = joint.v.start
+        if joint.scalar and all(bool(bound.applied[dof]) for bound in runs):
+            motor = spec.add_actuator(name=f"force of {joint.label}", target=joint.label)
+            motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
+            pulled.append(dof)
+    return spec, pulled
 
 
 def _measured(

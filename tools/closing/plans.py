@@ -37,17 +37,19 @@ class Plan:
 
     Attributes:
       name: of the set. half: whether the search was developed on it, or is only judged by it.
-      left_out: what the declared scene lacks, by the set's publication.
-      metric: on the held-out recordings. reference: figures known from elsewhere, in words.
+      literature: what the declared scene lacks, with the literature's figures.
+      dominant: effect and target of what counts most of that, and what is the same physics; written
+        down before a run with the defaults. Empty where there is next to nothing.
+      metric: on the held-out recordings.
       only: held-out recordings whose names start so; all if empty.
       recording: what is done to each recording first.
     """
 
     name: str
     half: Half
-    left_out: str
+    literature: str
     metric: Metric
-    reference: str
+    dominant: tuple[tuple[str, str], ...] = ()
     only: str = ""
     recording: Callable[[Recording], Recording] = _same
 
@@ -75,108 +77,134 @@ PLANS = (
     Plan(
         "emps",
         "developed",
-        left_out="Coulomb and viscous friction, offset",
+        literature="Coulomb 20.39 N, viscous 203.5 N·s/m, offset 3.16 N",
+        dominant=(
+            ("coulomb_friction", "carriage"),
+            ("viscous_damping", "carriage"),
+        ),
         metric=free_run(0.5, "mm", 1e3),
-        reference="force residual 70 % to 3.6 % of the force",
     ),
     Plan(
         "contactnets_cube",
         "developed",
-        left_out="sliding friction of the board (declared: MuJoCo's default, 1)",
+        literature="sliding friction 0.18",
+        dominant=(
+            ("sliding_friction", "cube"),
+            ("sliding_friction", "board"),
+        ),
         metric=position_after(0.5),
-        reference="166 mm to 44 mm with the published friction",
     ),
     Plan(
         "dfki_simple_pendulum",
         "developed",
-        left_out="Coulomb and viscous friction, reflected rotor inertia",
+        literature="Coulomb 0.289 N·m, viscous 0.047 N·m·s/rad, armature 0.0022 kg·m²",
+        dominant=(("coulomb_friction", "hinge"),),
         metric=free_run(1.0, velocities="smoothed"),
-        reference="energy_shaping 0.168 to 0.065 rad, ddp 0.185 to 0.078 rad",
     ),
     Plan(
         "multiarm_pendulum_single",
         "developed",
-        left_out="bearing damping, zero offset of the encoder",
+        literature="viscous 2.24e-4 N·m·s/rad; zero offset of a few mrad",
+        dominant=(
+            ("viscous_damping", "arm"),
+            ("linear_drag", "arm"),
+        ),
         metric=free_run(5.0),
-        reference="0.196 to 0.054 rad over 5 s",
     ),
     Plan(
         "kuka_kr300",
         "developed",
-        left_out="payload, counterbalance spring, gear friction",
+        literature="payload 151 kg, counterbalance spring, friction of all six gears",
+        dominant=(("payload", "link_6"),),
         metric=torque_residual(_declared("kuka_kr300"), 10.0),
-        reference="799/1191/2236/167/510/226 to 178/360/383/61/52/42 N·m",
     ),
     Plan(
         "airtrack_oscillator",
         "developed",
-        left_out="damping by the air film",
+        literature="viscous 0.0137 N·s/m",
+        dominant=(
+            ("viscous_damping", "glider"),
+            ("linear_drag", "glider"),
+        ),
         metric=best_start(5.0, "mm", 1e3),
-        reference="3.85 to 0.41 pixels over the whole run, of which 0.29 are rounding",
     ),
     Plan(
         "bam_xl330",
         "developed",
-        left_out="friction, also under load, reflected rotor inertia, mounting offset",
+        literature="friction under load 0.122 (0.35 fitted), Coulomb 0.0089 N·m, "
+        "viscous 0.0044 N·m·s/rad, armature 0.0019 kg·m², offset 0.029 rad",
+        dominant=(("load_dependent_friction", "shaft"),),
         metric=free_run(0.5, velocities="smoothed"),
-        reference="0.39 to 0.29 rad (M1), 0.24 rad (M3); fitted with friction under load 0.048",
     ),
     Plan(
         "staubli_tx40",
         "judged",
-        left_out="friction and rotor inertia of all axes, coupling of the wrist",
+        literature="viscous 8.05 5.53 1.97 1.11 1.86 0.65 N·m·s/rad, "
+        "Coulomb 7.14 8.26 6.34 2.48 3.03 0.28 N·m, "
+        "armature 0.36 0.36 0.10 0.03 0.05 0.01 kg·m², coupling of the wrist",
+        dominant=(
+            ("viscous_damping", "joint_1"),
+            ("coulomb_friction", "joint_1"),
+        ),
         metric=torque_residual(_declared("staubli_tx40"), 30.0),
-        reference="23.9/18.1/8.2/5.0/4.07/3.32 to 3.7/3.3/1.2/0.60/0.96/0.96 N·m",
     ),
     Plan(
         "acromonk",
         "judged",
-        left_out="joint damping; Coulomb friction and rotor inertia at the elbow",
+        literature="elbow: armature 0.0055 kg·m², Coulomb 0.098 N·m, viscous 0.016 N·m·s/rad",
+        dominant=(("armature", "elbow"),),
         metric=torque_residual(_declared("acromonk"), 8.0, ("elbow",)),
-        reference="0.288 to 0.134 N·m with friction and armature fitted",
     ),
     Plan(
         "dfki_double_pendulum_A",
         "judged",
-        left_out="Coulomb and viscous friction, reflected rotor inertia, torque lag",
         only="sysid",
+        literature="Coulomb 0.146 and 0.123 N·m, armature 0.0028 kg·m², viscous 0.001 N·m·s/rad",
+        dominant=(
+            ("coulomb_friction", "shoulder"),
+            ("coulomb_friction", "elbow"),
+        ),
         metric=free_run(0.5, velocities="smoothed"),
-        reference="shoulder 0.100 to 0.025 rad, elbow 0.342 to 0.081 rad",
     ),
     Plan(
         "multiarm_pendulum_double",
         "judged",
-        left_out="bearing damping, zero offset of the encoders",
+        literature="viscous 2.37e-4 and 1.0e-5 N·m·s/rad",
+        dominant=(("viscous_damping", "upper"),),
         metric=free_run(1.0),
-        reference="none",
     ),
     Plan(
         "table_tennis_ball",
         "judged",
-        left_out="air drag, Magnus force",
+        literature="quadratic drag 3.4e-4 N·s²/m² (drag coefficient 0.45), Magnus force",
+        dominant=(("quadratic_drag", "ball"),),
         metric=end_of_run(),
-        reference="317 mm to 83 mm with the literature's coefficients",
         recording=first_flight,
     ),
     Plan(
         "rocket_coast",
         "judged",
-        left_out="air drag",
+        literature="quadratic drag 3.1e-4 N·s²/m² per kg",
+        dominant=(
+            ("quadratic_drag", "rocket"),
+            ("quadratic_damping", "height"),
+        ),
         metric=best_start(10.0, "m"),
-        reference="ballistic from the best start 7.9 to 57 m, with drag 3.2 to 10.8 m",
     ),
     Plan(
         "sts3215_backlash",
         "judged",
-        left_out="play in the gear, dead band and softness of the position control",
+        literature="play of the gear, dead band and softness of the control; no figures",
+        dominant=(
+            ("backlash", "shaft"),
+            ("deadband", "servo"),
+        ),
         metric=free_run(2.0),
-        reference="none published",
     ),
     Plan(
         "schmidt_lipson_double_pendulum",
         "judged",
-        left_out="next to nothing: light bearing friction",
+        literature="next to nothing: light bearing friction",
         metric=free_run(0.3, velocities="smoothed"),
-        reference="0.0096 rad frictionless, 0.0091 with viscous friction",
     ),
 )

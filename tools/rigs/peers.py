@@ -62,10 +62,10 @@ def _recipe(folder: Path) -> dict[str, Any]:
     scene = load_scene(scene_of(folder), trusted=True)
     held = [Recording.load(path) for path in recordings_of(folder, "held")]
     before = replay(scene, held, window=WINDOW).rms
-    found = _least_squares(scene, [Recording.load(p) for p in recordings_of(folder, "fit")])
+    found = least_squares(scene, [Recording.load(p) for p in recordings_of(folder, "fit")])
     if not found:
         return _report([], before, before, "no joint to fit")
-    after = replay(_with(scene, found), held, window=WINDOW).rms
+    after = replay(with_numbers(scene, found), held, window=WINDOW).rms
     helps = bool(np.isfinite(after)) and after < (1 - GATE) * before
     return _report(found if helps else [], before, after if helps else before, "fitted")
 
@@ -84,7 +84,7 @@ def _report(
     return {"verdict": verdict, "effects": effects, "error": error}
 
 
-def _least_squares(scene: Any, recordings: Sequence[Any]) -> list[dict[str, Any]]:
+def least_squares(scene: Any, recordings: Sequence[Any]) -> list[dict[str, Any]]:
     """Four numbers at each hinge and slide: value, interval and typical force."""
     from orbisim.recording.joints import joints
 
@@ -150,7 +150,7 @@ _SOFT = 1e-6
 """Stiffness of a spring that stands for an offset: it hardly changes with position."""
 
 
-def _with(scene: Any, found: Sequence[dict[str, Any]]) -> Any:
+def with_numbers(scene: Any, found: Sequence[dict[str, Any]]) -> Any:
     """The scene with the fitted numbers where a machine can have them."""
     from orbisim import Scene
     from orbisim.effects.base import spec_element
@@ -167,5 +167,6 @@ def _with(scene: Any, found: Sequence[dict[str, Any]]) -> Any:
             joint.armature = max(0.0, joint.armature + value)
         elif not joint.stiffness[0]:
             joint.stiffness[0] = _SOFT
-            joint.springref = np.degrees(value / _SOFT) if spec.compiler.degree else value / _SOFT
+            angle = spec.compiler.degree and joint.type != mujoco.mjtJoint.mjJNT_SLIDE
+            joint.springref = np.degrees(value / _SOFT) if angle else value / _SOFT
     return Scene.from_spec(spec, source=scene.source)
