@@ -92,6 +92,13 @@ _HOLDS = (
     ("train.stages", "0.25x1x2048,0.35x8x2048ar,0.4x24x2048arf"),
 )
 """For `push`, with data of rest, recovery and longer motion. One batch size, as above."""
+_CONTACTS = (
+    ("model.boxes", True),
+    ("model.impulses", True),
+    ("model.apart", True),
+    *_HOLDS,
+)
+"""The same data and stages, with contacts from known geometry."""
 _TAIL = (
     ("model.rest", True),
     ("train.rate", 2e-4),
@@ -118,6 +125,7 @@ ABLATIONS = (
 )
 JOBS: dict[str, Job] = {
     "push": Job(("push", "push_hold"), settings=_HOLDS, weight=6.0),
+    "push_contacts": Job(("push", "push_hold"), settings=_CONTACTS, weight=6.0),
     "push_tail": Job(
         ("push", "push_hold", "push_more", "push_long"), settings=_TAIL, weight=6.0, start="push"
     ),
@@ -196,6 +204,7 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
         out=options.work / label,
         limit=max(budget - reading, 1.0) if options.steps is None else None,
         steps=options.steps,
+        most=options.train_seconds,
         seed=seed,
         device=options.device,
         log_every=options.log_every,
@@ -311,6 +320,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--steps", type=int, help="instead of seconds, for rehearsals")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--train-seconds", type=float, help="a job at most, without compiling")
     parser.add_argument("--overhead", type=float, default=6.0, help="seconds a job for evaluation")
     parser.add_argument("--log-every", type=int, default=500)
     parser.add_argument("--resume", action="store_true")

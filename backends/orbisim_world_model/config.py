@@ -32,6 +32,9 @@ class ModelConfig:
       touch: see where the robot's capsules are, how they move, how far they are from the floor and
         from each other, and how far joints are from their limits.
       rest: boxes that lie flat and hardly move stay where they are (see `rest`).
+      boxes: see the geometry of candidate contacts between boxes (see `contacts`).
+      impulses: predict impulses within the friction cone at these contacts, beside the rest.
+      apart: undo overlaps of boxes beyond those of the training data.
     """
 
     kind: Kind = "objects"
@@ -49,6 +52,9 @@ class ModelConfig:
     contact: bool = True
     touch: bool = False
     rest: bool = False
+    boxes: bool = False
+    impulses: bool = False
+    apart: bool = False
     baseline: Literal["none", "mujoco"] = "none"
 
 

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from orbisim.errors import InputError
 from orbisim_world_model.config import ModelConfig
+from orbisim_world_model.contacts import SEEN, Contacts, Geometry
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.features import EDGE_FEATURES, Features
 from orbisim_world_model.integrate import OBJECT_OUTPUTS, Raw, advance, required, robot_outputs
@@ -22,10 +23,10 @@ from orbisim_world_model.network.objects import ObjectCentricNetwork
 from orbisim_world_model.network.still import StillNetwork
 from orbisim_world_model.normalization import Normalizer
 from orbisim_world_model.rest import Rest
+from orbisim_world_model.rotation import rotate_back, to_matrix
 from orbisim_world_model.spread import Spread
 
 _NETWORKS: dict[str, Any] = {
-    "objects": ObjectCentricNetwork,
     "global": GlobalNetwork,
     "dreamer": DreamerNetwork,
     "constant_velocity": StillNetwork,
@@ -70,6 +71,7 @@ SHARED = (
     "network.f_rec",
     "network.f_tra",
     "network.f_dec.objects",
+    "network.f_imp",
     "network.object_condition",
 )
 """The parts of a model that know nothing of its robot."""
@@ -88,6 +90,8 @@ class Dynamics(nn.Module):
         self.layout, self.config = layout, config
         self.kinematics = Kinematics(layout) if layout.hand and config.extended else None
         self.rest = Rest(layout) if config.rest and Rest.suits(layout) else None
+        chosen = config.boxes or config.apart
+        self.contacts = Contacts(layout) if chosen and Contacts.suits(layout) else None
         self.controls = layout.nu  # the number of an `action` is set by `with_controls`
         self.network: Any = None
         self.spread: Spread | None = None
@@ -96,13 +100,13 @@ class Dynamics(nn.Module):
         """Makes the network for so many controls; returns itself."""
         layout, config = self.layout, self.config
         self.features = Features(layout, config)
-        sizes = _sizes(self.features, controls)
+        sizes = _sizes(self.features, controls, self.contacts)
         self.sizes = sizes
         self.controls = controls
         extra = OBJECT_OUTPUTS if config.baseline != "none" else 0
         self.see_robot = Normalizer(sizes.robot - (sizes.robot_out if extra else 0))
         self.see_objects = Normalizer(sizes.objects - extra)
-        self.see_edges = Normalizer(EDGE_FEATURES)
+        self.see_edges = Normalizer(sizes.edges or EDGE_FEATURES)
         self.see_attributes, self.see_world = Normalizer(sizes.attributes), Normalizer(sizes.world)
         self.see_control = Normalizer(sizes.control)
         centered = not config.residual
@@ -111,7 +115,10 @@ class Dynamics(nn.Module):
         corrects = config.baseline != "none"
         self.base_robot = Normalizer(sizes.robot_out if corrects else 0)
         self.base_objects = Normalizer(sizes.objects_out if corrects else 0)
-        self.network = _NETWORKS[config.kind](sizes, config)
+        if config.kind == "objects":
+            self.network = ObjectCentricNetwork(sizes, config, self.contacts)
+        else:
+            self.network = _NETWORKS[config.kind](sizes, config)
         return self
 
     def with_spread(self, width: int) -> Dynamics:
@@ -165,26 +172,44 @@ class Dynamics(nn.Module):
         inputs = self.inputs(x, control, context, base)
         if self.spread is None:
             out = self.network(self._cast(inputs), memory, observe)
-            return self._advanced(x, out, context, base)
+            return self._advanced(x, inputs, out, context, base)
         h = memory[..., :-2] if self._remembers else self.network.initial_memory(len(x.pos))
         out = self.network(self._cast(inputs), h.to(self.network.start.dtype), observe)
         variance = self.spread(inputs, self.variance(memory))
         kept = [out.memory.float(), variance] if self._remembers else [variance]
         out = out._replace(memory=torch.cat(kept, dim=-1))
-        return self._advanced(x, out, context, base)
+        return self._advanced(x, inputs, out, context, base)
 
-    def _advanced(self, x: Entities, out: Outputs, context: Context, base: Entities | None) -> Step:
+    def _advanced(
+        self, x: Entities, inputs: Inputs, out: Outputs, context: Context, base: Entities | None
+    ) -> Step:
         mask = context.mask
         raw = Raw(*self._unscaled(out, x.pos.dtype))
+        if out.impulses is not None:
+            raw = self._pushed(x, inputs, out.impulses.to(x.pos.dtype), context, raw)
         if mask is not None and self.config.residual:  # objects that are not there stay at rest
             raw = raw._replace(objects=raw.objects * mask[..., None])
         if base is None:
             state = advance(x, raw, self.layout.timestep, self.config)
+            if self.contacts is not None and self.config.apart:
+                state = self.contacts.apart(self.completed(state), context)
             if self.rest is not None and not self.training:  # what it holds teaches nothing
                 state = self.rest(x, state, context)
         else:
             state = advance(base, raw, 0.0, self.config)
         return Step(self.completed(state), out.memory, out.latent, out.penalty)
+
+    def _pushed(
+        self, x: Entities, inputs: Inputs, wanted: Tensor, context: Context, raw: Raw
+    ) -> Raw:
+        """The decoder's numbers with the changes of velocity by contacts' impulses added."""
+        assert self.contacts is not None and inputs.contacts is not None
+        dvel, dang = self.contacts.changes(x, context, inputs.contacts, wanted)
+        if self.config.relative:
+            rot = to_matrix(x.quat)
+            dvel, dang = rotate_back(rot, dvel), rotate_back(rot, dang)
+        own, vel, ang = raw.objects.split((7, 3, 3), dim=-1)
+        return raw._replace(objects=torch.cat([own, vel + dvel, ang + dang], dim=-1))
 
     def encode(self, x: Entities, memory: Tensor, control: Tensor, context: Context) -> Tensor:
         """z_t = f_enc(h_t, x_t)."""
@@ -195,9 +220,9 @@ class Dynamics(nn.Module):
         self, x: Entities, control: Tensor, context: Context, base: Entities | None = None
     ) -> Inputs:
         """Normalised features."""
-        see, edges = self.features, None
+        see, edges, contacts = self.features, None, self._geometry(x, context)
         if self.sizes.edges:
-            edges = self.see_edges(see.edges(x))
+            edges = self.see_edges(self._edges(x, context, contacts))
         robot, objects = self.see_robot(see.robot(x)), self.see_objects(see.objects(x, context))
         if base is not None:
             change = required(x, base, self.layout.timestep, self.config)
@@ -211,7 +236,21 @@ class Dynamics(nn.Module):
             self.see_world(context.world),
             self.see_control(see.control(x, control)),
             context.mask,
+            contacts,
         )
+
+    def _geometry(self, x: Entities, context: Context) -> Geometry | None:
+        if self.contacts is None or not self.config.boxes:
+            return None
+        return self.contacts.geometry(x, context)
+
+    def _edges(self, x: Entities, context: Context, contacts: Geometry | None) -> Tensor:
+        """[B, K, K, E]: what tokens see of each other, and of their contacts."""
+        seen = self.features.edges(x)
+        if contacts is None or self.contacts is None:
+            return seen
+        rot = self.features.frames(x)[1]
+        return torch.cat([seen, self.contacts.edges(x, context, contacts, rot)], dim=-1)
 
     # -- scales --------------------------------------------------------------------------------
 
@@ -237,7 +276,7 @@ class Dynamics(nn.Module):
             if mask is not None:
                 tokens = token_mask(mask, self.layout.has_robot)
                 pairs = tokens[:, :, None] * tokens[:, None, :]
-            rows["see_edges"] = see.edges(x), pairs
+            rows["see_edges"] = self._edges(x, context, self._geometry(x, context)), pairs
         dt = self.layout.timestep
         if base is None:
             raw = required(x, after, dt, self.config)
@@ -260,6 +299,7 @@ class Dynamics(nn.Module):
         """
         ours, theirs = self.layout, lead.layout
         same = (ours.attributes, ours.settings) == (theirs.attributes, theirs.settings)
+        same = same and self.sizes.edges == lead.sizes.edges
         if self.config.kind != "objects" or not same or not (ours.objects and theirs.objects):
             raise InputError(
                 f"robots with joints {ours.joints} and {theirs.joints} fit into one model only "
@@ -280,13 +320,21 @@ class Dynamics(nn.Module):
         start = getattr(self.network, "start", None)
         if start is None or start.dtype == inputs.robot.dtype:
             return inputs
-        return Inputs(*(None if part is None else part.to(start.dtype) for part in inputs))
+        cast = {
+            name: part.to(start.dtype)
+            for name, part in inputs._asdict().items()
+            if isinstance(part, Tensor)
+        }
+        return inputs._replace(**cast)
 
 
 @torch.no_grad()  # type: ignore[untyped-decorator]
 def fit_together(models: list[Dynamics], transitions: list[Transitions]) -> None:
     """Takes all scales from the data; parts that models share from the data of all of them."""
     rows = [model.scale_rows(part) for model, part in zip(models, transitions, strict=True)]
+    for model, part in zip(models, transitions, strict=True):
+        if model.contacts is not None:
+            model.contacts.fit(model.completed(part.x), part.context)
     for model, mine in zip(models, rows, strict=True):
         for name, (values, weights) in mine.items():
             if name not in SHARED or len(models) == 1:
@@ -308,18 +356,19 @@ def _place(model: nn.Module, name: str) -> tuple[nn.Module, str]:
     return model.get_submodule(path), last
 
 
-def _sizes(see: Features, controls: int) -> Sizes:
+def _sizes(see: Features, controls: int, contacts: Contacts | None) -> Sizes:
     """Numbers of features, found by asking the functions that make them."""
     layout, config = see.layout, see.config
     x, context = example(layout)
     pairs = layout.tokens > 1 and config.kind == "objects"
     outputs = robot_outputs(layout, config) if layout.has_robot else 0
     corrects = config.baseline != "none"
+    touching = contacts.slots * SEEN if contacts is not None and config.boxes else 0
     return Sizes(
         robot=see.robot(x).shape[1] + corrects * outputs if layout.has_robot else 0,
         objects=see.objects(x, context).shape[2] + corrects * OBJECT_OUTPUTS,
         many=len(layout.objects),
-        edges=EDGE_FEATURES if pairs and config.relative else 0,
+        edges=EDGE_FEATURES + touching if pairs and config.relative else 0,
         attributes=len(layout.attributes),
         world=len(layout.settings),
         control=controls + len(see.servos),

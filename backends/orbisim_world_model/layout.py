@@ -45,6 +45,27 @@ class Limbs:
 
 
 @dataclasses.dataclass(frozen=True)
+class Pad:
+    """A box of the hand that objects can touch, in the frame of the hand's site.
+
+    Attributes:
+      pos: [3] its centre, m, where its joint is at `zero`. rot: [3, 3] its axes, in columns.
+      half: [3] half sides, m.
+      joint: the slide joint between hand and pad (index into `Layout.joints`), or -1.
+      axis: [3] of that joint. zero: its position there, m.
+      friction: sliding coefficient.
+    """
+
+    pos: tuple[float, float, float]
+    rot: tuple[Any, ...]
+    half: tuple[float, float, float]
+    joint: int = -1
+    axis: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    zero: float = 0.0
+    friction: float = 0.0
+
+
+@dataclasses.dataclass(frozen=True)
 class Layout:
     """Where the entities stand in (qpos, qvel, act, ctrl).
 
@@ -66,6 +87,7 @@ class Layout:
       invariant: whether moving and turning everything in the horizontal plane changes nothing.
       timestep: the control step, s.
       limbs: the robot's moving parts and what they can touch.
+      pads: boxes of the hand.
     """
 
     nq: int
@@ -93,6 +115,7 @@ class Layout:
     ground: float = 0.0
     invariant: bool = False
     limbs: Limbs = Limbs()
+    pads: tuple[Pad, ...] = ()
 
     @property
     def has_robot(self) -> bool:
@@ -199,7 +222,7 @@ def _problem(x: Layout) -> str:
     places_v = sorted([*x.joint_v, *(v + i for v in x.object_v for i in range(6))])
     if places_q != list(range(x.nq)) or places_v != list(range(x.nv)):
         return "the addresses of joints and objects do not make up nq and nv"
-    return _chain_problem(x) or _limbs_problem(x.limbs, len(x.joints))
+    return _chain_problem(x) or _limbs_problem(x.limbs, len(x.joints)) or _pads_problem(x)
 
 
 def _chain_problem(x: Layout) -> str:
@@ -236,6 +259,17 @@ def _limbs_problem(limbs: Limbs, joints: int) -> str:
         and {*limbs.grounded, *(one for pair in limbs.pairs for one in pair)} <= known
     ):
         return "limbs name a joint or a capsule that is not there"
+    return ""
+
+
+def _pads_problem(x: Layout) -> str:
+    for number, pad in enumerate(x.pads):
+        if not x.hand:
+            return "pads need a hand"
+        if not -1 <= pad.joint < len(x.joints):
+            return f"pads[{number}].joint is {pad.joint}; there are {len(x.joints)} joints"
+        if not _has_shape(pad.rot, (3, 3)) or min(pad.half) <= 0:
+            return f"pads[{number}] is no box"
     return ""
 
 

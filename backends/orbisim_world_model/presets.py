@@ -47,6 +47,7 @@ PRESETS = {
         _default_with("no_contact", contact=False),
         _default_with("no_extended", extended=False, control="action"),
         _default_with("no_skip", skip=False),
+        _default_with("contacts", boxes=True, impulses=True, apart=True, rest=True),
         dataclasses.replace(
             _default_with("recurrent", memory="gru"),
             train=dataclasses.replace(DEFAULT.train, stages=PAPER.train.stages),

@@ -13,6 +13,7 @@ from orbisim.scene import matrices
 from orbisim_world_model.frames import axis_frame, motion, nested, transform
 from orbisim_world_model.layout import Layout
 from orbisim_world_model.reading_limbs import read_limbs
+from orbisim_world_model.reading_pads import read_pads
 
 Floats = npt.NDArray[np.float64]
 
@@ -81,6 +82,7 @@ def read_layout(
         ground=_ground(model, surface),
         invariant=level and not scalar,
         limbs=read_limbs(model, scalar),
+        pads=read_pads(model, hand, scalar, members) if hand else (),
     )
 
 

@@ -34,7 +34,7 @@ def read_limbs(model: mujoco.MjModel, scalar: list[int]) -> Limbs:
         joints.append(joint)
         ends.append([_end(model, geom, fixed, side) for side in (-1.0, 1.0)])
     floor = _floor(model)
-    below = [i for i, g in enumerate(geoms) if floor >= 0 and _meet(model, g, floor)]
+    below = [i for i, g in enumerate(geoms) if floor >= 0 and meet(model, g, floor)]
     numbers = range(len(geoms))
     pairs = [(i, j) for i in numbers for j in numbers if i < j and _pair(model, geoms[i], geoms[j])]
     return Limbs(
@@ -106,10 +106,10 @@ def _pair(model: mujoco.MjModel, a: int, b: int) -> bool:
     excluded = {int(s) for s in model.exclude_signature}
     signature = (min(one, other) << 16) + max(one, other)
     related = bodies[0] == bodies[1] or bodies[0] == parents[1] or bodies[1] == parents[0]
-    return not related and signature not in excluded and _meet(model, a, b)
+    return not related and signature not in excluded and meet(model, a, b)
 
 
-def _meet(model: mujoco.MjModel, a: int, b: int) -> bool:
+def meet(model: mujoco.MjModel, a: int, b: int) -> bool:
     """Whether the collision masks of two geoms let them touch."""
     if model.opt.disableflags & (
         mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT

@@ -41,6 +41,7 @@ class Run:
     Attributes:
       out: folder for checkpoint, metrics, curves and card.
       steps, limit: budgets in training steps and in seconds; at least one.
+      most: further bound of the seconds, those of compiling not counted.
       seed: of everything random.
       device: `cpu`, `cuda`, `cuda:1`.
       held_out: share of the episodes that is kept for evaluation.
@@ -55,6 +56,7 @@ class Run:
     out: Path
     steps: int | None = None
     limit: float | None = None
+    most: float | None = None
     seed: int = 0
     device: str = "cpu"
     held_out: float = 0.1
@@ -134,7 +136,7 @@ def _train(
     device: Any,
 ) -> dict[str, Any]:
     kept, spare = _kept_and_held(packs, held, run, device)
-    clock = Clock(run.steps, run.limit)
+    clock = Clock(run.steps, run.limit, most=run.most)
     models = [load_for(run.start, p.layout).model for p in kept] if run.start else None
     trainer = Trainer(
         kept,

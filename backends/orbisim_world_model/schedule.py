@@ -17,12 +17,14 @@ class Clock:
       steps: of the whole training, or None.
       limit: wall-clock seconds of the whole training, or None.
       done: steps done already. spent: seconds spent already.
+      most: seconds of training at most, where `skip` took less off the limit than was feared.
     """
 
     steps: int | None
     limit: float | None
     done: int = 0
     spent: float = 0.0
+    most: float | None = None
 
     def __post_init__(self) -> None:
         self._since = time.monotonic()
@@ -44,8 +46,7 @@ class Clock:
         parts = [0.0]
         if self.steps is not None:
             parts.append(self.done / max(self.steps, 1))
-        if self.limit is not None:
-            parts.append(self.elapsed / self.limit)
+        parts += [self.elapsed / end for end in (self.limit, self.most) if end is not None]
         return min(max(parts), 1.0)
 
 

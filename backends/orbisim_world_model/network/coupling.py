@@ -7,6 +7,9 @@ from torch import Tensor, nn
 
 from orbisim_world_model.network.adaln import AdaptiveLayerNorm
 
+PAIR = 64
+"""Numbers that stand for a pair of tokens."""
+
 
 class Coupling(nn.Module):
     """Equation RSSM, e_t = f_cp(z_{t-1}, a_{t-1}, x): a transformer over the entities.
@@ -22,15 +25,20 @@ class Coupling(nn.Module):
         super().__init__()
         self.edge = None
         if edge:
-            self.edge = nn.Sequential(nn.Linear(edge, 96), nn.SiLU(), nn.Linear(96, 64), nn.SiLU())
+            self.edge = nn.Sequential(
+                nn.Linear(edge, 96), nn.SiLU(), nn.Linear(96, PAIR), nn.SiLU()
+            )
         self.blocks = nn.ModuleList(
-            Block(width, heads, expansion, 64 if edge else 0) for _ in range(layers)
+            Block(width, heads, expansion, PAIR if edge else 0) for _ in range(layers)
         )
         self.norm = nn.LayerNorm(width)
 
-    def forward(self, z: Tensor, c: Tensor, edges: Tensor | None, mask: Tensor | None) -> Tensor:
-        """e [B, K, width] from z and c [B, K, width], edges [B, K, K, E] and mask [B, K]."""
-        pairs = None if self.edge is None else self.edge(edges)
+    def pairs(self, edges: Tensor | None) -> Tensor | None:
+        """What tokens make of each other's edges [B, K, K, E]: [B, K, K, PAIR]."""
+        return None if self.edge is None else self.edge(edges)
+
+    def forward(self, z: Tensor, c: Tensor, pairs: Tensor | None, mask: Tensor | None) -> Tensor:
+        """e [B, K, width] from z and c [B, K, width], `pairs` and mask [B, K]."""
         for block in self.blocks:
             z = block(z, c, pairs, mask)
         return self.norm(z)

@@ -34,7 +34,7 @@ class FoldedNetwork(TokenNetwork):
         encoder = network.f_enc
         self.robot = _encoder(encoder.robot, None if self.remembers else self.start[0])
         self.objects = _encoder(encoder.objects, None if self.remembers else self.start[1])
-        self.edge = network.f_cp.edge
+        self.edge, self.f_imp = network.f_cp.edge, network.f_imp
         blocks = [block for block in network.f_cp.blocks if isinstance(block, Block)]
         norms = [norm for b in blocks for norm in (b.before_attention, b.before_mixing)]
         self.modulation = _stacked([norm.modulation for norm in norms])
@@ -76,7 +76,8 @@ class FoldedNetwork(TokenNetwork):
             seen = torch.cat([h, e], dim=-1) if self.skip else h
             latent = e + self.transition(seen) if self.skip else self.transition(seen)
         robot, objects = self.f_dec(latent)
-        return Outputs(robot, objects, h, latent, latent.new_zeros(()))
+        wanted = None if self.f_imp is None else self.f_imp(latent, pairs)
+        return Outputs(robot, objects, h, latent, latent.new_zeros(()), wanted)
 
 
 class FoldedBlock(nn.Module):

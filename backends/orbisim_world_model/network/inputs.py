@@ -7,6 +7,8 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor
 
+from orbisim_world_model.contacts import Geometry
+
 
 class Inputs(NamedTuple):
     """Normalised numbers of one step.
@@ -16,6 +18,7 @@ class Inputs(NamedTuple):
       attributes: [B, N, D]. world: [B, W].
       control: [B, U], with the distances to its targets where the model sees them.
       mask: [B, N], 1 for objects and 0 for padding; None when every world has all objects.
+      contacts: candidate contacts in SI units, where the model looks for them.
     """
 
     robot: Tensor
@@ -25,6 +28,7 @@ class Inputs(NamedTuple):
     world: Tensor
     control: Tensor
     mask: Tensor | None
+    contacts: Geometry | None = None
 
     def flat(self) -> Tensor:
         """Everything in one vector [B, ...] for networks without tokens."""
@@ -42,6 +46,7 @@ class Outputs(NamedTuple):
       memory: [B, ...].
       latent: zhat_t.
       penalty: [] a loss of the network's own.
+      impulses: [B, P, 3] what `Contacts.impulses` makes impulses of, or None.
     """
 
     robot: Tensor
@@ -49,6 +54,7 @@ class Outputs(NamedTuple):
     memory: Tensor
     latent: Tensor
     penalty: Tensor
+    impulses: Tensor | None = None
 
 
 class Sizes(NamedTuple):

@@ -6,9 +6,11 @@ import torch
 from torch import Tensor, nn
 
 from orbisim_world_model.config import ModelConfig
-from orbisim_world_model.network.coupling import Coupling, token_mask
+from orbisim_world_model.contacts import Contacts
+from orbisim_world_model.network.coupling import PAIR, Coupling, token_mask
 from orbisim_world_model.network.decoder import Decoder
 from orbisim_world_model.network.encoder import Encoder
+from orbisim_world_model.network.impulses import Impulses
 from orbisim_world_model.network.inputs import Inputs, Outputs, Sizes
 from orbisim_world_model.network.recurrence import Recurrence
 from orbisim_world_model.network.tokens import TokenNetwork
@@ -22,7 +24,7 @@ class ObjectCentricNetwork(TokenNetwork):
     attributes and the world.
     """
 
-    def __init__(self, sizes: Sizes, config: ModelConfig) -> None:
+    def __init__(self, sizes: Sizes, config: ModelConfig, contacts: Contacts | None = None) -> None:
         super().__init__()
         width = config.width
         self.remembers = config.memory == "gru"
@@ -34,6 +36,9 @@ class ObjectCentricNetwork(TokenNetwork):
         self.f_rec = Recurrence(width) if self.remembers else None
         self.f_tra = Transition(width, config.skip)
         self.f_dec = Decoder(width, sizes.robot_out, sizes.objects_out, sizes.many)
+        self.f_imp = None
+        if contacts is not None and config.impulses:
+            self.f_imp = Impulses(width, PAIR, contacts)
         self.robot_condition = _condition(sizes.control + sizes.world, width)
         self.object_condition = _condition(sizes.attributes + sizes.world, width)
 
@@ -47,12 +52,14 @@ class ObjectCentricNetwork(TokenNetwork):
         if inputs.mask is not None:
             mask = token_mask(inputs.mask, bool(self.robot_token))
         z = self.encode(inputs, memory)
-        e = self.f_cp(z, self.condition(inputs), inputs.edges, mask)
+        pairs = self.f_cp.pairs(inputs.edges)
+        e = self.f_cp(z, self.condition(inputs), pairs, mask)
         h = e if self.f_rec is None else self.f_rec(memory, e)
         latent = self.f_tra(h, e)
         robot, objects = self.f_dec(latent)
         kept = memory if self.f_rec is None else h
-        return Outputs(robot, objects, kept, latent, latent.new_zeros(()))
+        wanted = None if self.f_imp is None else self.f_imp(latent, pairs)
+        return Outputs(robot, objects, kept, latent, latent.new_zeros(()), wanted)
 
 
 def _condition(inputs: int, width: int) -> nn.Sequential:

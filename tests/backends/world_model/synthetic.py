@@ -47,6 +47,18 @@ TABLE = """
 </mujoco>
 """
 
+PUSHER = TABLE.replace("table", "pusher").replace(
+    """<site name="tcp"/>""",
+    """<geom name="palm" type="box" size="0.03 0.05 0.02" pos="0 0 0.08" mass="0.1"/>
+      <site name="tcp" pos="0 0 0.02" euler="0 0 30"/>
+      <body name="finger" pos="0.05 0 0">
+        <joint name="finger" type="slide" axis="0 1 0" limited="true" range="0 0.04" damping="5"/>
+        <geom name="finger" type="box" size="0.01 0.008 0.03" pos="0 0 0.02" mass="0.05"
+          friction="0.8 0.005 0.0001"/>
+      </body>""",
+)
+"""The same with a hand of boxes."""
+
 BOX = """
 <mujoco model="box">
   <option timestep="0.005"/>
