@@ -157,6 +157,8 @@ def command(
     )  # fmt: skip
     if out is not None:
         note(f"report: {out / 'report.html'}")
+        if result.patch.text:
+            note(f"patch of your scene: {out / 'augmented' / 'patch.diff'}")
     if as_json:
         emit_json(result.to_json())
         return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,13 +18,16 @@ from orbisim.diagnosis.rest import Rest
 from orbisim.diagnosis.sensing import Sensed
 from orbisim.diagnosis.wording import sentence
 from orbisim.effects.carry import save_with_effects
-from orbisim.files.writing import make_folder, write_json
+from orbisim.files.writing import make_folder, write_json, write_text
 from orbisim.recording import Recording
 from orbisim.recording.joints import Kind, joints
 from orbisim.recording.sensors import sensors
 from orbisim.scene import Scene
+from orbisim.scene.patch import Patch, patch_of
 
 SCHEMA = "orbisim.diagnosis/1"
+PATCH = "patch.diff"
+"""Beside the augmented scene: apply it with `patch -p1` in the folder of the user's own."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -115,10 +119,17 @@ class Diagnosis:
             "candidates": [dataclasses.asdict(one) for one in self.candidates],
             "error": dict(self.error),
             "augmented_scene": "augmented/scene.xml",
+            "patch": f"augmented/{PATCH}" if self.patch.text else None,
+            "no_patch": self.patch.problem or None,
             "rest": None if self.rest is None else self.rest.to_json(),
             "notes": list(self.notes),
         }
         return {key: _strict(value) for key, value in plain.items()}
+
+    @functools.cached_property
+    def patch(self) -> Patch:
+        """What to change in the user's own MJCF files."""
+        return patch_of(self.scene, self.augmented_scene)
 
     def report(self, path: str | Path) -> Path:
         """Writes the HTML page to `path`; returns it."""
@@ -127,10 +138,12 @@ class Diagnosis:
 
     def save(self, folder: str | Path) -> Path:
         """Writes `report.json`, `report.html` and `augmented/scene.xml` with its files and with
-        `effects.py` for plain MuJoCo; and, where a residual force was learned,
-        `augmented_with_rest/scene.xml`."""
+        `effects.py` for plain MuJoCo; `augmented/patch.diff` for the user's own MJCF, where it can
+        be patched; and, where a residual force was learned, `augmented_with_rest/scene.xml`."""
         out = make_folder(folder)
         save_with_effects(self.augmented_scene, out / "augmented")
+        if self.patch.text:
+            write_text(out / "augmented" / PATCH, self.patch.text)
         if self.rest is not None and self.rest.scene is not None:
             save_with_effects(self.rest.scene, out / "augmented_with_rest")
         write_json(out / "report.json", self.to_json())
