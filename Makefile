@@ -16,7 +16,7 @@ demo:
 	@$(PY) tools/demo.py
 
 # one process for each core and one thread for each, so that they do not compete
-PYTEST := OMP_NUM_THREADS=1 $(PY) -m pytest -n auto --maxprocesses 8 --dist loadscope
+PYTEST := OMP_NUM_THREADS=1 $(PY) -m pytest -n auto --maxprocesses 8 --dist loadscope --no-loadscope-reorder
 
 test:
 	@tools/setup.sh test

@@ -160,17 +160,17 @@ def _status(name: str) -> int:
 # ---- in the parent -----------------------------------------------------------------------------
 
 
-def run(name: str, count: int, seed: int, failures: Path) -> list[Outcome]:
-    """Runs `count` cases; saves those that were not taken well."""
-    outcomes: list[Outcome] = []
+def run(name: str, indices: range, seed: int, failures: Path) -> Iterator[Outcome]:
+    """Runs the cases of those numbers, in turn; saves those that were not taken well."""
+    start = indices.start
     with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
         scratch = Path(folder)
-        while len(outcomes) < count:
-            for outcome in _batch(name, seed, range(len(outcomes), count), scratch):
-                outcomes.append(outcome)
+        while start < indices.stop:
+            for outcome in _batch(name, seed, range(start, indices.stop), scratch):
+                start = outcome.index + 1
                 if outcome.outcome not in FINE:
                     _keep(name, seed, outcome, scratch, failures)
-    return outcomes
+                yield outcome
 
 
 def _batch(name: str, seed: int, indices: range, scratch: Path) -> Iterator[Outcome]:
@@ -184,25 +184,30 @@ def _batch(name: str, seed: int, indices: range, scratch: Path) -> Iterator[Outc
     )  # fmt: skip
     os.close(tell)
     begun, hung, peak = -1, False, 0
-    with os.fdopen(listen) as told:
-        while True:
-            if not select.select([told], [], [], _HANG_SECONDS)[0]:
-                hung = True
-                child.kill()
-            line = told.readline()
-            if not line:
-                break
-            found = json.loads(line)
-            if "begin" in found:
-                begun = found["begin"]
-                continue
-            begun = -1
-            yield Outcome(**found)
-            peak = max(peak, found["peak"])
-            if peak > MAX_BYTES:  # that of children stays: start afresh
-                child.kill()
-                break
-    child.wait()
+    try:
+        with os.fdopen(listen) as told:
+            while True:
+                if not select.select([told], [], [], _HANG_SECONDS)[0]:
+                    hung = True
+                    child.kill()
+                line = told.readline()
+                if not line:
+                    break
+                found = json.loads(line)
+                if "begin" in found:
+                    begun = found["begin"]
+                    continue
+                begun = -1
+                yield Outcome(**found)
+                peak = max(peak, found["peak"])
+                if peak > MAX_BYTES:  # that of children stays: start afresh
+                    child.kill()
+                    break
+    except GeneratorExit:  # no more are wanted
+        child.kill()
+        raise
+    finally:
+        child.wait()
     if begun >= 0:
         died = f"exit status {child.returncode}"
         late = child.returncode == -signal.SIGXCPU
@@ -254,7 +259,8 @@ def main() -> int:
         parser.error("--out is needed")
     started = time.monotonic()
     given.out.parent.mkdir(parents=True, exist_ok=True)
-    outcomes = run(given.kind, given.count, given.seed, given.out.with_suffix(""))
+    failures = given.out.with_suffix("")
+    outcomes = list(run(given.kind, range(given.count), given.seed, failures))
     found = summary(given.kind, given.seed, outcomes)
     given.out.write_text(json.dumps(found, indent=1) + "\n")
     shown = {key: value for key, value in found.items() if key != "faults"}

@@ -20,7 +20,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 from fuzz_mutations import BYTES, TOKENS
 from fuzz_seeds import builtin_seeds
-from fuzz_values import damage_hdf5, damaged_array, damaged_json
+from fuzz_values import damage_hdf5, damage_safetensors, damaged_array, damaged_json
 
 import orbisim
 from orbisim.recording import capture
@@ -378,31 +378,6 @@ def _make_pack(folder: Path) -> None:
     (folder / "a.h5").unlink()
 
 
-def _damage_safetensors(path: Path, rng: random.Random) -> None:
-    raw = path.read_bytes()
-    size = struct.unpack("<Q", raw[:8])[0]
-    header, data = json.loads(raw[8 : 8 + size]), raw[8 + size :]
-    how = rng.random()
-    metadata = header.get("__metadata__", {})
-    documents = [key for key, text in metadata.items() if text[:1] in ("{", "[")]
-    if how < 0.4 and documents:
-        key = rng.choice(documents)
-        metadata[key] = damaged_json(json.loads(metadata[key]), rng)
-        text = json.dumps(header)
-    elif how < 0.7:
-        text = damaged_json(header, rng)
-    else:
-        numbers = np.frombuffer(data[: len(data) // 4 * 4], np.float32).copy()
-        start = rng.randrange(len(numbers))
-        numbers[start : start + rng.choice((1, 100, len(numbers)))] = rng.choice(
-            (np.nan, np.inf, 1e30, -1e38, 0)
-        )
-        data, text = numbers.tobytes() + data[len(data) // 4 * 4 :], json.dumps(header)
-    encoded = text.encode()
-    length = len(encoded) if rng.random() < 0.95 else rng.choice((0, 2**40, 2**63, len(raw)))
-    path.write_bytes(struct.pack("<Q", length) + encoded + data)
-
-
 def _read_pack(folder: Path) -> None:
     from orbisim_world_model.packing import read_data
 
@@ -418,7 +393,7 @@ def _make_checkpoint(folder: Path) -> None:
 
 def _damage_checkpoint(folder: Path, rng: random.Random) -> None:
     if rng.random() < 0.3:
-        _damage_safetensors(folder / "model.safetensors", rng)
+        damage_safetensors(folder / "model.safetensors", rng)
         return
     path = folder / "manifest.json"
     path.write_text(damaged_json(json.loads(path.read_text()), rng))
@@ -455,9 +430,13 @@ KINDS: Mapping[str, Kind] = {
     "texts": Kind(_make_texts, _damage_texts, _read_texts, whole="nothing"),
     "archive": Kind(_make_archive, _damage_archive, _read_archive),
     "usdz": Kind(_make_usdz, _damage_usdz, _read_usdz),
-    "pack": Kind(_make_pack, _file("a.pack", _damage_safetensors), _read_pack),
+    "pack": Kind(_make_pack, _file("a.pack", damage_safetensors), _read_pack),
     "checkpoint": Kind(_make_checkpoint, _damage_checkpoint, _read_checkpoint),
 }
+if find_spec("torch"):  # which trains
+    from fuzz_training import PARTS as TRAININGS
+
+    KINDS = {**KINDS, **{name: Kind(*parts) for name, parts in TRAININGS.items()}}
 if find_spec("rosbags") and find_spec("mcap"):  # which write the bags
     from fuzz_logs import PARTS
 

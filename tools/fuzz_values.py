@@ -1,9 +1,10 @@
-"""Ways to damage JSON, arrays and HDF5, for `fuzz_kinds`."""
+"""Ways to damage JSON, arrays, HDF5 and safetensors, for `fuzz_kinds`."""
 
 from __future__ import annotations
 
 import json
 import random
+import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -237,3 +238,32 @@ def _damage_dataset(file: Any, name: str, path: Path, rng: random.Random) -> Non
     else:
         changed = damaged_array(values, rng)
         file[name] = changed if changed.dtype.kind not in "UM" else values.tobytes()[:64]
+
+
+# -- safetensors ----------------------------------------------------------------------------------
+
+
+def damage_safetensors(path: Path, rng: random.Random) -> None:
+    """Damages the header, documents in it, or numbers."""
+    raw = path.read_bytes()
+    size = struct.unpack("<Q", raw[:8])[0]
+    header, data = json.loads(raw[8 : 8 + size]), raw[8 + size :]
+    how = rng.random()
+    metadata = header.get("__metadata__", {})
+    documents = [key for key, text in metadata.items() if text[:1] in ("{", "[")]
+    if how < 0.4 and documents:
+        key = rng.choice(documents)
+        metadata[key] = damaged_json(json.loads(metadata[key]), rng)
+        text = json.dumps(header)
+    elif how < 0.7:
+        text = damaged_json(header, rng)
+    else:
+        numbers = np.frombuffer(data[: len(data) // 4 * 4], np.float32).copy()
+        start = rng.randrange(len(numbers))
+        numbers[start : start + rng.choice((1, 100, len(numbers)))] = rng.choice(
+            (np.nan, np.inf, 1e30, -1e38, 0)
+        )
+        data, text = numbers.tobytes() + data[len(data) // 4 * 4 :], json.dumps(header)
+    encoded = text.encode()
+    length = len(encoded) if rng.random() < 0.95 else rng.choice((0, 2**40, 2**63, len(raw)))
+    path.write_bytes(struct.pack("<Q", length) + encoded + data)

@@ -21,7 +21,7 @@ from orbisim.files.writing import make_folder, write_json, writing
 from orbisim_diffusion.autoencoder import Autoencoder
 from orbisim_diffusion.config import AutoencoderConfig, Config, DenoiserConfig
 from orbisim_diffusion.denoiser import Denoiser
-from orbisim_diffusion.scope import Scope
+from orbisim_diffusion.scope import Scope, check_scope
 
 SCHEMA, MANIFEST = "orbisim.vision/1", "manifest.json"
 AUTOENCODER, DENOISER, ONE_STEP = "autoencoder", "denoiser", "one_step"
@@ -122,6 +122,7 @@ def load_checkpoint(folder: str | Path) -> Checkpoint:
     where = str(path / MANIFEST)
     config = read_config(manifest, where)
     scope = checked(Scope, manifest.get("scope"), f"{where}: scope")
+    check_scope(scope, f"{where}: scope")
     files = checked(dict[str, Any], manifest.get("files"), f"{where}: files")
     channels = config.autoencoder.channels
     found: dict[str, Any] = {}

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from orbisim_world_model.plain import checked
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
@@ -23,6 +24,8 @@ from orbisim_diffusion.config import TrainConfig
 Loss = Callable[[int], Tensor]
 Kept = Callable[[nn.Module], None]
 """Is given the running average at each save."""
+_MOMENTS = ("exp_avg", "exp_avg_sq")
+"""What AdamW keeps of each parameter, beside the number of steps."""
 
 
 class Loop:
@@ -144,6 +147,8 @@ class Loop:
             with safe_open(str(path), framework="pt") as file:
                 notes = parse_json((file.metadata() or {}).get("notes", ""), f"{path}, notes")
                 tensors = {n: file.get_tensor(n) for n in file.keys()}  # noqa: SIM118
+            if strange := [n for n, t in tensors.items() if not torch.isfinite(t).all()]:
+                raise ValueError(f"{strange[0]} is not finite")
             self._take(tensors, notes)
         except (OSError, SafetensorError, LookupError, ValueError, RuntimeError) as error:
             raise InputError(f"{path}: damaged; delete it to start afresh ({error})") from None
@@ -157,11 +162,17 @@ class Loop:
         device = self.parameters[0].device
         for i, parameter in enumerate(self.parameters):
             state = part(f"optimizer.{i}.")
+            shapes = dict.fromkeys(_MOMENTS, parameter.shape) | {"step": torch.Size()}
+            if state and shapes != {n: t.shape for n, t in state.items()}:
+                raise ValueError(f"what the optimiser knew of parameter {i} does not fit it")
             self.optimizer.state[parameter] = {
                 n: t if n == "step" else t.to(device) for n, t in state.items()
             }
-        self.step, self.before = int(notes["step"]), float(notes["seconds"])
-        self.history = list(notes["history"])
+        self.step = checked(int, notes["step"], "step")
+        self.before = checked(float, notes["seconds"], "seconds")
+        if self.step < 0 or self.before < 0.0:
+            raise ValueError(f"step {self.step} after {self.before} s")
+        self.history = list(checked(tuple[dict[str, float], ...], notes["history"], "history"))
 
 
 def mixed(device: torch.device) -> Any:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 import torch
 
 from orbisim.cameras import Camera
+from orbisim.errors import InputError
 from orbisim.scene import visible
 from orbisim_diffusion.solids import ABSENT
 from orbisim_diffusion.store import Store
@@ -60,6 +61,21 @@ class Scope:
 
     scenes: tuple[SceneScope, ...]
     views: tuple[ViewScope, ...]
+
+
+_LENGTHS = {"pos": 3, "rot": 9, "focal": 2, "low": 3, "high": 3}
+_ROW = 7
+"""Numbers of a row of `SceneScope.fixed`."""
+
+
+def check_scope(scope: Scope, where: str) -> None:
+    """Raises `InputError` if lists of a scope from a file have other lengths than they must."""
+    for part in (*scope.scenes, *scope.views):
+        wrong = [n for n, m in _LENGTHS.items() if len(getattr(part, n, range(m))) != m]
+        if wrong:
+            raise InputError(f"{where}: {wrong[0]}: expected {_LENGTHS[wrong[0]]} numbers")
+    if any(len(row) != _ROW for scene in scope.scenes for row in scene.fixed):
+        raise InputError(f"{where}: fixed: expected rows of {_ROW} numbers")
 
 
 def read_scope(store: Store) -> Scope:

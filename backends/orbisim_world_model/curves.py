@@ -4,8 +4,19 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 from orbisim.files.writing import writing
+
+_CURVES = ("step", "loss", "state_loss", "ratio")
+_MOST = 1e300
+"""Larger numbers are no losses: axes cannot be drawn to them."""
+
+
+def drawable(row: dict[str, Any]) -> bool:
+    """Whether a line of the metrics has what is drawn."""
+    numbers = [row.get(name) for name in _CURVES]
+    return all(isinstance(n, (int, float)) and not abs(n) > _MOST for n in numbers)
 
 
 def draw_curves(metrics: Path, image: Path) -> None:

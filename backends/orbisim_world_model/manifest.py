@@ -24,6 +24,8 @@ MOST_ROBOTS = 100
 _MOST = {"width": 8192, "layers": 128, "heads": 128, "expansion": 64}
 """Of a network's sizes: far beyond what has been trained (width 144, 4 layers)."""
 _MOST_CONTROLS = 10_000
+_MOST_RANGE = 1e12
+"""Of a range, in its own unit: squares of what is in proportion are still far from infinite."""
 
 Bounds = dict[str, tuple[float, float]]
 
@@ -114,6 +116,11 @@ def _check_robot(view: Mapping[str, Any], where: str) -> None:
     for group, names in known.items():
         if missing := [name for name in names if name not in getattr(ranges, group)]:
             raise InputError(f"{where}: ranges.{group} has no entry {missing[0]!r}")
+    groups = (ranges.attributes, ranges.settings, ranges.joints, ranges.object_position)
+    bounds = [number for group in groups for pair in group.values() for number in pair]
+    for number in (*bounds, ranges.joint_speed, ranges.object_speed, ranges.object_turning):
+        if abs(number) > _MOST_RANGE:
+            raise InputError(f"{where}: ranges go to {number:g}; at most {_MOST_RANGE:g} is read")
 
 
 def model_config(manifest: Mapping[str, Any], path: str) -> ModelConfig:

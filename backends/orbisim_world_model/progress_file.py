@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,9 @@ def load_progress(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]] | No
         for name, kind in kinds.items():
             if not isinstance(notes.get(name), kind):
                 raise ValueError(f"its notes have no {name}")
+        for name in ("step", "seconds"):
+            if not 0 <= notes[name] < math.inf:
+                raise ValueError(f"its notes say {name} {notes[name]}")
         for name, tensor in tensors.items():
             if tensor.dtype != torch.float32 or not torch.isfinite(tensor).all():
                 raise ValueError(f"{name} is not finite numbers in float32")

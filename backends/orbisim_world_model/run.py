@@ -22,7 +22,7 @@ from orbisim_world_model import parallel
 from orbisim_world_model.card import write_card
 from orbisim_world_model.checkpoint import WEIGHTS, load_for, ranges, save_checkpoint
 from orbisim_world_model.config import Config
-from orbisim_world_model.curves import draw_curves
+from orbisim_world_model.curves import draw_curves, drawable
 from orbisim_world_model.evaluate import BURN, HORIZONS, constant_velocity, evaluate
 from orbisim_world_model.manifest import MANIFEST
 from orbisim_world_model.pack import Pack
@@ -194,7 +194,8 @@ def _begin_metrics(path: Path, done: int) -> None:
     kept = []
     for line in path.read_bytes().splitlines(keepends=True) if path.exists() else ():
         with contextlib.suppress(InputError):  # the last line, if the training was killed in it
-            if line.endswith(b"\n") and parse_json(line, str(path)).get("step", 0) <= done:
+            row = parse_json(line, str(path))
+            if line.endswith(b"\n") and drawable(row) and row["step"] <= done:
                 kept.append(line)
     write_bytes(path, b"".join(kept if done else ()), announce=False)
 

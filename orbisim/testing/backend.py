@@ -498,7 +498,7 @@ class BackendConformance:
         engine = self.classical(scenes.PENDULUM)
         state = engine.reset()
         state = state.replace(qpos=_like(np.array([[1.0], [2.0]]), state.qpos))
-        trajectory = engine.rollout(state, np.zeros((500, 0)))
+        trajectory = engine.rollout(state, np.zeros((200, 0)))
         qpos = np.asarray(_host(trajectory.with_initial("qpos")), np.float64)
         qvel = np.asarray(_host(trajectory.with_initial("qvel")), np.float64)
         total = energies(engine.model, qpos, qvel).total
@@ -520,7 +520,7 @@ class BackendConformance:
         engine = self.classical(scenes.RESTING_BOX)
         if "qfrc_constraint" in engine.reportable:
             engine.report = frozenset({"qfrc_constraint"})
-        after = engine.step(engine.reset(), None, 500).numpy()
+        after = engine.step(engine.reset(), None, 300).numpy()
         np.testing.assert_allclose(after.qpos[:, :3], [[0, 0, 0.1]] * 2, atol=2e-3)
         np.testing.assert_allclose(after.qvel, 0.0, atol=1e-3)
         if "qfrc_constraint" in after.memory:

@@ -113,6 +113,7 @@ def test_a_budget_is_needed(
     assert "budget" in capsys.readouterr().err
 
 
+@pytest.mark.slow  # programs that train in further processes
 def test_train_all_and_the_measurements_run_at_toy_size(episodes: Path, tmp_path: Path) -> None:
     data = tmp_path / "data"
     data.mkdir()

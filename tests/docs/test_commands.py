@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
+import multiprocessing
+import os
 import re
+import runpy
 import shlex
-import subprocess
 import sys
+import traceback
 from collections.abc import Iterator
+from multiprocessing.connection import Connection
 from pathlib import Path
 
+import orbisim_world_model.run  # noqa: F401 (most tools import torch: once, here)
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -25,10 +32,36 @@ def commands() -> Iterator[tuple[str, ...]]:
 
 def options(tool: str, command: str) -> set[str]:
     """Options in the tool's help; `command` is a subcommand or empty."""
-    line = [sys.executable, tool, *([command] if command else []), "--help"]
-    ran = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
-    assert ran.returncode == 0, ran.stderr
-    return set(re.findall(r"--[a-z][a-z-]*", ran.stdout))
+    words = [tool, *([command] if command else []), "--help"]
+    receive, send = _FORK.Pipe(duplex=False)
+    child = _FORK.Process(target=_run, args=(words, send))
+    child.start()
+    send.close()
+    status, said, error = receive.recv()
+    child.join()
+    assert status == 0, error
+    return set(re.findall(r"--[a-z][a-z-]*", said))
+
+
+_FORK = multiprocessing.get_context("fork")
+"""What is imported here is not imported again for each tool."""
+
+
+def _run(words: list[str], send: Connection) -> None:
+    """A tool's program in a process of its own; sends status and what it writes."""
+    os.chdir(ROOT)
+    sys.argv = words
+    sys.path.insert(0, str(ROOT / "tools"))
+    status: int | str | None = 0
+    said, error = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(error):
+        try:
+            runpy.run_path(str(ROOT / words[0]), run_name="__main__")
+        except SystemExit as end:
+            status = end.code
+        except BaseException:
+            status = traceback.format_exc()
+    send.send((status or 0, said.getvalue(), error.getvalue() + str(status)))
 
 
 def calls() -> dict[tuple[str, str], set[str]]:

@@ -5,10 +5,14 @@ Of these tests alone: Warp and Matplotlib keep in the same place what takes them
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Iterator
 
 import pytest
+
+from orbisim.scene import load
+from orbisim.scene.safety.budget import Limits
 
 
 @pytest.fixture(autouse=True, scope="package")
@@ -20,3 +24,9 @@ def _cache_of_its_own(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
         del os.environ["XDG_CACHE_HOME"]
     else:
         os.environ["XDG_CACHE_HOME"] = before
+
+
+@pytest.fixture
+def little_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scenes that would take for ever are stopped after a second of the processor, not four."""
+    monkeypatch.setattr(load, "Limits", functools.partial(Limits, seconds=1.0))

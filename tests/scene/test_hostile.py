@@ -309,6 +309,7 @@ MJCF: Mapping[str, tuple[str, str]] = {
 }
 
 
+@pytest.mark.usefixtures("little_time")
 @pytest.mark.parametrize("name", MJCF)
 def test_mjcf(tmp_path: Path, name: str) -> None:
     text, says = MJCF[name]

@@ -54,6 +54,7 @@ STRINGS = {
 }
 
 
+@pytest.mark.usefixtures("little_time")
 @pytest.mark.parametrize("name", STRINGS)
 def test_strings_are_guarded_as_files_are(tmp_path: Path, name: str) -> None:
     text, says = STRINGS[name]

@@ -39,7 +39,9 @@ def assert_same_model(a: mujoco.MjModel, b: mujoco.MjModel, atol: float) -> None
         )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["cheetah", "humanoid_CMU", "dog", "quadruped"])
+@pytest.mark.parametrize(
+    "name", ["cheetah", "humanoid_CMU", "quadruped", pytest.param("dog", marks=pytest.mark.slow)]
+)
 def test_a_saved_scene_is_the_same_scene(tmp_path: Path, name: str) -> None:
     scene = load_scene(SUITE / f"{name}.xml")
     path = scene.save(tmp_path / "here")

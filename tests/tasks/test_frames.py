@@ -2,40 +2,51 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from orbisim import load_scene, make_renderer
+from orbisim import Scene, load_scene, make_renderer
 from orbisim.errors import InputError, RenderingUnavailableError, UnknownNameError
 from orbisim.scene import visible
 from orbisim.tasks.collect import collect
 from orbisim.tasks.dataset import EpisodeFile
-from orbisim.tasks.frames import RANDOM, Camera, check_camera
+from orbisim.tasks.episode import Episode
+from orbisim.tasks.frames import RANDOM, Camera, check_camera, with_frames
 from orbisim.tasks.registry import make
 
 SIZE = 48
 
 
+@pytest.fixture(scope="module")
+def pushed() -> tuple[Episode, Scene]:
+    """The first steps of a push, and its scene."""
+    task = make("push")
+    episode = task.episode("to_hit", 0)
+    arrays = {
+        name: array[:6] if len(array) == episode.steps + 1 else array
+        for name, array in episode.arrays.items()
+    }
+    return dataclasses.replace(episode, arrays=arrays), task.scene("to_hit", 0)
+
+
 @pytest.fixture(scope="module", params=["side", RANDOM])
 def episode(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> dict[str, npt.NDArray[np.float64]]:
-    path = tmp_path_factory.mktemp("frames") / "push.h5"
+    request: pytest.FixtureRequest, pushed: tuple[Episode, Scene]
+) -> Mapping[str, npt.NDArray[np.float64]]:
     try:
-        collect("push", path, episodes=1, workers=1, camera=Camera(request.param, SIZE))
+        found = with_frames(*pushed, Camera(request.param, SIZE))
     except RenderingUnavailableError as error:
         pytest.skip(str(error))
-    with EpisodeFile(path) as file:
-        found = file.episode(0)
-        assert file.columns("descriptor/geoms") == visible.COLUMNS
-    return {name.replace(request.param, "camera"): array for name, array in found.items()}
+    return {name.replace(request.param, "camera"): array for name, array in found.arrays.items()}
 
 
 def test_pixels_of_a_cube_are_points_of_the_cube(
-    episode: dict[str, npt.NDArray[np.float64]],
+    episode: Mapping[str, npt.NDArray[np.float64]],
 ) -> None:
     """Segmentation says which, depth and camera where, and the geoms' rows and poses agree."""
     geoms, inverse = (
@@ -87,6 +98,7 @@ def test_frames(tmp_path: Path) -> None:
     collect("ball", path, episodes=1, workers=1, camera=Camera("side", 48))
     with EpisodeFile(path) as episodes:
         frames = episodes.episode(0)["frames/side"]
+        assert episodes.columns("descriptor/geoms") == visible.COLUMNS
     assert frames.shape == (37, 48, 48, 3)
     assert frames.std() > 5
     assert np.abs(frames[0].astype(int) - frames[-1]).max() > 30

@@ -10,7 +10,7 @@ from orbisim.tasks.push import Stroke, behind, hit, inside, slide, within
 from orbisim.tasks.tabletop import Pose, on_table
 
 
-def rate(subtask: str, count: int = 10) -> float:
+def rate(subtask: str, count: int = 5) -> float:
     task = tasks.make("push")
     return float(np.mean([bool(task.episode(subtask, 100 + i).success) for i in range(count)]))
 

@@ -8,7 +8,7 @@ import pytest
 from orbisim import tasks
 
 
-def rate(subtask: str, count: int = 10) -> float:
+def rate(subtask: str, count: int = 5) -> float:
     task = tasks.make("push_cubes")
     return float(np.mean([bool(task.episode(subtask, 100 + i).success) for i in range(count)]))
 

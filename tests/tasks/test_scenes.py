@@ -52,6 +52,7 @@ def test_physics_runs_a_task() -> None:
     assert np.isfinite(physics.data.qpos).all()
 
 
+@pytest.mark.slow  # compiles its kernels for half a minute
 def test_warp_follows_mujoco_on_push() -> None:
     pytest.importorskip("mujoco_warp")
     setup = episodes("task:push", 1, seed=1)

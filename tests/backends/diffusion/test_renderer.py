@@ -170,7 +170,11 @@ def test_a_damaged_checkpoint_is_refused(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="sha256"):
         painter(tmp_path)
     manifest = json.loads((folder / "manifest.json").read_text())
+    ((view, *_), (scene, *_)) = manifest["scope"]["views"], manifest["scope"]["scenes"]
+    odd_view, odd_row = {**view, "rot": [1, 2]}, {**scene, "fixed": [[1]]}
     for entry, value, says in (
+        ("scope", {**manifest["scope"], "views": [odd_view]}, "rot: expected 9 numbers"),
+        ("scope", {**manifest["scope"], "scenes": [odd_row]}, "fixed: expected rows of 7"),
         ("schema", "x", "orbisim.vision/1"),
         ("config", {"name": 3}, "config"),
         ("scope", {"scenes": []}, "scope"),

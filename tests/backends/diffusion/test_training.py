@@ -20,6 +20,7 @@ from orbisim_diffusion.training import (
     train_denoiser,
     train_one_step,
 )
+from safetensors.torch import load_file, save_file
 
 from orbisim.errors import InputError
 from tests.backends.diffusion.tiny import arm, store_of
@@ -72,6 +73,20 @@ def test_a_training_that_was_stopped_goes_on(tmp_path: Path) -> None:
     whole = run(tmp_path / "a", 8)
     run(tmp_path / "b", 3)
     torch.testing.assert_close(run(tmp_path / "b", 8), whole)
+    content = load_file(tmp_path / "b")
+    notes = {"step": 8, "seconds": 1.0, "history": []}
+    moment = "optimizer.0.exp_avg"
+    for changed, said in (
+        (content, {**notes, "step": -1}),
+        (content, {**notes, "seconds": -1.0}),
+        (content, {**notes, "history": [["x"]]}),
+        ({**content, moment: content[moment].T.contiguous()}, notes),
+        ({n: t for n, t in content.items() if n != moment}, notes),
+        ({**content, moment: content[moment] * torch.nan}, notes),
+    ):
+        save_file(changed, tmp_path / "c", metadata={"notes": json.dumps(said)})
+        with pytest.raises(InputError):
+            run(tmp_path / "c", 9)
     (tmp_path / "b").write_bytes(b"nonsense")
     with pytest.raises(InputError, match="damaged"):
         run(tmp_path / "b", 8)

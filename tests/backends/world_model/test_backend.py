@@ -59,19 +59,19 @@ def test_the_zoo_says_what_it_has() -> None:
 def test_what_lies_outside_the_training_data_is_named(table: Path) -> None:
     heavy = TABLE.replace('mass="0.2"', 'mass="2"')
     with pytest.warns(OutsideTrainingWarning, match="mass of object 'one' is 2 "):
-        make_backend(f"learned:{table}", load_scene(heavy))
+        make_backend(f"learned:{table}", load_scene(heavy), native=False)
     third = TABLE.replace(
         "</worldbody>",
         '<body name="three" pos="0.3 0.3 0.04"><freejoint/>'
         '<geom type="box" size="0.04 0.04 0.04" mass="0.2"/></body></worldbody>',
     )
     with pytest.warns(OutsideTrainingWarning, match=r"3 objects \(trained on 2 to 2\)"):
-        backend = make_backend(f"learned:{table}", load_scene(third))
+        backend = make_backend(f"learned:{table}", load_scene(third), native=False)
     assert backend.step(backend.reset(1)).finite.all()
     weak = TABLE.replace('kp="100"', 'kp="50"')
     with pytest.warns(OutsideTrainingWarning, match="the scene's gain differs"):
-        make_backend(f"learned:{table}", load_scene(weak))
-    backend = _quiet(table, TABLE)
+        make_backend(f"learned:{table}", load_scene(weak), native=False)
+    backend = _quiet(table, TABLE, native=False)
     state = backend.reset(1)
     with pytest.warns(OutsideTrainingWarning, match="object speed is 99"):
         backend.step(state.replace(qvel=np.r_[0, 0, 99.0, np.zeros(11)][None]))

@@ -92,6 +92,8 @@ REFUSED: dict[str, tuple[Change, str]] = {
     "no ranges": (_drop("ranges"), "no entry 'ranges'"),
     "no joints": (_set({}, "ranges", "joints"), "ranges.joints has no entry"),
     "range": (_set([1], "ranges", "joints", "slider"), "expected 2 entries"),
+    "far": (_set(1e300, "ranges", "joint_speed"), r"ranges go to 1e\+300"),
+    "far, either side": (_set([-1e200, 0], "ranges", "joints", "slider"), "ranges go to"),
     "speed": (_set(None, "ranges", "joint_speed"), "expected float"),
     "sources": (_set("x", "data", "sources"), "data.sources"),
     "robot": (_set({"mass": "x"}, "data", "robot"), "data.robot.mass"),

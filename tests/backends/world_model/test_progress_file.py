@@ -31,6 +31,8 @@ def test_there_and_back(tmp_path: Path) -> None:
         ({"a": torch.zeros(1, dtype=torch.float64)}, NOTES, "in float32"),
         ({"a": torch.zeros(1)}, {**NOTES, "step": "7"}, "its notes have no step"),
         ({"a": torch.zeros(1)}, {}, "its notes have no seed"),
+        ({"a": torch.zeros(1)}, {**NOTES, "step": -1}, "its notes say step -1"),
+        ({"a": torch.zeros(1)}, {**NOTES, "seconds": float("nan")}, "its notes say seconds nan"),
     ],
 )
 def test_what_is_damaged(tmp_path: Path, tensors: dict, notes: dict, message: str) -> None:

@@ -68,6 +68,8 @@ def test_variances_are_handed_on_and_added_up() -> None:
 def test_the_backend_carries_it_along(folder: Path, native: bool) -> None:
     if native and not any(map(shutil.which, ("cc", "gcc", "clang"))):
         pytest.skip("no C compiler")
+    if native and "recurrent" in folder.name:
+        pytest.skip("is compiled alike; native/test_step.py compares memories")
     backend = _backend(folder, native)
     state, controls = backend.reset(1), np.full((1, 4, 2), 0.05)
     with warnings.catch_warnings():

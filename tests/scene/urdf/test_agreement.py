@@ -109,7 +109,7 @@ def robots(draw) -> str:
     return robot(*draw(st.permutations(parts)))
 
 
-@hypothesis.settings(max_examples=int(os.environ.get("ORBISIM_EXAMPLES", "120")), deadline=None)
+@hypothesis.settings(max_examples=int(os.environ.get("ORBISIM_EXAMPLES", "50")), deadline=None)
 @hypothesis.given(text=robots(), lump=st.booleans())
 def test_random_robots_agree(text: str, lump: bool) -> None:
     check_agreement(text, lump_fixed=lump)
