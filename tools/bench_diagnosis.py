@@ -2,10 +2,10 @@
 
     python tools/bench_diagnosis.py --out out/diagnosis --image docs/images/diagnosis_speed.svg
 
-Serial arms with Coulomb friction at one joint, four recordings each, `orbisim.diagnose` with its
-report, each in a process of its own on two cores. Writes `OUT/figures.json` and prints a table; a
-run that was stopped goes on from there. Time on the clock says what a user waits; processor time
-hardly depends on other work.
+Serial arms with Coulomb friction at one joint, four recordings each, and with `--data` 24 measured
+tosses of a cube; `orbisim.diagnose` with its report, each in a process of its own on two cores.
+Writes `OUT/figures.json` and prints a table; a run that was stopped goes on from there. Time on the
+clock says what a user waits; processor time hardly depends on other work.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import from_source
 
 EPISODES = 4
+CUBE, TOSSES = "contactnets_cube", 24
 SERIES = ("goal", "length", "targets")
 
 
@@ -38,7 +39,8 @@ class Case:
     """A diagnosis to be timed.
 
     Attributes:
-      series: what it shows: `goal`, `length` or `targets`. scene: of mjcf_assets; or `serial`.
+      series: what it shows: `goal`, `length` or `targets`. scene: of mjcf_assets; or `serial`, or
+        the name of a measured set.
       joints: of the arm. target: the joint with friction. torque: of the friction, N*m.
       seconds: duration of each recording. goal: s; None for none.
     """
@@ -54,15 +56,21 @@ class Case:
     @property
     def label(self) -> str:
         """For the table."""
+        if self.scene == CUBE:
+            return f"thrown cube, measured, {TOSSES} tosses"
         name = self.scene if self.scene != "serial" else f"serial arm of {self.joints} joints"
         return f"{name}, {EPISODES} x {self.seconds:g} s"
 
 
-def cases(seconds: float, lengths: Sequence[float], joints: Sequence[int]) -> list[Case]:
-    """All that is to be timed."""
+def cases(
+    seconds: float, lengths: Sequence[float], joints: Sequence[int], data: Path | None
+) -> list[Case]:
+    """All that is to be timed. data: of measured sets; None for none."""
     return [
-        Case("goal", "arm2", 2, "elbow", 0.12, seconds, 60.0),
-        Case("goal", "arm6", 6, "axis3", 2.0, seconds, 300.0),
+        Case("goal", "arm2", 2, "elbow", 0.12, seconds, 15.0),
+        Case("goal", "serial", 7, "joint2", 0.1, seconds, 60.0),
+        *([Case("goal", CUBE, 0, "cube", 0.0, 0.0, 120.0)] if data else []),
+        Case("goal", "arm6", 6, "axis3", 2.0, seconds),
         *(Case("length", "arm2", 2, "elbow", 0.12, one) for one in lengths),
         *(Case("targets", "serial", count, "joint2", 0.1, seconds) for count in joints),
     ]
@@ -96,14 +104,37 @@ def serial_arm(count: int) -> str:
     </mujoco>"""
 
 
-def timed(case: Case, cores: int) -> dict[str, Any]:
-    """Diagnoses, on so many cores; in a fresh process."""
+def timed(case: Case, cores: int, data: Path | None = None) -> dict[str, Any]:
+    """Diagnoses, on so many cores; in a fresh process. data: of measured sets."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, set(sorted(os.sched_getaffinity(0))[:cores]))
     from_source.register("mujoco")
+    import orbisim
+    from orbisim.effects import effect_names, find
+
+    scene, recordings, held = _measured(data) if case.scene == CUBE and data else _injected(case)
+    wanted = "sliding_friction" if case.scene == CUBE else "coulomb_friction"
+    with tempfile.TemporaryDirectory() as out:
+        clock, work = time.perf_counter(), time.process_time()
+        found = orbisim.diagnose(scene, recordings, held, out=out, progress=False)
+        seconds, processor = time.perf_counter() - clock, time.process_time() - work
+    return dataclasses.asdict(case) | {
+        "label": case.label,
+        "clock_s": round(seconds, 2),
+        "processor_s": round(processor, 2),
+        "candidates": sum(len(find(name).targets(scene.model)) for name in effect_names()),
+        "verdict": found.verdict,
+        "found": [f"{one.effect} at {one.target}" for one in found.effects],
+        "right": [(one.effect, one.target) for one in found.effects] == [(wanted, case.target)],
+        "notes": list(found.notes),
+    }
+
+
+def _injected(case: Case) -> tuple[Any, Any, None]:
+    """A scene with friction that it does not declare."""
     import mjcf_assets
     import orbisim
-    from orbisim.effects import EffectInstance, effect_names, find
+    from orbisim.effects import EffectInstance
     from orbisim.testing import inject_effect
 
     source: str | Path = serial_arm(case.joints)
@@ -114,21 +145,22 @@ def timed(case: Case, cores: int) -> dict[str, Any]:
     recordings = inject_effect(
         scene, friction, episodes=EPISODES, duration=case.seconds, noise=2e-4, seed=1
     )
+    return scene, recordings, None
+
+
+def _measured(data: Path) -> tuple[Any, Any, Any]:
+    """The thrown cube as tools/closing_the_loop.py diagnoses it."""
+    from closing.plans import PLANS
+    from closing.scoring import recordings_of
+    from import_measured import DATA_SETS, import_set
+
     with tempfile.TemporaryDirectory() as out:
-        clock, work = time.perf_counter(), time.process_time()
-        found = orbisim.diagnose(scene, recordings, out=out, progress=False)
-        seconds, processor = time.perf_counter() - clock, time.process_time() - work
-    return dataclasses.asdict(case) | {
-        "label": case.label,
-        "clock_s": round(seconds, 2),
-        "processor_s": round(processor, 2),
-        "candidates": sum(len(find(name).targets(scene.model)) for name in effect_names()),
-        "verdict": found.verdict,
-        "found": [f"{one.effect} at {one.target}" for one in found.effects],
-        "right": [(one.effect, one.target) for one in found.effects]
-        == [("coulomb_friction", case.target)],
-        "notes": list(found.notes),
-    }
+        import_set(
+            next(one for one in DATA_SETS if one.name == CUBE), data, Path(out, "recordings")
+        )
+        plan = next(one for one in PLANS if one.name == CUBE)
+        sets = recordings_of(plan, Path(out))
+    return plan.scene(), list(sets.fit[:TOSSES]), list(sets.held[:TOSSES])
 
 
 def exponent(rows: Sequence[dict[str, Any]], size: str) -> float:
@@ -197,6 +229,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=8.0, help="duration of a recording")
     parser.add_argument("--lengths", type=float, nargs="*", default=[4.0, 8.0, 16.0, 32.0])
     parser.add_argument("--joints", type=int, nargs="*", default=[2, 3, 4, 5, 6, 7])
+    parser.add_argument("--data", type=Path, help="measured sets, for the thrown cube")
     parser.add_argument("--only", nargs="*", default=list(SERIES), choices=SERIES)
     parser.add_argument("--cores", type=int, default=2)
     args = parser.parse_args()
@@ -204,12 +237,12 @@ def main() -> int:
     figures = args.out / "figures.json"
     rows: list[dict[str, Any]] = json.loads(figures.read_text()) if figures.exists() else []
     done = {(row["series"], row["label"]) for row in rows}
-    wanted = [one for one in cases(args.seconds, args.lengths, args.joints)
+    wanted = [one for one in cases(args.seconds, args.lengths, args.joints, args.data)
               if one.series in args.only and (one.series, one.label) not in done]  # fmt: skip
     fresh = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=fresh, max_tasks_per_child=1) as pool:
         for case in wanted:
-            row = pool.submit(timed, case, args.cores).result()
+            row = pool.submit(timed, case, args.cores, args.data).result()
             rows.append(row)
             print(f"{row['label']}: {row['clock_s']} s, {row['found']}", file=sys.stderr)
             figures.write_text(json.dumps(rows, indent=1) + "\n")
