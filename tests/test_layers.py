@@ -49,17 +49,25 @@ LAYERS = (
 """Packages and modules of the core, from the ground up; each may import those below it, and
 itself. Those of one layer do not import each other."""
 
-PLUGINS = ("orbisim_mujoco", "orbisim_warp", "orbisim_world_model", "orbisim_diffusion")
+PLUGINS = (
+    "orbisim_mujoco",
+    "orbisim_warp",
+    "orbisim_world_model",
+    "orbisim_diffusion",
+    "orbisim_policies",
+)
 """They may import all of the core but the command line; of each other, what `BESIDE` says."""
 
 BESIDE = {
     ("orbisim_world_model", "orbisim_mujoco"): "the hybrid corrects C MuJoCo's own step",
     ("orbisim_diffusion", "orbisim_world_model"): "manifests are read by the same checks",
+    ("orbisim_policies", "orbisim_world_model"): "policies learn in the learned step",
 }
 
 DEFERRED = {
     "orbisim.cli": "a command loads engines when it runs, so that --help stays fast",
     "orbisim.scene.usd.dump.main": "the child process says first that OpenUSD was found",
+    "orbisim_policies.workflows": "Stable-Baselines3 is wanted for its own methods only",
     "orbisim_world_model.baseline": "training runs where MuJoCo is not installed",
     "orbisim_world_model.engine": "the C compiler is wanted for single worlds only",
 }

@@ -164,3 +164,75 @@ def _print_vision(table: dict[str, Any]) -> None:
     rows = [(key, *(row.get(name, "-") for name in names)) for key, row in table["rows"].items()]
     title = f"{table['file']}: means over {table['episodes']} episodes"
     print_table(title, ("workflow", *names), rows)
+
+
+_POLICY = "Example: orbisim eval policy policies/push --episodes 200 --json"
+
+
+@command.command("policy", epilog=_POLICY)
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option("--task", default=None, help="Default: the one that the policy was trained for.")
+@click.option("--episodes", default=200, show_default=True, help="Of each seed.")
+@click.option(
+    "--seed", "seeds", multiple=True, type=click.IntRange(min=0), help="Repeatable. Default: 0 1 2."
+)
+@click.option(
+    "--model",
+    default="learned",
+    show_default=True,
+    help="Inside which model to evaluate as well: learned, learned:PATH, or none.",
+)
+@click.option("--threads", default=0, help="Of MuJoCo; 0 for all cores.")
+@device_option
+@json_option
+def policy(
+    folder: Path,
+    task: str | None,
+    episodes: int,
+    seeds: tuple[int, ...],
+    model: str,
+    threads: int,
+    device: str | None,
+    as_json: bool,
+) -> None:
+    """Success and reward of the policy in FOLDER, in C MuJoCo.
+
+    By each definition of success, with 95 % intervals; beside it the same episodes inside the
+    learned model. Where the model promises more than MuJoCo keeps, the policy exploits it.
+    """
+    try:
+        from orbisim_policies import workflows
+    except ImportError as error:
+        raise MissingDependencyError("evaluation", "learned", str(error)) from error
+    result = workflows.evaluate(
+        folder,
+        task,
+        episodes=episodes,
+        seeds=seeds or (0, 1, 2),
+        model=model,
+        threads=threads,
+        device=device or "cpu",
+    )
+    if as_json:
+        emit_json(result)
+        return
+    _print_policy(result)
+
+
+def _print_policy(result: dict[str, Any]) -> None:
+    sides = [name for name in ("mujoco", "model") if name in result]
+    rows = []
+    for group, cell in (("success", _share), ("reward", _mean)):
+        for name in result["mujoco"][group]:
+            rows.append((group, name, *(cell(result[side][group][name]) for side in sides)))
+    title = f"{result['task']}: {result['mujoco']['episodes']} episodes, 95 % intervals"
+    print_table(title, ("", "", *sides), rows)
+
+
+def _share(value: dict[str, Any]) -> str:
+    low, high = value["ci95"]
+    return f"{100 * value['share']:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
+
+
+def _mean(value: dict[str, Any]) -> str:
+    return f"{value['mean']:.3f} +- {value['ci95_half']:.3f}"

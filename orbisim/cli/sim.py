@@ -19,7 +19,7 @@ from orbisim.cli.common import (
     seed_option,
     writable_folder,
 )
-from orbisim.errors import InputError
+from orbisim.errors import InputError, MissingDependencyError
 from orbisim.files.writing import make_folder
 
 
@@ -37,6 +37,12 @@ from orbisim.files.writing import make_folder
     type=click.Choice(["zero", "random", "policy"]),
     default=None,
     help="What the actuators get. Default: a task's policy, if it has one; else zero.",
+)
+@click.option(
+    "--policy",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Folder of a policy that acts (orbisim train policy).",
 )
 @click.option("--camera", default="", help="Name or number of a camera. Default: the first.")
 @click.option("--size", default="480x640", show_default=True, help="Height x width of the video.")
@@ -59,6 +65,7 @@ def command(
     duration: float,
     worlds: int,
     controls: str | None,
+    policy: Path | None,
     camera: str,
     size: str,
     fps: float,
@@ -79,16 +86,20 @@ def command(
     if not 0 < fps < math.inf:
         raise InputError(f"--fps is a number of frames for each second, above 0; got {fps}")
     height, width = _size(size)
-    setup = episodes(scene, worlds, seed)
+    agent = _agent(policy, scene, controls) if policy else None
+    setup = agent.episodes(worlds, seed) if agent else episodes(scene, worlds, seed)
     engine = make_backend(
         backend, setup.scene, nworld=worlds, device=None if backend == "mujoco" else device
     )
     step = engine.timestep
     check_size(setup.scene.model, worlds, duration / step)
-    sequence = _controls(setup, controls, duration, step, seed)
+    sequence = None if agent else _controls(setup, controls, duration, step, seed)
     film = _Film(renderer, setup.scene, camera, height, width, fps) if renderer else None
     started = time.perf_counter()
-    trajectory = _rollout(engine, setup.initial, sequence)
+    if agent:
+        trajectory = agent.act(engine, setup, duration)
+    else:
+        trajectory = _rollout(engine, setup.initial, sequence)
     elapsed = time.perf_counter() - started
     files = _write(out, trajectory, film, scene, backend, seed)
     lost = int((trajectory.diverged_at >= 0).sum())
@@ -102,6 +113,7 @@ def command(
         "duration_s": trajectory.nstep * step,
         "wall_s": elapsed,
         "steps_per_s": worlds * trajectory.nstep / elapsed,
+        **(agent.result(trajectory) if agent else {}),
         "diverged": lost,
         "files": [str(path) for path in files],
     }
@@ -129,6 +141,17 @@ def _controls(setup: Any, kind: str | None, duration: float, step: float, seed: 
         return setup.controls(duration, step, seed)
     sequence = plain.controls(duration, step, seed)
     return sequence if kind == "random" else np.zeros_like(sequence)
+
+
+def _agent(folder: Path, scene: str, controls: str | None) -> Any:
+    """A policy that acts in the scene."""
+    if controls is not None:
+        raise InputError("--policy and --controls exclude each other")
+    try:
+        from orbisim_policies.agent import Agent
+    except ImportError as error:
+        raise MissingDependencyError("a policy", "learned", str(error)) from error
+    return Agent.of(folder, scene)
 
 
 def _size(text: str) -> tuple[int, int]:

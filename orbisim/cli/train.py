@@ -254,3 +254,68 @@ def vision(
     for part, values in metrics.items():
         click.echo(f"{part}: " + ", ".join(f"{k} {v:g}" for k, v in values.items()))
     note(f"checkpoint: {out}")
+
+
+_POLICY = "Example: orbisim train policy push --method apg --out policies/push --time-limit 300"
+
+
+@command.command("policy", epilog=_POLICY)
+@click.argument("task")
+@click.option(
+    "--method",
+    type=click.Choice(["apg", "bc", "sac", "ppo", "ppo_rnd"]),
+    default="apg",
+    show_default=True,
+    help="Analytic gradients, behaviour cloning, or reinforcement learning.",
+)
+@click.option(
+    "--backend",
+    default=None,
+    help="What the policy learns in: learned or learned:PATH (apg), mujoco (all others).",
+)
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder to write to.")
+@click.option("--steps", type=click.IntRange(min=1), default=None, help="Iterations; env steps.")
+@click.option(
+    "--time-limit", type=click.FloatRange(min=0, min_open=True), default=None, help="Seconds."
+)
+@click.option("--worlds", type=click.IntRange(min=1), default=None, help="Worlds at once.")
+@click.option(
+    "--horizon",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Steps to differentiate before a value function takes over; 0: the whole episode.",
+)
+@click.option("--rate", type=click.FloatRange(min=0, min_open=True), default=None, help="Of Adam.")
+@click.option("--noise", type=click.FloatRange(min=0), default=None, help="On actions (apg).")
+@click.option("--demonstrations", default=500, show_default=True, help="Episodes to imitate (bc).")
+@click.option("--episode", type=click.IntRange(min=1), default=None, help="Steps of an episode.")
+@click.option("--check", default=64, show_default=True, help="Episodes of a live estimate.")
+@click.option("--check-every", default=60.0, show_default=True, help="Seconds between estimates.")
+@click.option("--save-every", default=60.0, show_default=True, help="Seconds between saves.")
+@click.option("--resume", is_flag=True, help="Go on with the training that stands in --out.")
+@click.option(
+    "--start", type=click.Path(path_type=Path), default=None, help="Policy to begin with (apg)."
+)
+@click.option("--graph/--no-graph", default=True, help="CUDA graphs, on a GPU.")
+@click.option("--threads", default=0, help="Of MuJoCo; 0 for all cores.")
+@device_option
+@seed_option
+@json_option
+def policy(task: str, method: str, as_json: bool, **options: Any) -> None:
+    """Train a policy for TASK (task:push, suite:cartpole-swingup, suite:pendulum-swingup).
+
+    apg differentiates the reward through the learned step; the others learn in C MuJoCo. Leaves a
+    policy in --out (policy.safetensors, manifest.json) with metrics and curves; success is
+    estimated in MuJoCo on the way. apg and bc go on with --resume exactly where they were killed.
+    """
+    try:
+        from orbisim_policies import workflows
+    except ImportError as error:
+        raise MissingDependencyError("training", "learned", str(error)) from error
+    options["device"] = options["device"] or _default_device()
+    manifest = workflows.train(task, method, options, note)
+    if as_json:
+        emit_json({"schema": "orbisim.train_policy/1", "policy": str(options["out"]), **manifest})
+        return
+    note(f"policy: {options['out']}")

@@ -1,0 +1,1 @@
+"""Policies: analytic gradients through the learned step, baselines, evaluation in MuJoCo."""

@@ -1,0 +1,341 @@
+"""SAC, PPO and PPO with random network distillation, by Stable-Baselines3, in C MuJoCo."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from orbisim.errors import InputError, MissingDependencyError
+from orbisim.files.locking import claimed
+from orbisim.files.writing import make_folder
+from orbisim.version import VERSION
+from orbisim_policies.checkpoint import save_policy
+from orbisim_policies.evaluate import in_mujoco, starts_of, summary
+from orbisim_policies.network import NetworkConfig, Policy
+from orbisim_policies.problem import Problem, Starts
+from orbisim_policies.run import (
+    METRICS,
+    Report,
+    Run,
+    append_metrics,
+    begin_metrics,
+    check_run,
+    draw_curves,
+    training_seeds,
+)
+from orbisim_policies.true import TrueWorlds
+
+try:
+    from stable_baselines3 import PPO, SAC
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.vec_env import VecEnv
+except ImportError as error:
+    raise MissingDependencyError("orbisim_policies.baselines", "sb3", str(error)) from None
+
+
+@dataclasses.dataclass(frozen=True)
+class Baseline:
+    """How a baseline is trained; what is not said here is Stable-Baselines3's default.
+
+    Attributes:
+      method: `sac`, `ppo` or `ppo_rnd`.
+      batch: worlds at once. rate: of Adam. network: hidden widths, as the others have.
+      window: control steps of each world between updates of PPO.
+      curiosity: weight of the intrinsic reward of `ppo_rnd`.
+    """
+
+    method: str
+    batch: int = 16
+    rate: float = 3e-4
+    network: NetworkConfig = dataclasses.field(default_factory=NetworkConfig)
+    window: int = 128
+    curiosity: float = 0.05
+
+
+class ProblemVecEnv(VecEnv):
+    """A problem's episodes in C MuJoCo, as Stable-Baselines3 sees them.
+
+    A world that diverges, or whose reward is not finite, begins anew; the others go on. Its last
+    reward is 0, `infos[i]["diverged"]` is there, and `diverged` counts it.
+
+    Args:
+      problem: on the CPU. nworld: number of worlds.
+      starts: where episodes begin; drawn from at random.
+      seed: of the drawing. nthread: of MuJoCo.
+    """
+
+    def __init__(
+        self, problem: Problem, nworld: int, starts: Starts, seed: int = 0, nthread: int = 0
+    ) -> None:
+        self.problem, self.starts = problem, starts
+        self.worlds = TrueWorlds(problem, nworld, nthread)
+        self._rng = np.random.default_rng(seed)
+        self._action: Any = None
+        self._before = torch.zeros(nworld)
+        box = gymnasium.spaces.Box
+        super().__init__(
+            nworld,
+            box(-np.inf, np.inf, (problem.observations,), np.float32),
+            box(-1.0, 1.0, (problem.actions,), np.float32),
+        )
+
+    @property
+    def diverged(self) -> npt.NDArray[np.int64]:
+        """[nworld] how often each world has diverged."""
+        return self.worlds.diverged
+
+    def reset(self) -> npt.NDArray[np.float32]:
+        """An episode in every world."""
+        self._begin(np.arange(self.num_envs))
+        self.reset_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        return self.worlds.observation().numpy()
+
+    def step_async(self, actions: npt.NDArray[Any]) -> None:
+        """Keeps the actions for `step_wait`."""
+        self._action = torch.as_tensor(np.asarray(actions), dtype=torch.float32)
+
+    def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
+        """One control step in every world; those whose episode ends begin the next one."""
+        lost = self.worlds.step(self._action)
+        parts = self.worlds.worth()
+        total = parts.sum(1)
+        over = self.worlds.over
+        if self.problem.sparse:
+            reward = np.where(over, total.numpy(), 0.0)
+        else:
+            reward = (total - self._before).numpy() * self.problem.steps
+            self._before = total.clone()
+        broken = ~np.isfinite(reward) & ~lost
+        self.worlds.diverged += broken
+        lost |= broken
+        reward = np.where(lost, 0.0, reward)
+        done = over | lost
+        view = torch.nan_to_num(self.worlds.observation()).numpy()
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for world in np.flatnonzero(done):
+            cut = bool(lost[world]) or not self.problem.sparse
+            infos[world] = {"terminal_observation": view[world], "TimeLimit.truncated": cut}
+            if lost[world]:
+                infos[world]["diverged"] = True
+            else:
+                names = zip(self.problem.parts, parts[world].tolist(), strict=True)
+                infos[world]["parts"] = dict(names)
+        if done.any():
+            self._begin(np.flatnonzero(done))
+            view = self.worlds.observation().numpy()
+        return view, reward.astype(np.float32), done, infos
+
+    def close(self) -> None:
+        """Frees the worlds."""
+        self.worlds.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute of each world: one for all."""
+        value = None if attr_name == "render_mode" else getattr(self, attr_name)
+        return [value for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refused: worlds have no attributes of their own."""
+        raise InputError(f"worlds have no attribute {attr_name!r} of their own to set")
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Refused: worlds have no methods of their own."""
+        raise InputError(f"worlds have no method {method_name!r} of their own to call")
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """Whether worlds are wrapped one by one: never."""
+        return [False for _ in self._get_indices(indices)]
+
+    def _begin(self, worlds: npt.NDArray[np.int64]) -> None:
+        index = self._rng.integers(len(self.starts), size=len(worlds))
+        self.worlds.begin(worlds, self.starts.at(index))
+        self._before[torch.as_tensor(worlds)] = 0.0
+
+
+class Curiosity:
+    """Random network distillation (Burda et al. 2018): what a network cannot predict yet is new.
+
+    Args:
+      observations: how many. seed: of both networks.
+    """
+
+    def __init__(self, observations: int, seed: int = 0) -> None:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self.target, self.guess = (_small(observations) for _ in range(2))
+        self.target.requires_grad_(False)
+        self._optimizer = torch.optim.Adam(self.guess.parameters(), 1e-3)
+        self._square, self._count = 1.0, 1e-4
+
+    def reward(self, observation: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+        """[N]: the error, in units of its running root mean square; the guess is improved."""
+        seen = torch.as_tensor(observation, dtype=torch.float32).clamp(-5.0, 5.0)
+        error = (self.guess(seen) - self.target(seen)).square().mean(1)
+        self._optimizer.zero_grad()
+        error.mean().backward()
+        self._optimizer.step()
+        new = error.detach().double().numpy()
+        self._count += len(new)
+        self._square += (float(np.square(new).sum()) - len(new) * self._square) / self._count
+        return np.asarray(new / np.sqrt(self._square + 1e-12))
+
+
+class _Progress(BaseCallback):
+    """Budget, metrics and live estimates of a training."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        run: Run,
+        report: Report,
+        policy_of: Callable[[Any], Policy],
+        curiosity: Curiosity | None,
+        weight: float,
+    ) -> None:
+        super().__init__()
+        self._problem, self._run, self._report = problem, run, report
+        self._policy_of, self._curiosity, self._weight = policy_of, curiosity, weight
+        self._parts: list[dict[str, float]] = []
+        self._began = self._logged = self._checked = time.monotonic()
+
+    def _on_step(self) -> bool:
+        self._parts += [info["parts"] for info in self.locals["infos"] if "parts" in info]
+        if self._curiosity is not None:
+            seen = self.locals["new_obs"]
+            self.locals["rewards"] += self._weight * self._curiosity.reward(seen)
+        now, run = time.monotonic(), self._run
+        if now - self._logged > run.check_every / 4:
+            self.log(run.check > 0 and now - self._checked > run.check_every)
+            self._logged = time.monotonic()
+        return run.limit is None or now - self._began < run.limit
+
+    def log(self, check: bool) -> None:
+        """A line of metrics."""
+        elapsed = time.monotonic() - self._began
+        line: dict[str, Any] = {"step": int(self.num_timesteps), "seconds": round(elapsed, 3)}
+        for name in self._problem.parts if self._parts else ():
+            line[name] = float(np.mean([part[name] for part in self._parts]))
+        self._parts.clear()
+        if check:
+            starts = starts_of(self._problem, self._run.check, self._run.seed, "checks")
+            policy = self._policy_of(self.model)
+            found = in_mujoco(self._problem, policy, starts, self._run.nthread)
+            known = summary(self._problem, starts, *found[:2])
+            line |= {f"success_{n}": row["share"] for n, row in known["success"].items()}
+            line |= {f"true_{n}": row["mean"] for n, row in known["reward"].items()}
+            self._checked = time.monotonic()
+        append_metrics(self._run.out, line)
+        self._report(line)
+
+
+def train_baseline(
+    problem: Problem, config: Baseline, run: Run, report: Report = lambda _: None
+) -> dict[str, Any]:
+    """Trains a baseline in C MuJoCo; returns the manifest of the policy that it leaves.
+
+    Raises:
+      InputError: no budget, `out` holds a training, or it is to be resumed: these cannot be.
+    """
+    if run.resume:
+        raise InputError(f"--method {config.method} cannot be resumed; train it in one go")
+    check_run(run)
+    with claimed(make_folder(run.out), "another training", "wait for it, or choose another --out"):
+        begin_metrics(run.out / METRICS, 0)
+        starts = problem.draw(training_seeds(problem, run))
+        environment = ProblemVecEnv(problem, config.batch, starts, run.seed, run.nthread)
+        model, policy_of = _learner(config, environment, run.seed)
+        curiosity = None
+        if config.method == "ppo_rnd":
+            curiosity = Curiosity(problem.observations, run.seed)
+        progress = _Progress(problem, run, report, policy_of, curiosity, config.curiosity)
+        began = time.monotonic()
+        model.learn(run.steps or 10**12, callback=progress)
+        seconds = time.monotonic() - began
+        progress.log(run.check > 0)
+        policy = policy_of(model)
+        notes = {
+            "method": config.method,
+            "config": dataclasses.asdict(config),
+            "true_steps": int(environment.worlds.steps),
+            "training": {
+                "seed": run.seed,
+                "step": int(model.num_timesteps),
+                "seconds": round(seconds, 1),
+                "device": "cpu",
+                "finished": True,
+                "diverged": int(environment.diverged.sum()),
+            },
+            "versions": {"torch": torch.__version__, "orbisim": VERSION},
+        }
+        save_policy(run.out, policy, problem, notes)
+        draw_curves(run.out)
+        environment.close()
+    return {"task": problem.name, **notes}
+
+
+def _learner(
+    config: Baseline, environment: ProblemVecEnv, seed: int
+) -> tuple[Any, Callable[[Any], Policy]]:
+    """The library's learner, and what makes our policy of it."""
+    problem, hidden = environment.problem, list(config.network.hidden)
+    discount = 0.99
+    if config.method == "sac":
+        model = SAC(
+            "MlpPolicy",
+            environment,
+            learning_rate=config.rate,
+            gamma=discount,
+            train_freq=1,
+            gradient_steps=max(1, config.batch // 8),
+            policy_kwargs={"net_arch": hidden},
+            seed=seed,
+            device="cpu",
+        )
+        return model, lambda m: _from_sac(m, problem, config)
+    model = PPO(
+        "MlpPolicy",
+        environment,
+        learning_rate=config.rate,
+        gamma=discount,
+        n_steps=config.window,
+        batch_size=max(64, config.batch * config.window // 16),
+        policy_kwargs={"net_arch": hidden},
+        seed=seed,
+        device="cpu",
+    )
+    return model, lambda m: _from_ppo(m, problem, config)
+
+
+def _from_sac(model: Any, problem: Problem, config: Baseline) -> Policy:
+    shape = NetworkConfig(config.network.hidden, "relu", "tanh")
+    return _copied(problem, shape, model.policy.actor.latent_pi, model.policy.actor.mu)
+
+
+def _from_ppo(model: Any, problem: Problem, config: Baseline) -> Policy:
+    shape = NetworkConfig(config.network.hidden, "tanh", "clip")
+    body = model.policy.mlp_extractor.policy_net
+    return _copied(problem, shape, body, model.policy.action_net)
+
+
+def _copied(problem: Problem, shape: NetworkConfig, body: Any, head: Any) -> Policy:
+    """A policy with the weights of a trained actor."""
+    policy = Policy(problem.observations, problem.actions, shape)
+    policy.body.load_state_dict(body.state_dict())
+    policy.head.load_state_dict(head.state_dict())
+    return policy.eval()
+
+
+def _small(observations: int) -> torch.nn.Sequential:
+    layers = torch.nn
+    return layers.Sequential(
+        layers.Linear(observations, 64), layers.ReLU(), layers.Linear(64, 64), layers.Linear(64, 32)
+    )

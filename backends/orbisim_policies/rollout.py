@@ -1,0 +1,107 @@
+"""Episodes of a policy in the learned step, with gradients: equation of section 3.5."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import torch
+from orbisim_world_model.entities import Context, Entities
+from torch import Tensor
+
+from orbisim_policies.learned import LearnedWorlds, Pool
+from orbisim_policies.network import Policy
+from orbisim_policies.problem import Moment, Problem
+
+
+class Running(NamedTuple):
+    """Worlds in the middle of their episodes.
+
+    Attributes:
+      x: the states. command: [N, C]. score: [N, S]. done: [N] steps of the episode so far.
+      params: [N, P]. attributes, settings: descriptors.
+    """
+
+    x: Entities
+    command: Tensor
+    score: Tensor
+    done: Tensor
+    params: Tensor
+    attributes: Tensor
+    settings: Tensor
+
+    def detach(self) -> Running:
+        """Without gradients."""
+        fields = [field.detach() for field in self[1:]]
+        return Running(self.x.detach(), *fields)
+
+
+def began(worlds: LearnedWorlds, starts: Pool) -> Running:
+    """Episodes before their first step."""
+    x, context = worlds.begin(starts)
+    score = worlds.problem.begin(*worlds.coordinates(x))
+    done = torch.zeros(len(score), device=score.device)
+    return Running(x, starts.command, score, done, starts.params, context.attributes, context.world)
+
+
+def observation(worlds: LearnedWorlds, now: Running) -> Tensor:
+    """What the policy sees, [N, F]."""
+    qpos, qvel = worlds.coordinates(now.x)
+    time = now.done / worlds.problem.steps
+    moment = Moment(qpos, qvel, now.command, now.params, now.score, time)
+    return torch.nan_to_num(worlds.problem.observe(moment), 0.0, 0.0, 0.0)
+
+
+def advanced(worlds: LearnedWorlds, now: Running, action: Tensor, limit: float) -> Running:
+    """One control step of all worlds.
+
+    Args:
+      worlds: the learned step. now: before it. action: [N, A].
+      limit: largest norm of the gradient that a world hands back to the step before; 0 for none.
+    """
+    problem: Problem = worlds.problem
+    x = _Limit.apply(limit, *now.x)
+    (action,) = _Limit.apply(limit, action)
+    control, command = problem.control(now.command, action)
+    after = worlds.step(Entities(*x), control, Context(now.attributes, now.settings, None))
+    qpos, qvel = worlds.coordinates(after)
+    score = problem.count(now.score, qpos, qvel, control)
+    return now._replace(x=after, command=command, score=score, done=now.done + 1)
+
+
+def worth(worlds: LearnedWorlds, now: Running) -> Tensor:
+    """[N, parts]: the value of the episode if it ends here."""
+    return worlds.problem.value(now.score, worlds.coordinates(now.x)[0])
+
+
+@torch.no_grad()  # type: ignore[untyped-decorator]
+def play(worlds: LearnedWorlds, policy: Policy, starts: Pool) -> Running:
+    """Whole episodes without noise and without gradients."""
+    now = began(worlds, starts)
+    for _ in range(worlds.problem.steps):
+        now = advanced(worlds, now, policy(observation(worlds, now)), 0.0)
+    return now
+
+
+class _Limit(torch.autograd.Function):
+    """The identity; its gradient is shortened, world by world, to a largest norm.
+
+    A world whose gradient is not finite hands none back.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, limit: float, *fields: Tensor) -> tuple[Tensor, ...]:
+        ctx.limit = limit
+        return tuple(field.view_as(field) for field in fields)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Any, ...]:
+        squares = [g.square().flatten(1).sum(1) for g in gradients]
+        norm = torch.stack(squares).sum(0).sqrt()
+        limit = ctx.limit or math.inf
+        scale = torch.nan_to_num((limit / (norm + 1e-12)).clamp(max=1.0), 0.0)
+        scaled = [
+            torch.nan_to_num(g, 0.0, 0.0, 0.0) * scale.reshape(-1, *([1] * (g.dim() - 1)))
+            for g in gradients
+        ]
+        return (None, *scaled)

@@ -1,0 +1,325 @@
+"""`train`: a whole training of a policy, with saves, live estimates of success, and curves."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+from orbisim_world_model.progress_file import NAME as PROGRESS
+from orbisim_world_model.progress_file import load_progress, save_progress
+from orbisim_world_model.schedule import Clock
+from torch import Tensor
+
+from orbisim.errors import InputError, OrbiSimError
+from orbisim.files.locking import claimed
+from orbisim.files.reading import parse_json
+from orbisim.files.writing import make_folder, output_errors, write_bytes, writing
+from orbisim.tasks.sampling import episode_seed
+from orbisim.version import VERSION
+from orbisim_policies.apg import Apg, ApgConfig
+from orbisim_policies.checkpoint import MANIFEST, load_policy, save_policy
+from orbisim_policies.cloning import CloneConfig, Cloning
+from orbisim_policies.demonstrations import Demonstrations, demonstrate
+from orbisim_policies.evaluate import in_mujoco, starts_of, summary
+from orbisim_policies.learned import LearnedWorlds
+from orbisim_policies.network import Policy
+from orbisim_policies.problem import Problem
+from orbisim_policies.push import PushProblem
+
+METRICS, CURVES = "metrics.jsonl", "curves.png"
+Report = Callable[[dict[str, Any]], None]
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """What is asked of a training.
+
+    Attributes:
+      out: folder for policy, metrics and curves.
+      steps, limit: budgets in iterations and in seconds; at least one.
+      seed: of everything random. device: where to compute.
+      starts: how many episodes' beginnings there are to draw from.
+      demonstrations: episodes to imitate.
+      check: episodes of each live estimate in MuJoCo; 0 for none. check_every: seconds.
+      save_every: seconds between saves. log_every: iterations between lines of metrics.
+      resume: go on with what stands in `out`. start: folder of a policy to begin with.
+      graph: CUDA graphs. nthread: threads of MuJoCo; 0 for one per usable core.
+    """
+
+    out: Path
+    steps: int | None = None
+    limit: float | None = None
+    seed: int = 0
+    device: str = "cpu"
+    starts: int = 4096
+    demonstrations: int = 500
+    check: int = 64
+    check_every: float = 60.0
+    save_every: float = 60.0
+    log_every: int = 10
+    resume: bool = False
+    start: Path | None = None
+    graph: bool = True
+    nthread: int = 0
+
+
+class Trainer(Protocol):
+    """What a training is made of: `Apg`, `Cloning`."""
+
+    policy: Policy
+    done: int
+
+    def step(self, progress: float) -> Tensor:
+        """One iteration; what is logged of it."""
+
+    def state(self) -> dict[str, Tensor]:
+        """What is needed to go on."""
+
+    def restore(self, tensors: dict[str, Tensor], done: int) -> None:
+        """Takes what `state` gave."""
+
+
+def train_apg(
+    problem: Problem,
+    config: ApgConfig,
+    run: Run,
+    checkpoint: Path | None = None,
+    report: Report = lambda _: None,
+) -> dict[str, Any]:
+    """Trains a policy by analytic gradients through the learned step; returns its manifest.
+
+    Args:
+      problem: on the CPU. config: of the training. run: budgets and folders.
+      checkpoint: folder of the dynamics; the zoo's that fits if None.
+      report: called with each line of metrics.
+
+    Raises:
+      InputError: no budget, or `out` holds another training.
+      OrbiSimError: no objective is finite any more; what was saved before stays.
+    """
+    check_run(run)
+    device = torch.device(run.device)
+    if device.type == "cuda":
+        torch.backends.cuda.matmul.allow_tf32 = True
+    worlds = LearnedWorlds(problem.to(device), checkpoint, device)
+    seeds = training_seeds(problem, run)
+    pool = worlds.pool(problem.draw(seeds))
+    start = load_policy(run.start, problem) if run.start else None
+    trainer = Apg(worlds, pool, config, seed=run.seed, policy=start, graph=run.graph)
+    names = ("objective", "finite", "value_loss", *problem.parts)
+    notes = {
+        "method": "apg",
+        "config": dataclasses.asdict(config),
+        "dynamics": worlds.folder.name,
+        "true_steps": _true_steps(worlds) + _inherited(run),
+        "start": run.start.name if run.start else "",
+    }
+    return _train(trainer, problem, run, names, notes, report)
+
+
+def train_clone(
+    problem: PushProblem, config: CloneConfig, run: Run, report: Report = lambda _: None
+) -> dict[str, Any]:
+    """Clones the task's script; returns the manifest. Errors as `train_apg`."""
+    check_run(run)
+    seeds = training_seeds(problem, run)[: run.demonstrations]
+    shown = demonstrate(problem, seeds, run.nthread)
+    device = torch.device(run.device)
+    data = Demonstrations(
+        shown.observations.to(device),
+        shown.actions.to(device),
+        shown.success,
+        shown.episodes,
+        shown.steps,
+    )
+    trainer = Cloning(data, config, run.seed)
+    notes = {
+        "method": "bc",
+        "config": dataclasses.asdict(config),
+        "demonstrations": {"episodes": shown.episodes, "success": shown.success},
+        "true_steps": shown.steps,
+    }
+    return _train(trainer, problem, run, ("loss",), notes, report)
+
+
+def training_seeds(problem: Problem, run: Run) -> list[int]:
+    """Seeds of the episodes that a training draws from; never those of an evaluation."""
+    return [episode_seed(run.seed, problem.name, "policy training", i) for i in range(run.starts)]
+
+
+def check_run(run: Run) -> None:
+    """Checks what can be checked before anything is computed.
+
+    Raises:
+      InputError: no budget, or `out` holds another training.
+    """
+    if run.steps is None and run.limit is None:
+        raise InputError("a training needs a budget: give --steps, --time-limit or both")
+    known = [name for name in (PROGRESS, MANIFEST) if (run.out / name).exists()]
+    if known and not run.resume:
+        raise InputError(
+            f"{run.out}: holds a training already ({known[0]}); go on with it by --resume, or "
+            "choose another --out"
+        )
+
+
+def _train(
+    trainer: Trainer,
+    problem: Problem,
+    run: Run,
+    names: Sequence[str],
+    notes: dict[str, Any],
+    report: Report,
+) -> dict[str, Any]:
+    with claimed(make_folder(run.out), "another training", "wait for it, or choose another --out"):
+        clock = Clock(run.steps, run.limit)
+        _resume(trainer, clock, run, notes)
+        begin_metrics(run.out / METRICS, clock.done)
+        rows: list[Tensor] = []
+        saved = checked = time.monotonic()
+        while clock.progress < 1.0:
+            rows.append(trainer.step(clock.progress).reshape(-1))
+            clock.done += 1
+            now = time.monotonic()
+            if clock.done % run.log_every == 0:
+                checks = {}
+                if run.check and now - checked > run.check_every:
+                    checks, checked = _checked(trainer.policy, problem, run), time.monotonic()
+                _log(rows, names, clock, run, checks, report)
+            if now - saved > run.save_every:
+                _save(trainer, clock, problem, run, notes, False)
+                saved = time.monotonic()
+        checks = _checked(trainer.policy, problem, run) if run.check else {}
+        _log(rows, names, clock, run, checks, report)
+        manifest = _save(trainer, clock, problem, run, notes, True)
+        draw_curves(run.out)
+    return manifest
+
+
+def _checked(policy: Policy, problem: Problem, run: Run) -> dict[str, Any]:
+    """A live estimate: success and reward in MuJoCo over a few episodes, the same each time."""
+    starts = starts_of(problem, run.check, run.seed, "checks")
+    copied = Policy(problem.observations, problem.actions, policy.config)
+    copied.load_state_dict({name: t.detach().cpu() for name, t in policy.state_dict().items()})
+    found = summary(problem, starts, *in_mujoco(problem, copied, starts, run.nthread)[:2])
+    shares = {f"success_{name}": row["share"] for name, row in found["success"].items()}
+    means = {f"true_{name}": row["mean"] for name, row in found["reward"].items()}
+    return {**shares, **means}
+
+
+def _log(
+    rows: list[Tensor],
+    names: Sequence[str],
+    clock: Clock,
+    run: Run,
+    checks: dict[str, Any],
+    report: Report,
+) -> None:
+    if not rows and not checks:
+        return
+    line: dict[str, Any] = {"step": clock.done, "seconds": round(clock.elapsed, 3)}
+    if rows:
+        table = torch.stack(rows).double().cpu()
+        fine = table[table.isfinite().all(1)]
+        rows.clear()
+        if not len(fine):
+            raise OrbiSimError(
+                f"training diverged: of the iterations up to {clock.done} since the last line of "
+                "metrics, none was finite; lower the learning rate"
+            )
+        mean = fine.mean(0).tolist()
+        line |= dict(zip(names, mean, strict=True)) | {"skipped": len(table) - len(fine)}
+    append_metrics(run.out, {**line, **checks})
+    report({**line, **checks})
+
+
+def append_metrics(out: Path, line: dict[str, Any]) -> None:
+    """Adds a line to the metrics of a training."""
+    with output_errors(out / METRICS), (out / METRICS).open("a") as file:
+        file.write(json.dumps(line) + "\n")
+
+
+def begin_metrics(path: Path, done: int) -> None:
+    """Leaves the lines of what is done: later ones are written again."""
+    kept = []
+    for line in path.read_bytes().splitlines(keepends=True) if path.exists() else ():
+        whole = line.endswith(b"\n")
+        if whole and parse_json(line, str(path)).get("step", 0) <= done:
+            kept.append(line)
+    write_bytes(path, b"".join(kept if done else ()), announce=False)
+
+
+def _resume(trainer: Trainer, clock: Clock, run: Run, notes: dict[str, Any]) -> None:
+    found = load_progress(run.out) if run.resume else None
+    if found is None:
+        return  # killed before the first save: the same as a fresh start
+    tensors, known = found
+    if known["config"] != json.loads(json.dumps(notes)):
+        raise InputError(f"{run.out}: was trained with other settings; use another --out")
+    if known["seed"] != run.seed:
+        raise InputError(f"{run.out}: was trained with --seed {known['seed']}, not {run.seed}")
+    shapes = {name: tensor.shape for name, tensor in trainer.state().items()}
+    if shapes != {name: tensor.shape for name, tensor in tensors.items()}:
+        raise InputError(f"{run.out}: was trained with other sizes; use another --out")
+    trainer.restore(tensors, known["step"])
+    clock.done, clock.spent = known["step"], known["seconds"]
+
+
+def _save(
+    trainer: Trainer,
+    clock: Clock,
+    problem: Problem,
+    run: Run,
+    notes: dict[str, Any],
+    finished: bool,
+) -> dict[str, Any]:
+    where = {"seed": run.seed, "step": clock.done, "seconds": clock.elapsed}
+    save_progress(run.out, trainer.state(), {"config": notes, **where})
+    device = torch.device(run.device)
+    name = torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu"
+    training = {**where, "seconds": round(clock.elapsed, 1), "device": name, "finished": finished}
+    versions = {"torch": torch.__version__, "orbisim": VERSION}
+    manifest = {**notes, "training": training, "versions": versions}
+    save_policy(run.out, trainer.policy, problem, manifest)
+    return {"task": problem.name, **manifest}
+
+
+def _true_steps(worlds: LearnedWorlds) -> int:
+    """Steps of the true simulator that the dynamics were trained on."""
+    manifest = json.loads((worlds.folder / "manifest.json").read_text())
+    return int(manifest["data"].get("control_steps", 0))
+
+
+def _inherited(run: Run) -> int:
+    """Of the policy that this one begins with."""
+    if run.start is None:
+        return 0
+    manifest = json.loads((run.start / MANIFEST).read_text())
+    own = int(manifest.get("true_steps", 0))
+    return own if manifest.get("method") == "bc" else 0
+
+
+def draw_curves(out: Path) -> None:
+    """Draws what the metrics of a training say over its steps."""
+    from matplotlib.figure import Figure
+
+    rows = [json.loads(line) for line in (out / METRICS).read_text().splitlines()]
+    names = [n for n in dict.fromkeys(n for row in rows for n in row) if n not in _AXES]
+    figure = Figure(figsize=(7, 4), layout="constrained")
+    axes = figure.add_subplot()
+    for name in names:
+        points = [(row["seconds"], row[name]) for row in rows if name in row]
+        marker = "o" if name.startswith(("success", "true")) else None
+        axes.plot(*zip(*points, strict=True), label=name, lw=1, ms=3, marker=marker)
+    axes.set(xlabel="s", ylabel="reward, share of successes")
+    axes.legend(frameon=False, fontsize=7)
+    with writing(out / CURVES, announce=False) as part:
+        figure.savefig(part, dpi=120)
+
+
+_AXES = ("step", "seconds", "value_loss", "skipped", "finite")

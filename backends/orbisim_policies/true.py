@@ -1,0 +1,127 @@
+"""Worlds stepped by C MuJoCo: where policies are evaluated, and where the baselines learn."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from orbisim.vector.models import ModelFields
+from orbisim.vector.simulator import Threads
+from orbisim_policies.problem import Floats, Moment, Problem, Starts
+
+Ids = npt.NDArray[np.int64]
+
+
+class TrueWorlds:
+    """A problem's episodes in C MuJoCo, each world in a scene of its own.
+
+    Args:
+      problem: on the CPU.
+      nworld: number of worlds.
+      nthread: threads; 0 for one per usable core.
+
+    Attributes:
+      diverged: [nworld] how often each world has diverged.
+      steps: control steps of all worlds so far.
+    """
+
+    def __init__(self, problem: Problem, nworld: int, nthread: int = 0) -> None:
+        self.problem, self.nworld = problem, nworld
+        model = problem.model
+        self._working = copy.copy(model)
+        self._fields = ModelFields(model, self._working, nworld)
+        self._threads = Threads(model, self._fields, nworld, nthread=nthread)
+        self._data = mujoco.MjData(self._working)
+        self._substeps = round(problem.timestep / model.opt.timestep)
+        self.diverged: npt.NDArray[np.int64] = np.zeros(nworld, int)
+        self.steps = 0
+        self._command: Any = None
+        self._params: Any = None
+        self._score: Any = None
+        self._done = torch.zeros(nworld)
+
+    def begin(self, worlds: Ids, starts: Starts) -> None:
+        """Begins episodes in some worlds."""
+        for world, row in zip(worlds, range(len(starts)), strict=True):
+            self._fields.place(world)
+            self.problem.write(self._working, starts.params[row])
+            self._fields.take(world)
+            mujoco.mj_resetData(self._working, self._data)
+            self._data.qpos[:], self._data.qvel[:] = starts.qpos[row], starts.qvel[row]
+            self._data.ctrl[:] = starts.ctrl[row]
+            self._threads.set_world(world, self._data)
+        if self._fields.varied:
+            self._threads.set_models(worlds)
+        if self._command is None:
+            self._command = torch.zeros((self.nworld, starts.command.shape[1]))
+            self._params = torch.zeros((self.nworld, starts.params.shape[1]))
+        index = torch.as_tensor(worlds)
+        self._command[index] = _float(starts.command)
+        self._params[index] = _float(starts.params)
+        score = self.problem.begin(_float(starts.qpos), _float(starts.qvel))
+        if self._score is None:
+            self._score = torch.zeros((self.nworld, score.shape[1]))
+        self._score[index] = score
+        self._done[index] = 0.0
+
+    @property
+    def coordinates(self) -> tuple[Floats, Floats]:
+        """qpos [nworld, nq] and qvel [nworld, nv], copies."""
+        return np.array(self._threads.field("qpos")), np.array(self._threads.field("qvel"))
+
+    def observation(self) -> Tensor:
+        """What the policy sees, [nworld, F]."""
+        qpos, qvel = map(_float, self.coordinates)
+        time = self._done / self.problem.steps
+        moment = Moment(qpos, qvel, self._command, self._params, self._score, time)
+        return self.problem.observe(moment)
+
+    def step(self, action: Tensor, worlds: Ids | None = None) -> npt.NDArray[np.bool_]:
+        """One control step; which worlds diverged, [nworld].
+
+        Args:
+          action: [nworld, A]. worlds: only these; all if None.
+        """
+        worlds = np.arange(self.nworld) if worlds is None else worlds
+        control, command = self.problem.control(self._command, action)
+        host = control.double().numpy()
+        fine = np.isfinite(host).all(axis=1)
+        self._threads.ctrl[worlds] = np.where(fine[:, None], host, 0.0)[worlds]
+        lost = np.zeros(self.nworld, bool)
+        lost[worlds] = self._threads.step(worlds, self._substeps) | ~fine[worlds]
+        qpos, qvel = self.coordinates
+        lost[worlds] |= ~np.isfinite(qpos[worlds]).all(axis=1)
+        well = torch.as_tensor(worlds[~lost[worlds]])
+        score = self.problem.count(self._score, _float(qpos), _float(qvel), control)
+        self._score[well], self._command[well] = score[well], command[well]
+        self._done[well] += 1
+        self.diverged += lost
+        self.steps += len(worlds)
+        return lost
+
+    def worth(self) -> Tensor:
+        """[nworld, parts]: the value of the episodes if they end here."""
+        return self.problem.value(self._score, _float(self.coordinates[0]))
+
+    def measure(self) -> Tensor:
+        """[nworld, parts]: what evaluations report."""
+        return self.problem.measure(self._score, _float(self.coordinates[0]))
+
+    @property
+    def over(self) -> npt.NDArray[np.bool_]:
+        """[nworld]: whose episode has come to its end."""
+        return np.asarray(self._done.numpy() >= self.problem.steps)
+
+    def close(self) -> None:
+        """Frees the worlds."""
+        self._threads.close()
+
+
+def _float(values: Any) -> Tensor:
+    return torch.as_tensor(np.asarray(values), dtype=torch.float32)

@@ -1,0 +1,118 @@
+"""What the command line calls."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from orbisim.errors import InputError
+from orbisim_policies import evaluate as evaluation
+from orbisim_policies.apg import ApgConfig
+from orbisim_policies.checkpoint import load_policy, read_manifest
+from orbisim_policies.cloning import CloneConfig
+from orbisim_policies.learned import LearnedWorlds
+from orbisim_policies.problem import Problem
+from orbisim_policies.problems import make_problem
+from orbisim_policies.push import PushProblem
+from orbisim_policies.run import Run, train_apg, train_clone
+
+_RUN = {
+    "time_limit": "limit",
+    **{
+        name: name
+        for name in ("out", "steps", "seed", "device", "demonstrations", "check", "check_every")
+    },
+    **{name: name for name in ("save_every", "resume", "start", "graph")},
+    "threads": "nthread",
+}
+"""Options of the command line, and what they are called in `Run`."""
+
+
+def train(
+    task: str, method: str, options: Mapping[str, Any], note: Callable[[str], None]
+) -> dict[str, Any]:
+    """Trains a policy as the command line says; returns its manifest."""
+    problem = make_problem(task, options["episode"])
+    run = Run(**{_RUN[name]: value for name, value in options.items() if name in _RUN})
+
+    def report(line: dict[str, Any]) -> None:
+        note(sentence(line))
+
+    backend = options["backend"] or ("learned" if method == "apg" else "mujoco")
+    kind, _, path = backend.partition(":")
+    if kind != ("learned" if method == "apg" else "mujoco"):
+        raise InputError(
+            f"--method {method} learns in {'learned' if method == 'apg' else 'mujoco'}; got "
+            f"--backend {backend}"
+        )
+    if method == "apg":
+        config = _changed(ApgConfig(), options)
+        return train_apg(problem, config, run, Path(path) if path else None, report)
+    if run.start is not None:
+        raise InputError(f"--start is for --method apg; got {method}")
+    if method == "bc":
+        if not isinstance(problem, PushProblem):
+            raise InputError(f"there is no script to imitate in {problem.name}; use task:push")
+        return train_clone(problem, _changed(CloneConfig(), options), run, report)
+    from orbisim_policies.baselines import Baseline, train_baseline
+
+    baseline = _changed(Baseline(method), options)
+    return train_baseline(problem, baseline, run, report)
+
+
+def evaluate(
+    folder: Path,
+    task: str | None,
+    *,
+    episodes: int,
+    seeds: Sequence[int],
+    model: str,
+    threads: int,
+    device: str,
+) -> dict[str, Any]:
+    """Evaluates a policy as the command line says."""
+    manifest = read_manifest(folder)
+    steps = int(manifest.get("steps", 0)) or None
+    problem = make_problem(task or str(manifest.get("task")), steps)
+    policy = load_policy(folder, problem)
+    worlds = None if model == "none" else _model(model, problem, torch.device(device))
+    result = evaluation.evaluate(
+        problem, policy, episodes=episodes, seeds=seeds, worlds=worlds, nthread=threads
+    )
+    known: dict[str, Any] = {
+        name: manifest[name] for name in ("method", "true_steps") if name in manifest
+    }
+    return {**result, **known, "policy": str(folder)}
+
+
+def sentence(line: Mapping[str, Any]) -> str:
+    """A line of metrics for people."""
+    head = f"step {line['step']:>7}  {line['seconds']:8.1f} s"
+    rest = [f"{k} {v:.3g}" for k, v in line.items() if k not in ("step", "seconds", "skipped")]
+    return "  ".join([head, *rest])
+
+
+def _model(name: str, problem: Problem, device: torch.device) -> LearnedWorlds:
+    kind, _, path = name.partition(":")
+    if kind != "learned":
+        raise InputError(f"--model is learned, learned:PATH or none; got {name!r}")
+    return LearnedWorlds(problem.to(device), path or None, device)
+
+
+def _changed(config: Any, options: Mapping[str, Any]) -> Any:
+    """A configuration with what the command line says of it."""
+    given = {"batch": options["worlds"], "rate": options["rate"], "noise": options["noise"]}
+    given["horizon"] = options["horizon"] or None
+    names = {field.name for field in dataclasses.fields(config)}
+    wrong = [name for name, value in given.items() if value is not None and name not in names]
+    if wrong:
+        option = {"batch": "worlds"}.get(wrong[0], wrong[0])
+        raise InputError(f"--{option} means nothing to this method")
+    if given["rate"] is not None and "final_rate" in names:
+        given["final_rate"] = given["rate"] / 10
+    kept = {name: value for name, value in given.items() if value is not None and name in names}
+    return dataclasses.replace(config, **kept)

@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+pytest.importorskip("stable_baselines3")
+
+from orbisim_policies.baselines import Baseline, Curiosity, ProblemVecEnv, train_baseline
+from orbisim_policies.checkpoint import load_policy
+from orbisim_policies.network import NetworkConfig
+from orbisim_policies.run import Run
+from orbisim_policies.suite import SuiteProblem
+
+from orbisim.errors import InputError
+
+
+def test_episodes_follow_each_other_and_rewards_add_up(cartpole: SuiteProblem) -> None:
+    environment = ProblemVecEnv(cartpole, 2, cartpole.draw([1, 2]), nthread=1)
+    environment.reset()
+    total = np.zeros(2)
+    for step in range(cartpole.steps):
+        _, reward, done, infos = environment.step(np.zeros((2, 1)))
+        total += reward
+        assert done.all() == (step == cartpole.steps - 1)
+    for world in range(2):
+        mean = infos[world]["parts"]["return"]
+        assert total[world] / cartpole.steps == pytest.approx(mean, rel=1e-4)
+        assert infos[world]["TimeLimit.truncated"]
+    environment.close()
+
+
+def test_a_reward_that_is_no_number_begins_that_world_anew(
+    cartpole: SuiteProblem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    environment = ProblemVecEnv(cartpole, 2, cartpole.draw([1, 2]), nthread=1)
+    environment.reset()
+    worth = environment.worlds.worth
+
+    def broken() -> torch.Tensor:
+        value = worth()
+        value[1] = float("nan")
+        return value
+
+    monkeypatch.setattr(environment.worlds, "worth", broken)
+    view, reward, done, infos = environment.step(np.zeros((2, 1)))
+    assert done.tolist() == [False, True] and reward[1] == 0.0 and infos[1]["diverged"]
+    assert environment.diverged.tolist() == [0, 1] and np.isfinite(view).all()
+    environment.close()
+
+
+@pytest.mark.parametrize("method", ["sac", "ppo", "ppo_rnd"])
+def test_a_baseline_leaves_a_policy_that_acts_as_the_library_does(
+    cartpole: SuiteProblem, tmp_path: Path, method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = Baseline(method, batch=2, window=32, network=NetworkConfig((8,)))
+    job = Run(tmp_path / "p", steps=128, starts=3, check=2, nthread=1)
+    from orbisim_policies import baselines
+
+    kept = {}
+    learner = baselines._learner
+
+    def watched(*arguments: object) -> object:
+        kept["model"], policy_of = learner(*arguments)  # type: ignore[arg-type]
+        return kept["model"], policy_of
+
+    monkeypatch.setattr(baselines, "_learner", watched)
+    manifest = train_baseline(cartpole, config, job)
+    assert manifest["true_steps"] >= 128
+    policy = load_policy(tmp_path / "p", cartpole)
+    view = np.random.default_rng(0).normal(size=(5, cartpole.observations)).astype(np.float32)
+    expected, _ = kept["model"].predict(view, deterministic=True)
+    np.testing.assert_allclose(policy(torch.tensor(view)).detach(), expected, atol=1e-5)
+    with pytest.raises(InputError, match="resumed"):
+        train_baseline(cartpole, config, dataclasses.replace(job, resume=True))
+
+
+def test_what_was_seen_is_no_longer_new() -> None:
+    curiosity, rng = Curiosity(4), np.random.default_rng(0)
+    known, other = rng.normal(size=(64, 4)), rng.normal(size=(64, 4)) + 4
+    first = curiosity.reward(known).mean()
+    for _ in range(200):
+        last = curiosity.reward(known).mean()
+    assert last < 0.2 * first and curiosity.reward(other).mean() > 5 * last

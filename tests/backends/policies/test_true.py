@@ -1,0 +1,48 @@
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import torch
+from orbisim_policies.push import PushProblem
+from orbisim_policies.suite import SuiteProblem
+from orbisim_policies.true import TrueWorlds
+
+from orbisim.tasks.tabletop import build
+
+
+def test_it_is_mujoco_in_the_scene_of_each_world(push: PushProblem) -> None:
+    starts = push.draw([1, 2])
+    worlds = TrueWorlds(push, 2, nthread=1)
+    worlds.begin(np.arange(2), starts)
+    action = torch.tensor([[0.6, -0.2, -1.0, 0.1]] * 2)
+    command = torch.as_tensor(starts.command).float()
+    for _ in range(push.steps):
+        worlds.step(action)
+    for world, seed in enumerate((1, 2)):
+        setting = push.layout(seed).setting
+        model = build("push", setting, "push", starts.qpos[world], starts.ctrl[world]).model
+        data = mujoco.MjData(model)
+        data.qpos[:] = starts.qpos[world]
+        kept = command[world : world + 1]
+        for _ in range(push.steps):
+            control, kept = push.control(kept, action[:1])
+            data.ctrl[:] = control[0]
+            mujoco.mj_step(model, data, 25)
+        np.testing.assert_allclose(worlds.coordinates[0][world], data.qpos, atol=1e-6)
+    assert worlds.over.all() and worlds.steps == 2 * push.steps
+    worlds.close()
+
+
+def test_a_world_that_diverges_is_counted_and_the_others_go_on(cartpole: SuiteProblem) -> None:
+    worlds, starts = TrueWorlds(cartpole, 3, nthread=1), cartpole.draw([1, 2, 3])
+    starts.qvel[1] = 1e9
+    worlds.begin(np.arange(3), starts)
+    lost = np.zeros(3, bool)
+    for _ in range(4):
+        lost |= worlds.step(torch.zeros(3, 1), np.flatnonzero(~lost))
+    assert lost.tolist() == [False, True, False] and worlds.diverged.tolist() == [0, 1, 0]
+    assert np.isfinite(worlds.coordinates[0][[0, 2]]).all()
+    assert worlds.step(torch.tensor([[0.0], [0.0], [float("nan")]])).tolist()[2]
+    worlds.begin(np.array([1, 2]), cartpole.draw([5, 6]))
+    assert not worlds.step(torch.zeros(3, 1)).any()
+    worlds.close()
