@@ -19,7 +19,7 @@ from typing import Any
 
 ENTRY = Path(__file__).resolve().parent.parent / "closing_the_loop.py"
 
-_AROUND = 120.0
+_AROUND = 60.0
 """What a process may take besides its fit: to start, to read, to score, s."""
 
 

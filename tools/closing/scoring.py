@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from blind.peer import fitted_scene
-from rigs.peers import least_squares, with_numbers
+from rigs.peers import plain_recipe
 
 import orbisim
 from closing.metrics import Scored
 from closing.plans import Plan
 from closing.plots import draw
+from orbisim.diagnosis import Settings
 from orbisim.effects import EffectInstance
 from orbisim.recording import Recording
 from orbisim.scene import Scene, load_scene
@@ -63,9 +64,8 @@ def result_of(plan: Plan, tool: str, out: Path, patience: float) -> dict[str, An
     if tool == "diagnosed":
         scene, effects, told = _diagnosed(plan, sets, out / "diagnoses" / plan.name, patience)
     elif tool == "recipe":
-        scene = plan.scene()
-        found = least_squares(scene, sets.fit)
-        scene, told = with_numbers(scene, found), {"numbers": found}
+        scene, found = plain_recipe(plan.scene(), sets.fit)
+        told = {"numbers": found}
     elif tool == "sysid":
         scene, values, verdict = fitted_scene(plan.scene(), sets.fit, patience, declared_start=True)
         told = {"numbers": values, "verdict": verdict}
@@ -95,9 +95,8 @@ def _diagnosed(
     """As the command does with its defaults."""
     if not (found / "seconds.json").exists():
         start = time.perf_counter()
-        orbisim.diagnose(
-            plan.scene(), sets.fit, sets.held, out=found, progress=True, patience=patience
-        )
+        settings = Settings(patience=patience)
+        orbisim.diagnose(plan.scene(), sets.fit, sets.held, settings=settings, out=found)
         seconds = time.perf_counter() - start
         (found / "seconds.json").write_text(json.dumps(round(seconds, 1)))
     return _read(found)

@@ -36,7 +36,9 @@ def _error(result: Mapping[str, Any] | None) -> str:
     if result is None:
         return "-"
     value = error_of(result)
-    return f"{value:.3g}" if math.isfinite(value) else str(result.get("failure", "infinite"))[:60]
+    if math.isfinite(value):
+        return f"{value:.3g}"
+    return str(result.get("failure", "infinite")).strip().splitlines()[-1][:80].replace("|", " ")
 
 
 def error_of(result: Mapping[str, Any] | None) -> float:
