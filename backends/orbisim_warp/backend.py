@@ -12,8 +12,12 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
+from orbisim.host.engine_log import silenced
+
 if not os.environ.get("ORBISIM_WARP_VERBOSE"):  # before mujoco_warp starts Warp
     wp.config.log_level = wp.LOG_ERROR  # it would list every kernel on standard output
+    with silenced():  # that there is no driver of a GPU, it says whatever its level
+        wp.init()
 
 import mujoco_warp as mjw
 
@@ -26,6 +30,7 @@ from orbisim.errors import (
     InputError,
     UnsupportedSceneError,
 )
+from orbisim.host.progress import patient
 from orbisim.scene import Scene
 from orbisim.state import MEMORY, State
 from orbisim.trajectory import Trajectory
@@ -119,7 +124,7 @@ class WarpBackend(Backend):
         """
         self.check_scene(scene)
         try:
-            with self._scope():
+            with self._scope(), patient(f"loading {scene.name!r} into MuJoCo-Warp"):
                 self._model = mjw.put_model(scene.model)
         except (NotImplementedError, ValueError) as error:
             raise UnsupportedSceneError(
@@ -130,6 +135,7 @@ class WarpBackend(Backend):
         if self._deterministic:
             self._model.opt.deterministic = int(mjw.DeterminismType.ALL)
         self._scene = scene
+        self._compiled = False
         self._forget()
         self._kept = None
         self._use_report()
@@ -182,7 +188,8 @@ class WarpBackend(Backend):
             for _ in range(nstep):
                 self._launch("step", self._timestep)
 
-        self._until_it_fits(run, state.nworld)
+        with self._first_time():
+            self._until_it_fits(run, state.nworld)
         return self._finish_step(state, nstep)
 
     @one_at_a_time
@@ -238,7 +245,8 @@ class WarpBackend(Backend):
             for _ in range(steps * nstep):
                 self._launch(key, lambda: self._one_recorded_step(buffers, nstep))
 
-        self._until_it_fits(run, state.nworld)
+        with self._first_time():
+            self._until_it_fits(run, state.nworld)
         return self._finish_rollout(state, controls, buffers, nstep, raise_on_divergence)
 
     def close(self) -> None:
@@ -246,6 +254,16 @@ class WarpBackend(Backend):
         self._forget()
         self._kept = None
         self._model = None
+
+    @contextlib.contextmanager
+    def _first_time(self) -> Iterator[None]:
+        """The first step of a scene compiles kernels, which is said if it takes long."""
+        if self._compiled:
+            yield
+            return
+        with patient(f"compiling MuJoCo-Warp's kernels for {self.scene.name!r} (kept on disk)"):
+            yield
+        self._compiled = True
 
     # -- running -------------------------------------------------------------------------------
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import torch
 
 from orbisim.backend import Backend, Capability
 from orbisim.errors import InputError, MissingDependencyError, UnsupportedSceneError
+from orbisim.host.progress import patient
 from orbisim.scene import Scene
 from orbisim.state import Array, State
 from orbisim.trajectory import Trajectory
@@ -76,6 +78,7 @@ class LearnedBackend(Backend):
         self._folder = Path(argument) if argument else None
         self._half, self._native, self._compiled = half, native, compiled
         self._engine: Engine | None = None
+        self._ran = False
 
     @property
     def timestep(self) -> float:
@@ -146,7 +149,8 @@ class LearnedBackend(Backend):
             self._compile(self.engine)
         if self.engine.suits_native(state, control):
             return self._stepped_natively(state, control, nstep)
-        path = self.engine.run(state, control[:, None], nstep)
+        with self._first_time():
+            path = self.engine.run(state, control[:, None], nstep)
         verdict = self.watch.verdict(state, path, seconds)
         if verdict.error is not None:
             raise verdict.error
@@ -171,7 +175,8 @@ class LearnedBackend(Backend):
         if not controls.shape[1]:
             self.watch.began(state)
             return self._trajectory(state, controls, [], np.full(state.nworld, -1), sensors)
-        path, duration = self.engine.run(state, controls, nstep), nstep * self.timestep
+        with self._first_time():
+            path, duration = self.engine.run(state, controls, nstep), nstep * self.timestep
         verdict = self.watch.verdict(state, path, duration)
         if raise_on_divergence and verdict.error is not None:
             raise verdict.error
@@ -286,13 +291,24 @@ class LearnedBackend(Backend):
             return zoo.find(scene, self.baseline)
         return self._folder, fit(read_manifest(self._folder), scene)
 
+    @contextlib.contextmanager
+    def _first_time(self) -> Iterator[None]:
+        """The first step of a checkpoint may be compiled, which is said if it takes long."""
+        if self._ran:
+            yield
+            return
+        with patient(f"the first step of backend {self.name!r}, which may be compiled"):
+            yield
+        self._ran = True
+
     def _compile(self, engine: Engine) -> None:
         """Prepares the native step, once; without a compiler only if it was asked for."""
         if engine.native is not None or not self._compiles:
             return
         self._compiles = False
         try:
-            engine.prepare_native()
+            with patient("compiling the learned step in C (kept on disk)"):
+                engine.prepare_native()
         except (MissingDependencyError, UntranslatableError):
             if self._native:
                 raise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +70,17 @@ def _range_lines(found: dict[str, Any]) -> list[str]:
     return lines
 
 
+def worse_than_constant_velocity(metrics: dict[str, Any]) -> list[str]:
+    """The horizons at which the median error is larger than if all moved on as they did."""
+    lost = []
+    for horizon, values in metrics.get("model", {}).items():
+        other = metrics["constant_velocity"].get(horizon, {})
+        own, still = (one.get("trajerr", {}).get("median", math.nan) for one in (values, other))
+        if not own < still:
+            lost.append(horizon)
+    return lost
+
+
 def metric_lines(metrics: dict[str, Any]) -> list[str]:
     """Tables of held-out errors by horizon, the model beside constant velocity."""
     if not metrics:
@@ -85,6 +97,9 @@ def metric_lines(metrics: dict[str, Any]) -> list[str]:
             if isinstance(value, dict):
                 against = other.get(name, {}).get("median", float("nan"))
                 lines.append(f"| {horizon} | {name} | {value['median']:.4g} | {against:.4g} |")
+    if metrics.get("horizons_left_out"):
+        steps = ", ".join(map(str, metrics["horizons_left_out"]))
+        lines += ["", f"There was no time to measure {steps} control steps."]
     for other in metrics.get("variants", []):
         lines += ["", "The next robot:", "", *metric_lines(other)]
     return lines

@@ -17,6 +17,7 @@ from orbisim.errors import InputError, OrbiSimError
 from orbisim.files.locking import claimed
 from orbisim.files.reading import parse_json
 from orbisim.files.writing import check_folder, make_folder, output_errors, write_bytes
+from orbisim.host.progress import patient
 from orbisim.version import VERSION
 from orbisim_world_model import parallel
 from orbisim_world_model.card import write_card
@@ -40,7 +41,10 @@ class Run:
 
     Attributes:
       out: folder for checkpoint, metrics, curves and card.
-      steps, limit: budgets in training steps and in seconds; at least one.
+      steps, limit: budgets in training steps and in seconds; at least one. The seconds are those
+        of the whole run from `began` on: compiling counts, and the evaluation at the end gets a
+        tenth of them, or a minute if that is less. It leaves out the longer horizons for which
+        there is no time. What cannot be divided, the first step above all, may exceed them.
       most: further bound of the seconds, those of compiling not counted.
       seed: of everything random.
       device: `cpu`, `cuda`, `cuda:1`.
@@ -51,6 +55,7 @@ class Run:
       graph: run a training step as one CUDA graph.
       compiled: have torch compile what a training step computes (see `Trainer`).
       horizons, burn: of the evaluation.
+      began: `time.monotonic()` at which the seconds start to count; when `train` is called if None.
     """
 
     out: Path
@@ -68,6 +73,7 @@ class Run:
     compiled: bool = False
     horizons: tuple[int, ...] = HORIZONS
     burn: int = BURN
+    began: float | None = None
 
 
 def train(
@@ -91,6 +97,8 @@ def train(
       OrbiSimError: the losses are no longer finite; what was saved before stays.
     """
     check_run(run)
+    if run.began is None:
+        run = dataclasses.replace(run, began=time.monotonic())
     device = parallel.start(run.device)
     with _claimed(run.out):
         return _train(_listed(packs), config, run, report, _listed(held), device)
@@ -136,7 +144,7 @@ def _train(
     device: Any,
 ) -> dict[str, Any]:
     kept, spare = _kept_and_held(packs, held, run, device)
-    clock = Clock(run.steps, run.limit, most=run.most)
+    clock = Clock(run.steps, _for_training(run), most=run.most)
     models = [load_for(run.start, p.layout).model for p in kept] if run.start else None
     trainer = Trainer(
         kept,
@@ -152,8 +160,14 @@ def _train(
     if leads:
         _begin_metrics(run.out / METRICS, clock.done)
     saved = time.monotonic()
+    first = True
     while parallel.agreed(clock.progress, device) < 1.0:
-        trainer.step()
+        if first:
+            with patient(f"the first training step on {device} takes longest"):
+                trainer.step()
+            first = False
+        else:
+            trainer.step()
         if clock.done % run.log_every == 0:
             _log(trainer, run, leads, report)
         if leads and time.monotonic() - saved > run.save_every:
@@ -162,11 +176,25 @@ def _train(
     _log(trainer, run, leads, report)
     manifest: dict[str, Any] = {}
     if leads:
-        manifest = _save(trainer, run, spare)
+        with patient("evaluating on held-out episodes"):
+            manifest = _save(trainer, run, spare)
         draw_curves(run.out / METRICS, run.out / "curves.png")
         write_card(run.out, manifest)
     parallel.stop()
     return manifest
+
+
+_MOST_EVALUATION = 60.0
+"""Seconds of a limit that are kept for the evaluation at the end."""
+
+
+def _for_training(run: Run) -> float | None:
+    """Seconds of the limit that are left for training."""
+    if run.limit is None:
+        return None
+    assert run.began is not None
+    kept = min(0.1 * run.limit, _MOST_EVALUATION)
+    return max(run.limit - kept - (time.monotonic() - run.began), 1.0)
 
 
 def _listed(packs: Pack | Sequence[Pack] | None) -> list[Pack]:
@@ -287,12 +315,22 @@ def _metrics(run: Run, held: Pack, config: Config) -> dict[str, Any]:
     """Errors on held-out episodes of the checkpoint as it will be used, in fp16."""
     shipped = load_for(run.out, held.layout).model.to(held.device)
     still = constant_velocity(held, config.model)
-    return {
-        "held_out_episodes": held.episodes,
-        "burn": run.burn,
-        "model": evaluate(shipped, held, run.horizons, burn=run.burn),
-        "constant_velocity": evaluate(still, held, run.horizons, burn=run.burn),
-    }
+    found: dict[str, Any] = {"model": {}, "constant_velocity": {}}
+    left_out = []
+    for horizon in sorted(run.horizons):
+        if found["model"] and _late(run):
+            left_out.append(horizon)
+            continue
+        for name, model in (("model", shipped), ("constant_velocity", still)):
+            found[name] |= evaluate(model, held, (horizon,), burn=run.burn)
+    more = {"horizons_left_out": left_out} if left_out else {}
+    return {"held_out_episodes": held.episodes, "burn": run.burn, **found, **more}
+
+
+def _late(run: Run) -> bool:
+    """Whether the seconds of the whole run are over."""
+    assert run.began is not None
+    return run.limit is not None and time.monotonic() - run.began > run.limit
 
 
 def _device_name(device: Any) -> str:

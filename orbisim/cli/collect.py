@@ -24,7 +24,11 @@ from orbisim.errors import InputError
 )
 @click.argument("task", metavar="TASK-OR-SCENE")
 @click.option("--episodes", type=int, default=None, help="How many. Default: as in the paper.")
-@click.option("--subtask", default=None, help="Only this one. Default: all, as in the paper.")
+@click.option(
+    "--subtask",
+    default=None,
+    help="Only this one; of a scene a policy: held, smooth, rhythm, reach (or free). Default: all.",
+)
 @click.option("--workers", type=int, default=None, help="Processes. Default: all cores.")
 @click.option(
     "--out", type=click.Path(path_type=Path), required=True, help="The file; it must not exist."
@@ -46,6 +50,13 @@ from orbisim.errors import InputError
     metavar="NAME=VALUE",
     help="A setting of the task: a number, or a range LOW,HIGH. May be repeated.",
 )
+@click.option(
+    "--randomize",
+    default=None,
+    metavar="PERCENT|FILE",
+    help="Of a scene: each episode's masses, dampings, frictions and gains differ from those "
+    "declared by up to so many percent, or as a file says (mass: 20, damping/elbow: [0.5, 2]).",
+)
 @click.option("--ray", is_flag=True, help="Spread over a Ray cluster (RAY_ADDRESS, or local).")
 @seed_option
 @json_option
@@ -60,6 +71,7 @@ def command(
     size: int,
     buffers: bool,
     settings: tuple[str, ...],
+    randomize: str | None,
     ray: bool,
     seed: int,
     as_json: bool,
@@ -73,7 +85,15 @@ def command(
     """
     from orbisim.tasks.collect import collect
     from orbisim.tasks.frames import Camera
+    from orbisim.tasks.randomize import factors_of
 
+    changes = dict(_setting(text) for text in settings)
+    if randomize is not None:
+        if not Path(task).suffix:
+            raise InputError(
+                f"--randomize is for scenes; {task} draws its own (--set changes its ranges)"
+            )
+        changes["randomize"] = factors_of(randomize)
     result = collect(
         task,
         out,
@@ -82,7 +102,7 @@ def command(
         workers=workers,
         subtask=subtask,
         camera=Camera(camera, size, buffers) if camera else None,
-        changes=dict(_setting(text) for text in settings),
+        changes=changes,
         ray=ray,
     )
     summary = {"schema": "orbisim.collect/1", "task": task, "seed": seed, **result.to_json()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,10 @@ def command() -> None:
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder to write to.")
 @click.option("--steps", type=click.IntRange(min=1), default=None, help="Training steps.")
 @click.option(
-    "--time-limit", type=click.FloatRange(min=0, min_open=True), default=None, help="Seconds."
+    "--time-limit",
+    type=click.FloatRange(min=0, min_open=True),
+    default=None,
+    help="Seconds for all of it: reading, training and measuring.",
 )
 @click.option("--held-out", default=0.1, show_default=True, help="Share of the episodes.")
 @click.option(
@@ -93,6 +97,7 @@ def dynamics(
     curves. Under torchrun the batch is shared among the processes. A training that was killed goes
     on with --resume as if nothing had happened.
     """
+    began = time.monotonic()
     training = _training()
     from orbisim_world_model.config import replaced
     from orbisim_world_model.packing import read_groups
@@ -112,6 +117,7 @@ def dynamics(
         resume=resume,
         start=start,
         graph=graph,
+        began=began,
     )
     training.check_run(run)
     how: Any = {"baseline": config.model.baseline, "scene": scene, "timestep": control_timestep}
@@ -120,11 +126,17 @@ def dynamics(
     manifest = training.train(packs, config, run, report=_report, held=held)
     if not manifest:
         return  # another process of the group writes
+    from orbisim_world_model.card import metric_lines, worse_than_constant_velocity
+
+    if lost := worse_than_constant_velocity(manifest["metrics"]):
+        note(
+            f"warning: after {' and '.join(lost)} control steps its predictions are worse than if "
+            "everything went on at constant velocity: do not use it; train longer (--time-limit, "
+            "--resume), on a GPU, or on more episodes"
+        )
     if as_json:
         emit_json({"schema": "orbisim.train/1", "checkpoint": str(out), **manifest})
         return
-    from orbisim_world_model.card import metric_lines
-
     click.echo("\n".join(metric_lines(manifest["metrics"])))
     note(f"checkpoint: {out}")
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -26,6 +28,26 @@ def engine_warnings(take: Callable[[str], None]) -> Iterator[None]:
         yield
     finally:
         mujoco.set_mju_user_warning(previous)
+
+
+@contextlib.contextmanager
+def silenced() -> Iterator[None]:
+    """Nothing that libraries write to the descriptor of standard error is seen meanwhile."""
+    with contextlib.suppress(ValueError, OSError):
+        sys.stderr.flush()
+    try:
+        kept = os.dup(2)
+    except OSError:  # there is no standard error
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def ignore(text: str) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sized
 from typing import TypeVar
@@ -31,6 +33,33 @@ def track(items: Iterable[T], description: str, total: int | None = None) -> Ite
             bar.advance(task)
             if time.monotonic() - started > PATIENCE:
                 bar.update(task, visible=True, refresh=True)
+
+
+QUIET = "ORBISIM_QUIET"
+"""Environment variable: if it is set, `patient` says nothing."""
+
+
+@contextlib.contextmanager
+def patient(text: str) -> Iterator[None]:
+    """Says in one line on standard error what is being done, if it takes longer than `PATIENCE`.
+
+    For work that cannot be divided, such as compilation; also where nobody looks at a terminal.
+    """
+    if os.environ.get(QUIET):
+        yield
+        return
+    timer = threading.Timer(PATIENCE, _say, (text,))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def _say(text: str) -> None:
+    with contextlib.suppress(ValueError, OSError):  # standard error may be closed
+        print(f"{text} ...", file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager

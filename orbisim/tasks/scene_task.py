@@ -18,6 +18,7 @@ from orbisim.scene.texts import check_texts
 from orbisim.state import State
 from orbisim.tasks.base import Scripted, Task
 from orbisim.tasks.episode import Episode, Rollout
+from orbisim.tasks.randomize import Factors, checked, drawn
 from orbisim.tasks.sampling import stream
 from orbisim.tasks.suite import simulate
 from orbisim.tasks.suite_policies import Policy, held, reach, rhythm, smooth
@@ -53,6 +54,7 @@ class SceneTask(Task):
 
     Args:
       path: of the scene.
+      randomize: factors by which each episode's model may differ (see `orbisim.tasks.randomize`).
       **changes: to `SceneConfig`.
 
     Raises:
@@ -64,10 +66,12 @@ class SceneTask(Task):
     counts: ClassVar[Mapping[str, int]] = {"held": 200, "smooth": 300, "rhythm": 150, "reach": 150}
     config: SceneConfig = SceneConfig()
 
-    def __init__(self, path: str, **changes: Any) -> None:
+    def __init__(self, path: str, randomize: Factors | None = None, **changes: Any) -> None:
         super().__init__(**changes)
         self._path, self._scene = path, load_scene(path)
+        self._factors = checked(randomize) if randomize else {}
         model = self._scene.model
+        drawn(model, self._factors, stream(0, 0))
         if not model.nv:
             raise InputError(f"{path}: nothing in the scene moves")
         check_texts(model, path)
@@ -97,26 +101,29 @@ class SceneTask(Task):
         return self._scene.fingerprint
 
     def scene(self, subtask: str | None = None, seed: int | None = None) -> Scene:
-        """The scene; the same for every seed."""
+        """The scene; with a seed, the one that is drawn for it."""
         self.check_subtask(subtask)
-        return self._scene
+        if seed is None or not self._factors:
+            return self._scene
+        return self._scene.with_model(drawn(self._scene.model, self._factors, stream(seed, 0)))
 
     def episode(self, subtask: str, seed: int) -> Episode:
         """One episode."""
-        model = self._scene.model
+        scene = self.scene(subtask, seed)
         return make_episode(
-            model,
-            Cast(moving_bodies(model)),
-            self._run(subtask, seed),
+            scene.model,
+            Cast(moving_bodies(scene.model)),
+            self._run(scene.model, subtask, seed),
             subtask=subtask,
             seed=seed,
-            scene_hash=self._scene.fingerprint,
+            scene_hash=scene.fingerprint,
             control_timestep=self.control_timestep,
         )
 
     def trials(self, count: int, seed: int, subtask: str | None = None) -> Episodes:
-        """Episodes with the controls of a policy."""
-        runs = [self._run(self.check_subtask(subtask), seed + i) for i in range(count)]
+        """Episodes of the scene as declared, with the controls of a policy."""
+        model, name = self._scene.model, self.check_subtask(subtask)
+        runs = [self._run(model, name, seed + i) for i in range(count)]
         qpos, qvel, act = (
             np.stack([getattr(run, name)[0] for run in runs]) for name in ("qpos", "qvel", "act")
         )
@@ -124,8 +131,8 @@ class SceneTask(Task):
         sequence = np.stack([run.ctrl for run in runs])
         return Scripted(self._scene, initial, sequence, self.control_timestep)
 
-    def _run(self, subtask: str, seed: int) -> Rollout:
-        model, rng = self._scene.model, stream(seed, 1)
+    def _run(self, model: mujoco.MjModel, subtask: str, seed: int) -> Rollout:
+        rng = stream(seed, 1)
         data = mujoco.MjData(model)
         if rng.random() < self.config.spread:
             _spread(model, data, rng)

@@ -47,6 +47,20 @@ def test_a_training_leaves_a_checkpoint_card_and_curves(checkpoint: Path) -> Non
     assert not list(checkpoint.glob("*.p*kl")) and not list(checkpoint.glob("*.pt"))
 
 
+def test_a_bad_model_is_warned_of_and_time_is_kept(
+    episodes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    arguments = ["train", "dynamics", str(episodes), "--out", str(out), "--time-limit", "0.1"]
+    stages = ["--set", "train.stages=1x1x8", "--set", "train.rate=1e-9"]
+    assert run([*arguments, *stages, *TOY]) == 0
+    assert "worse than if everything went on at constant velocity" in capsys.readouterr().err
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert list(manifest["metrics"]["model"]) == ["10"]
+    assert manifest["metrics"]["horizons_left_out"] == [50, 100]
+    assert "no time to measure 50, 100 control steps" in (out / "card.md").read_text()
+
+
 def test_an_evaluation_names_errors_by_horizon(
     checkpoint: Path, episodes: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 from pathlib import Path
 
 import mujoco
 import pytest
 
-from orbisim.host.engine_log import engine_warnings, ignore
+from orbisim.host.engine_log import engine_warnings, ignore, silenced
 
 FAST = """
 <mujoco><option timestep=".1"/><worldbody>
@@ -47,3 +49,14 @@ def test_the_former_handler_comes_back_also_after_an_error() -> None:
         assert not outer
         diverge()
     assert outer
+
+
+def test_libraries_are_not_heard_meanwhile(capfd: pytest.CaptureFixture[str]) -> None:
+    with silenced():
+        os.write(2, b"noise")
+    os.write(2, b"heard")
+    assert capfd.readouterr().err == "heard"
+    with contextlib.suppress(ZeroDivisionError), silenced():
+        raise ZeroDivisionError
+    os.write(2, b"again")
+    assert capfd.readouterr().err == "again"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import threading
 
 import pytest
 
@@ -24,6 +25,27 @@ def shown(patience: float, monkeypatch: pytest.MonkeyPatch) -> str:
     with contextlib.redirect_stderr(Terminal()) as terminal:
         assert list(progress.track([1, 2, 3], "forging")) == [1, 2, 3]
     return terminal.getvalue()
+
+
+def test_long_work_is_named_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv(progress.QUIET, raising=False)
+    monkeypatch.setattr(progress, "PATIENCE", 0.01)
+    said = threading.Event()
+    say = progress._say
+    monkeypatch.setattr(progress, "_say", lambda text: (say(text), said.set()))
+    with progress.patient("compiling kernels"):
+        assert said.wait(10)
+    assert capsys.readouterr().err == "compiling kernels ...\n"
+    monkeypatch.setattr(progress, "PATIENCE", 60.0)
+    with progress.patient("nothing"):
+        pass
+    monkeypatch.setenv(progress.QUIET, "1")
+    monkeypatch.setattr(progress, "PATIENCE", 0.0)
+    with progress.patient("silence"):
+        pass
+    assert capsys.readouterr().err == ""
 
 
 def test_without_a_terminal_nothing_is_written(capsys: pytest.CaptureFixture[str]) -> None:
