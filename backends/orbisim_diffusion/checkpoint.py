@@ -25,6 +25,8 @@ from orbisim_diffusion.scope import Scope, check_scope
 
 SCHEMA, MANIFEST = "orbisim.vision/1", "manifest.json"
 AUTOENCODER, DENOISER, ONE_STEP = "autoencoder", "denoiser", "one_step"
+INFERENCE = "inference"
+"""Names of the parts; the last is StaInf (`orbisim_diffusion.estimate` reads it)."""
 _MOST_PARAMETERS = 2**28
 """A gigabyte; what has been trained has some millions."""
 _MOST_WIDTH, _MOST_BLOCKS = 4096, 64
@@ -60,21 +62,41 @@ def save_checkpoint(
 ) -> None:
     """Writes parts and manifest; the manifest, which makes a checkpoint of them, comes last."""
     make_folder(folder)
-    files = {}
-    for name, module in parts.items():
-        path = folder / f"{name}.safetensors"
-        with writing(path, announce=False) as part:
-            save_file({n: _stored(t) for n, t in module.state_dict().items()}, str(part))
-        files[name] = {"sha256": digest(path), "bytes": path.stat().st_size}
+    files = {name: _write_part(folder, name, module) for name, module in parts.items()}
     manifest = {
         "schema": SCHEMA,
         "config": dataclasses.asdict(config),
         "scope": dataclasses.asdict(scope),
         "files": files,
-        "parameters": {n: sum(p.numel() for p in m.parameters()) for n, m in parts.items()},
+        "parameters": {name: _parameters(module) for name, module in parts.items()},
         **notes,
     }
     write_json(folder / MANIFEST, manifest, announce=False)
+
+
+def add_part(folder: Path, name: str, module: nn.Module, metrics: dict[str, Any]) -> None:
+    """Adds a part to a checkpoint, with what was measured on it; one of that name is replaced."""
+    manifest = read_manifest(folder)
+    changes = {
+        "files": _write_part(folder, name, module),
+        "parameters": _parameters(module),
+        "metrics": metrics,
+    }
+    for key, value in changes.items():
+        manifest[key] = {**manifest.get(key, {}), name: value}
+    write_json(folder / MANIFEST, manifest, announce=False)
+
+
+def _write_part(folder: Path, name: str, module: nn.Module) -> dict[str, Any]:
+    """What the manifest says of the file."""
+    path = folder / f"{name}.safetensors"
+    with writing(path, announce=False) as part:
+        save_file({n: _stored(t) for n, t in module.state_dict().items()}, str(part))
+    return {"sha256": digest(path), "bytes": path.stat().st_size}
+
+
+def _parameters(module: nn.Module) -> int:
+    return sum(p.numel() for p in module.parameters())
 
 
 def read_manifest(folder: str | Path) -> dict[str, Any]:

@@ -18,12 +18,11 @@ from orbisim.errors import InputError, UnsupportedSceneError
 from orbisim.recording import Recording
 from orbisim.scene import Scene, matrices
 from orbisim_diffusion.autoencoder import to_float
-from orbisim_diffusion.checkpoint import Checkpoint, load_checkpoint, load_part
+from orbisim_diffusion.checkpoint import INFERENCE, Checkpoint, load_checkpoint, load_part
 from orbisim_diffusion.inference import JOINTS, OBJECTS, Inferred, StateInference
 from orbisim_diffusion.own import bounded, squares
 from orbisim_diffusion.symmetry import cube_rotations, unlike
 
-PART = "inference"
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _COLOUR, _SIZE, _STEP = 0.1, 0.15, 0.05
@@ -39,12 +38,22 @@ def load_inference(folder: str | Path) -> tuple[Checkpoint, StateInference]:
     Raises:
       InputError: it has none.
     """
+    point, model = load_with_inference(folder)
+    if model is None:
+        raise InputError(
+            f"{folder}: has no state inference (StaInf); train it with `orbisim train inference`"
+        )
+    return point, model
+
+
+def load_with_inference(folder: str | Path) -> tuple[Checkpoint, StateInference | None]:
+    """A checkpoint and its StaInf, if it has one."""
     point = load_checkpoint(folder)
-    entry = point.manifest["files"].get(PART)
+    entry = point.manifest["files"].get(INFERENCE)
     if entry is None:
-        raise InputError(f"{folder}: has no state inference (StaInf)")
+        return point, None
     channels, size = point.config.autoencoder.channels, point.config.size
-    model = load_part(point.path, PART, entry, lambda: StateInference(channels, size))
+    model = load_part(point.path, INFERENCE, entry, lambda: StateInference(channels, size))
     assert isinstance(model, StateInference)
     return point, model
 
@@ -93,7 +102,7 @@ def infer(
         places, turns = _tracks(found, rows.reshape(len(bodies), -1))
         for i, name in enumerate(bodies):
             signals[f"xpos/{name}"], signals[f"xquat/{name}"] = places[:, i], turns[:, i]
-    known = checkpoint.manifest.get("metrics", {}).get(PART, {})
+    known = checkpoint.manifest.get("metrics", {}).get(INFERENCE, {})
     return Recording(
         times,
         signals,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,15 +11,20 @@ import torch
 from torch import Tensor
 
 from orbisim_diffusion.features import CLIP, Features, frechet_video_distance, perceptual_distance
+from orbisim_diffusion.inference import StateInference
 from orbisim_diffusion.model import Painter
 from orbisim_diffusion.predictions import with_predictions
 from orbisim_diffusion.quality import psnr, ssim
 from orbisim_diffusion.store import Store, load
+from orbisim_diffusion.trajectories import read_off, trajectory_errors, true_states
 from orbisim_diffusion.workflows import Workflow, rollout
 
 WORKFLOWS: tuple[Workflow, ...] = ("GT-first", "GT-state", "Recon-first", "Recon-all")
 COPY = "copy first frame"
 """The baseline that shows nothing but the first image."""
+MUJOCO, TRUE = "MuJoCo of predicted states", "true video"
+"""MuJoCo's images of the states that the backend predicts, for a synthetic camera the best that
+there can be; and what StaInf makes of the true video, the floor of TrajErr."""
 HORIZONS = (10, 100)
 _BATCH = 32
 """Episodes at a time."""
@@ -33,6 +39,8 @@ def evaluate(
     steps: Sequence[int] = (1,),
     horizons: Sequence[int] = HORIZONS,
     features: Features | None = None,
+    inference: StateInference | None = None,
+    mujoco: bool = False,
     workers: int = 1,
     backend: str = "learned",
     report: Callable[[str], None] = print,
@@ -44,21 +52,36 @@ def evaluate(
       workflows: see `orbisim_diffusion.workflows`; GT-first and Recon-first use states that
         `backend` predicts from the first one.
       steps: of the sampler. horizons: frames over which figures are means.
-      features: for EffNet-PD and EffNet-FVD; None leaves them out. workers: processes.
-      report: is told what was measured.
+      features: for EffNet-PD and EffNet-FVD; None leaves them out.
+      inference: StaInf, for TrajErr; None leaves it out.
+      mujoco: whether MuJoCo's images of the predicted states are measured, too.
+      workers: processes. backend: what predicts. report: is told what was measured.
 
     Returns:
-      By workflow and steps: PSNR, SSIM (and EffNet-PD) by horizon, and EffNet-FVD.
+      By workflow and steps: PSNR, SSIM (and EffNet-PD) by horizon, EffNet-FVD, TrajErr.
     """
     store = load([path], painter.device, workers=workers, limit=episodes)
     chosen = range(len(store.first))
     horizon = min(max(horizons), int(store.length.min()) - 1)
     predicted = store
-    if {"GT-first", "Recon-first"} & set(workflows):
-        predicted = with_predictions(store, path, chosen, workers, backend)
+    if mujoco or {"GT-first", "Recon-first"} & set(workflows):
+        predicted = with_predictions(store, path, chosen, workers, backend, mujoco)
     true = _true(store, horizon)
     spans = sorted({min(h, horizon) for h in horizons})
-    found: dict[str, Any] = {COPY: _scores(true[:, :1].expand_as(true), true, spans, features)}
+
+    def scores(video: Tensor) -> dict[str, Any]:
+        values: dict[str, Any] = _scores(video, true[:, 1:], spans, features)
+        if inference is not None:
+            states, known = read_off(painter, inference, video), true_states(store, horizon)
+            values |= trajectory_errors(states, known, len(video), store.step)
+        return values
+
+    found: dict[str, Any] = {COPY: scores(true[:, :1].expand_as(true[:, 1:]))}
+    if inference is not None:
+        found[TRUE] = scores(true[:, 1:])
+    if mujoco:
+        found[MUJOCO] = scores(_true(predicted, horizon)[:, 1:])
+    predicted = dataclasses.replace(predicted, frames=store.frames)
     for workflow in workflows:
         states = predicted if workflow in ("GT-first", "Recon-first") else store
         for count in steps:
@@ -67,7 +90,7 @@ def evaluate(
                 for part in torch.arange(len(store.first), device=store.device).split(_BATCH)
             ]
             key = f"{workflow}, {count} steps"
-            found[key] = _scores(torch.cat(parts), true[:, 1:], spans, features)
+            found[key] = scores(torch.cat(parts))
             report(f"{path.name} {key}: {found[key]}")
     return {"file": path.name, "episodes": len(store.first), "frames": horizon, "rows": found}
 

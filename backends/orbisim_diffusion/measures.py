@@ -19,17 +19,16 @@ _SAMPLE = 512
 """Frames, spread over the store."""
 
 
-def spread(store: Store, count: int = _SAMPLE) -> Tensor:
-    """Numbers of frames at equal distances."""
-    count = min(count, len(store))
-    return torch.linspace(0, len(store) - 1, count, device=store.device).round().long()
+def spread(frames: int, device: torch.device, count: int = _SAMPLE) -> Tensor:
+    """Numbers of some of so many frames, at equal distances."""
+    return torch.linspace(0, frames - 1, min(count, frames), device=device).round().long()
 
 
 @torch.no_grad()  # type: ignore[untyped-decorator]
 def reconstruction(model: Autoencoder, store: Store) -> dict[str, float]:
     """PSNR and SSIM of dec(enc(o)): what bounds everything that follows."""
     found, true = [], []
-    for index in spread(store).split(64):
+    for index in spread(len(store), store.device).split(64):
         with mixed(store.device):
             found.append(to_bytes(model.decode(model.encode(to_float(store.frames[index])))))
         true.append(store.frames[index])
@@ -42,7 +41,7 @@ def single_frames(
 ) -> dict[str, float]:
     """PSNR of frames from true states, by steps of the sampler, without and with a true image."""
     found = {}
-    index = spread(store)
+    index = spread(len(store), store.device)
     index = index[(index - 1).clamp_min(0) >= store.first[store.episode[index]]]
     for count in context:
         for number in steps:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import concurrent.futures
+import dataclasses
 import multiprocessing
 import os
 from collections.abc import Sequence
@@ -15,27 +16,39 @@ import torch
 from torch import Tensor
 
 from orbisim.host.progress import track
-from orbisim.registry import make_backend
-from orbisim.scene import visible
+from orbisim.registry import make_backend, make_renderer
+from orbisim.scene import Scene, visible
 from orbisim.state import State
 from orbisim.tasks.dataset import EpisodeFile
+from orbisim.tasks.frames import RANDOM, random_orbit
 from orbisim.tasks.registry import make
 from orbisim_diffusion.store import Store
 
-Arrays = dict[str, npt.NDArray[np.float32]]
+Arrays = dict[str, npt.NDArray[Any]]
+_FRAMES = "frames/"
 
 
-def predicted_episode(path: Path, index: int, backend: str = "learned") -> Arrays:
+def predicted_episode(
+    path: Path, index: int, backend: str = "learned", seen: bool = False
+) -> Arrays:
     """`geoms/pos` and `geoms/quat` [T+1, G, ...] of one episode, free-running.
 
     The episode's own scene is drawn again from its task and seed; the backend gets its first state
     and its controls.
+
+    Args:
+      path, index: the episode. backend: what predicts.
+      seen: whether MuJoCo's images of the predicted states are wanted, too: `frames` [T+1, H, W, 3]
+        of the episode's camera.
     """
     torch.set_num_threads(1)
     with EpisodeFile(path) as file:
         known = file.attributes(index)
         arrays = file.episode(index, ["time", "qpos", "qvel", "act", "ctrl"])
         scene = make(file.task, **_changes(file.config)).scene(known["subtask"], known["seed"])
+        camera = next(n for n in file.names(index) if n.startswith(_FRAMES)) if seen else ""
+        size = len(file.episode(index, [camera])[camera][0]) if seen else 0
+        camera = camera.removeprefix(_FRAMES)
     options: dict[str, Any] = {"native": False} if backend == "learned" else {}
     engine = make_backend(backend, scene, **options)
     start = State(*(arrays[name][:1] for name in ("time", "qpos", "qvel", "act")))  # type: ignore[arg-type]
@@ -45,7 +58,37 @@ def predicted_episode(path: Path, index: int, backend: str = "learned") -> Array
     lost = ~np.isfinite(qpos).all(1)
     if lost.any():  # a rollout that diverged stays where it was last
         qpos[lost] = qpos[np.argmax(lost) - 1]
-    return visible.poses(scene.model, qpos)
+    found: Arrays = dict(visible.poses(scene.model, qpos))
+    if seen:
+        found["frames"] = _images(scene, arrays["time"], qpos, known["seed"], camera, size)
+    return found
+
+
+def _images(
+    scene: Scene,
+    time: npt.NDArray[np.float64],
+    qpos: npt.NDArray[np.float64],
+    seed: int,
+    camera: str,
+    size: int,
+) -> npt.NDArray[np.uint8]:
+    chosen: Any = random_orbit(seed).to_mujoco() if camera == RANDOM else camera
+    renderer = make_renderer("mujoco", scene)
+    blank = np.zeros((1, scene.model.nv)), np.zeros((1, scene.model.na))
+    try:
+        return np.stack(
+            [
+                renderer.render(
+                    State(time[t : t + 1], qpos[t : t + 1], *blank),
+                    camera=chosen,
+                    height=size,
+                    width=size,
+                )
+                for t in range(len(qpos))
+            ]
+        )
+    finally:
+        renderer.close()
 
 
 def _changes(config: dict[str, Any]) -> dict[str, Any]:
@@ -54,32 +97,46 @@ def _changes(config: dict[str, Any]) -> dict[str, Any]:
 
 
 def with_predictions(
-    store: Store, path: Path, episodes: Sequence[int], workers: int = 1, backend: str = "learned"
+    store: Store,
+    path: Path,
+    episodes: Sequence[int],
+    workers: int = 1,
+    backend: str = "learned",
+    seen: bool = False,
 ) -> Store:
     """The store of one file, with predicted poses in the place of the true ones.
 
     Args:
       store: of the file's first episodes. path: the file. episodes: which are predicted.
       workers: processes. backend: what predicts.
+      seen: whether the frames become MuJoCo's images of the predicted states.
     """
-    pos, quat = store.pos.clone(), store.quat.clone()
-    found = _all(path, episodes, workers, backend)
+    pos, quat, frames = store.pos.clone(), store.quat.clone(), store.frames
+    frames = frames.clone() if seen else frames
+    found = _all(path, episodes, workers, backend, seen)
     for index, arrays in zip(episodes, track(found, "predicting", len(episodes)), strict=True):
         first, length = int(store.first[index]), int(store.length[index])
         for into, name in ((pos, "geoms/pos"), (quat, "geoms/quat")):
             values: Tensor = torch.as_tensor(arrays[name]).to(store.device)
             into[first : first + length, : values.shape[1]] = values
-    return store.with_poses(pos, quat)
+        if seen:
+            frames[first : first + length] = torch.as_tensor(arrays["frames"]).to(store.device)
+    return dataclasses.replace(store.with_poses(pos, quat), frames=frames)
 
 
-def _all(path: Path, episodes: Sequence[int], workers: int, backend: str) -> Any:
+def _all(path: Path, episodes: Sequence[int], workers: int, backend: str, seen: bool) -> Any:
     if workers == 1:
-        yield from (predicted_episode(path, index, backend) for index in episodes)
+        yield from (predicted_episode(path, index, backend, seen) for index in episodes)
         return
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # for the processes that are started now
     context = multiprocessing.get_context("spawn")
     with concurrent.futures.ProcessPoolExecutor(workers, mp_context=context) as pool:
         count = len(episodes)
         yield from pool.map(
-            predicted_episode, [path] * count, episodes, [backend] * count, chunksize=2
+            predicted_episode,
+            [path] * count,
+            episodes,
+            [backend] * count,
+            [seen] * count,
+            chunksize=2,
         )

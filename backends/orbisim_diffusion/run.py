@@ -17,12 +17,14 @@ from orbisim.tasks.storage import versions
 from orbisim_diffusion.checkpoint import (
     AUTOENCODER,
     DENOISER,
+    INFERENCE,
     ONE_STEP,
     load_checkpoint,
     save_checkpoint,
 )
 from orbisim_diffusion.config import Config
 from orbisim_diffusion.denoiser import Denoiser
+from orbisim_diffusion.estimate import load_inference
 from orbisim_diffusion.loop import Loop
 from orbisim_diffusion.measures import reconstruction, single_frames
 from orbisim_diffusion.model import Painter
@@ -116,6 +118,9 @@ def train(config: Config, job: Job, report: Callable[[str], None] = print) -> di
         assert start is not None
         autoencoder = start.autoencoder.to(device)
         metrics[AUTOENCODER] = {}
+        if INFERENCE in start.manifest["files"]:  # its encoder is the same
+            parts[INFERENCE] = load_inference(start.path)[1]
+            metrics[INFERENCE] = start.manifest.get("metrics", {}).get(INFERENCE, {})
     begun = start.denoiser if start else Denoiser(config.denoiser, config.autoencoder.channels)
     parts[AUTOENCODER] = autoencoder
     keep(DENOISER, begun)
@@ -134,6 +139,7 @@ def train(config: Config, job: Job, report: Callable[[str], None] = print) -> di
     report(f"denoiser: {metrics[DENOISER]}")
     keep(DENOISER, denoiser)
     tuned = start.one_step.to(device) if start and start.one_step else None
+    tuned = tuned if job.limits[0] == 0 else None  # else it is for another autoencoder
     if job.limits[2] > 0:
         one_step, loop = train_one_step(
             config,

@@ -93,7 +93,7 @@ class Store:
       pos, quat: [N, G, 3 | 4] of the geoms. view_pos, view_rot: [N, 3], [N, 3, 3].
       lens: [E, 4] focal lengths and offsets. extras: [N, ...] of the robot, by name.
       latents: [N, C, h, w], once they were computed. maps: [N, M, H, W], likewise.
-      compiled: whether rays are cast by compiled kernels.
+      compiled: whether rays are cast by compiled kernels. step: time between frames, s.
     """
 
     frames: Tensor
@@ -112,6 +112,7 @@ class Store:
     latents: Tensor | None = None
     maps: Tensor | None = None
     compiled: bool = False
+    step: float = 0.05
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -212,11 +213,12 @@ def load(
     Raises:
       InputError: a file has no images, or their sizes differ.
     """
-    jobs = []
+    jobs, step = [], 0.05
     own = [path for path in paths if Path(path).is_dir()]
     for number, path in enumerate(paths):
         if path not in own:
             with EpisodeFile(path) as file:
+                step = file.control_timestep
                 jobs += [(number, Path(path), i) for i in range(min(len(file), limit or len(file)))]
     episodes = list(track(_read_all(jobs, workers), "reading episodes", len(jobs)))
     episodes += [read_own(Path(path), size) for path in own]
@@ -224,7 +226,8 @@ def load(
     sizes = {episode["frames"].shape[1:] for episode in episodes}
     if len(sizes) != 1:
         raise InputError(f"images of different sizes: {sorted(sizes)}; train on one size")
-    return _assembled(episodes, [job[0] for job in jobs], device)
+    store = _assembled(episodes, [job[0] for job in jobs], device)
+    return dataclasses.replace(store, step=step)
 
 
 def _read_all(jobs: Sequence[tuple[int, Path, int]], workers: int) -> Any:

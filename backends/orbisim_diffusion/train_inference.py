@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from orbisim.errors import InputError
+from orbisim_diffusion.checkpoint import INFERENCE, add_part, load_checkpoint
 from orbisim_diffusion.config import Config, TrainConfig
 from orbisim_diffusion.inference import (
     Inferred,
@@ -17,18 +22,71 @@ from orbisim_diffusion.inference import (
     robots,
     truth,
 )
-from orbisim_diffusion.loop import Loop, mixed
+from orbisim_diffusion.loop import Kept, Loop, mixed
 from orbisim_diffusion.measures import spread
-from orbisim_diffusion.store import Store
-from orbisim_diffusion.training import Run
+from orbisim_diffusion.store import Store, load
+from orbisim_diffusion.training import Run, encoded
 
 TRAIN = TrainConfig(batch=512, rate=5e-4, warmup=500)
 _NOISE = 0.1
 """Largest noise on latents in training: images that a model made are not quite true ones."""
 
 
+def tune(
+    folder: Path,
+    data: Sequence[Path],
+    held: Sequence[Path],
+    run: Run,
+    *,
+    device: str = "cpu",
+    workers: int = 1,
+    report: Callable[[str], None] = print,
+) -> dict[str, Any]:
+    """Trains StaInf on the frozen encoder of a checkpoint and adds it there.
+
+    Args:
+      folder: of the checkpoint. data: episode files with images and a robot. held: files to
+        measure on; the data themselves if empty. run: see `Run`.
+      device: where to compute. workers: processes that read. report: is told how it goes.
+
+    Returns:
+      Errors on the held-out frames (see `orbisim_diffusion.inference.errors`).
+
+    Raises:
+      InputError: there is no checkpoint, or episodes have no robot.
+    """
+    point, on = load_checkpoint(folder), torch.device(device)
+    autoencoder = point.autoencoder.to(on)
+
+    def seen(paths: Sequence[Path]) -> Store:
+        store = encoded(autoencoder, load(paths, on, workers=workers))
+        if "robot/qpos" not in store.extras:
+            raise InputError(f"{paths[0]}: episodes of a robot's task are needed; it has no robot")
+        return dataclasses.replace(store, frames=store.frames[:0])
+
+    store = seen(data)
+    test = seen(held) if held else store
+
+    def kept(module: torch.nn.Module) -> None:
+        add_part(folder, INFERENCE, module, {})
+
+    model, loop = train_inference(point.config, run, store, report, kept)
+    metrics = {
+        **inference_errors(model, test),
+        "steps": loop.step,
+        "seconds": round(loop.seconds, 1),
+        "frames": len(store.episode),
+    }
+    add_part(folder, INFERENCE, model, metrics)
+    return metrics
+
+
 def train_inference(
-    config: Config, run: Run, store: Store, report: Callable[[str], None] = print
+    config: Config,
+    run: Run,
+    store: Store,
+    report: Callable[[str], None] = print,
+    kept: Kept | None = None,
 ) -> tuple[StateInference, Loop]:
     """Trains StaInf; `store` has latents and a robot in every episode."""
     torch.manual_seed(run.seed)
@@ -36,17 +94,18 @@ def train_inference(
     loop = Loop(model, TRAIN, run.limit, run.progress, run.steps)
     robot, latents = robots(store), store.latents
     assert latents is not None
-    batch = min(TRAIN.batch, len(store))
+    count = len(latents)
+    batch = min(TRAIN.batch, count)
 
     def loss(_: int) -> Tensor:
-        index = torch.randint(len(store), (batch,), device=store.device)
+        index = torch.randint(count, (batch,), device=store.device)
         clean = latents[index].float()
         share = torch.rand(batch, 1, 1, 1, device=store.device) * _NOISE
         with mixed(store.device):
             found = model(clean + share * torch.randn_like(clean))
         return inference_loss(found, truth(store, robot, index))
 
-    loop.run(loss, report=report)
+    loop.run(loss, report=report, kept=kept)
     average = loop.average
     assert isinstance(average, StateInference)
     return average, loop
@@ -57,7 +116,7 @@ def inference_errors(model: StateInference, store: Store, count: int = 8192) -> 
     """Errors on frames of a store with latents, spread over it."""
     assert store.latents is not None
     robot, found, true = robots(store), [], []
-    for index in spread(store, count).split(1024):
+    for index in spread(len(store.latents), store.device, count).split(1024):
         found.append(model(store.latents[index].float()))
         true.append(truth(store, robot, index))
     return errors(

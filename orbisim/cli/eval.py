@@ -104,6 +104,9 @@ _VISION = "Example: orbisim eval vision checkpoints/look test_push.h5 --steps 1 
     type=click.Path(path_type=Path),
     help="Weights of EfficientNet-Lite0. Default: those of the package.",
 )
+@click.option(
+    "--mujoco", is_flag=True, help="MuJoCo's images of the predicted states as a row, too."
+)
 @click.option("--workers", type=click.IntRange(min=1), default=1, help="Processes.")
 @device_option
 @json_option
@@ -117,11 +120,13 @@ def vision(
     backend: str,
     features: bool,
     weights: Path | None,
+    mujoco: bool,
     workers: int,
     device: str | None,
     as_json: bool,
 ) -> None:
-    """Images of rollouts against the true ones: PSNR, SSIM, EffNet-PD, EffNet-FVD.
+    """Images of rollouts against the true ones: PSNR, SSIM, EffNet-PD, EffNet-FVD, and, of a
+    checkpoint with StaInf, TrajErr.
 
     DATA are episode files with images. GT-first and Recon-first use states that the backend
     predicts from the first one, GT-state and Recon-all the true states.
@@ -129,13 +134,14 @@ def vision(
     try:
         import torch
         from orbisim_diffusion import evaluate as evaluation
-        from orbisim_diffusion.checkpoint import load_checkpoint
+        from orbisim_diffusion.estimate import load_with_inference
         from orbisim_diffusion.features import Features
         from orbisim_diffusion.model import Painter
     except ImportError as error:
         raise MissingDependencyError("evaluation", "learned", str(error)) from error
     on = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
-    painter = Painter.of(load_checkpoint(checkpoint), on)
+    point, inference = load_with_inference(checkpoint)
+    painter = Painter.of(point, on)
     seen = Features(on, weights) if features else None
     tables = [
         evaluation.evaluate(
@@ -146,6 +152,8 @@ def vision(
             steps=steps or (1,),
             horizons=horizons or evaluation.HORIZONS,
             features=seen,
+            inference=inference and inference.to(on),
+            mujoco=mujoco,
             workers=workers,
             backend=backend,
             report=note,

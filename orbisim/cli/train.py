@@ -141,6 +141,70 @@ def dynamics(
     note(f"checkpoint: {out}")
 
 
+_INFERENCE = (
+    "Example: orbisim train inference checkpoints/look push.h5 --held-out-data test.h5 "
+    "--time-limit 300 --device cuda"
+)
+
+
+@command.command("inference", epilog=_INFERENCE)
+@click.argument("checkpoint", type=click.Path(path_type=Path))
+@click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--time-limit",
+    type=click.FloatRange(min=0, min_open=True),
+    default=300.0,
+    show_default=True,
+    help="Seconds.",
+)
+@click.option("--steps", type=click.IntRange(min=1), default=None, help="At most so many.")
+@click.option(
+    "--held-out-data",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="Measure on these episodes; repeatable. Default: on DATA themselves.",
+)
+@click.option("--workers", type=click.IntRange(min=1), default=1, help="Processes that read.")
+@device_option
+@seed_option
+@json_option
+def inference(
+    checkpoint: Path,
+    data: tuple[Path, ...],
+    time_limit: float,
+    steps: int | None,
+    held_out_data: tuple[Path, ...],
+    workers: int,
+    device: str | None,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Train StaInf, which reads states off frames, for a vision checkpoint.
+
+    DATA are episode files with images of a robot's task (orbisim collect --frames). It becomes a
+    part of CHECKPOINT; `orbisim infer` uses it.
+    """
+    try:
+        from orbisim_diffusion.train_inference import tune
+        from orbisim_diffusion.training import Run
+    except ImportError as error:
+        raise MissingDependencyError("training", "learned", str(error)) from error
+    metrics = tune(
+        checkpoint,
+        data,
+        held_out_data,
+        Run(time_limit, steps, None, seed),
+        device=device or _default_device(),
+        workers=workers,
+        report=note,
+    )
+    if as_json:
+        emit_json({"schema": "orbisim.train_inference/1", "metrics": metrics})
+        return
+    click.echo("\n".join(f"{name}: {value:g}" for name, value in metrics.items()))
+    note(f"checkpoint: {checkpoint}")
+
+
 def _training() -> Any:
     try:
         from orbisim_world_model import run
