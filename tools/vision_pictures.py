@@ -14,7 +14,7 @@ import numpy.typing as npt
 import torch
 from orbisim_diffusion.checkpoint import load_checkpoint
 from orbisim_diffusion.model import Painter
-from orbisim_diffusion.predictions import with_predictions
+from orbisim_diffusion.predictions import predict, with_predictions
 from orbisim_diffusion.store import Store, load
 from orbisim_diffusion.workflows import rollout
 from orbisim_diffusion.zoo import FOLDER
@@ -30,7 +30,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("data", type=Path, help="episodes with images")
     parser.add_argument("--out", type=Path, required=True, help="a .png file")
-    parser.add_argument("--checkpoint", type=Path, default=FOLDER / "tabletop")
+    parser.add_argument("--checkpoint", type=Path, default=FOLDER / "push")
     parser.add_argument("--episodes", type=int, nargs="+", default=[0, 1])
     parser.add_argument("--steps", type=int, default=1, help="of the sampler")
     parser.add_argument("--predicted", action="store_true", help="states of the learned backend")
@@ -40,7 +40,8 @@ def main() -> None:
     store = load([arguments.data], device, limit=max(arguments.episodes) + 1)
     states = store
     if arguments.predicted:
-        states = with_predictions(store, arguments.data, arguments.episodes)
+        made = predict(arguments.data, range(max(arguments.episodes) + 1))
+        states = with_predictions(store, made)
     strips = [one(painter, store, states, number, arguments.steps) for number in arguments.episodes]
     iio.imwrite(arguments.out, np.concatenate(strips))
 

@@ -153,11 +153,14 @@ class Denoiser(nn.Module):
         kept, x = x, self.shrink(x)
         for block in self.middle:
             x = block(x, *side)
+        # frames meet in the middle alone: on the way up the target's is all that is needed
+        x, kept, embedding = (
+            part.unflatten(0, (batch, frames))[:, -1] for part in (x, kept, embedding)
+        )
         x = torch.cat([self.grow(x)[..., : size[0], : size[1]], kept], dim=1)
         for block in self.up:
-            x = block(x, *side)
-        last = x.unflatten(0, (batch, frames))[:, -1]
-        out: Tensor = self.leave(last)
+            x = block(x, embedding, tokens, given.there, 1)
+        out: Tensor = self.leave(x)
         return out
 
     def _slots(self, scaled: Tensor, sigma: Tensor, given: Condition) -> Tensor:

@@ -13,7 +13,7 @@ from torch import Tensor
 from orbisim_diffusion.features import CLIP, Features, frechet_video_distance, perceptual_distance
 from orbisim_diffusion.inference import StateInference
 from orbisim_diffusion.model import Painter
-from orbisim_diffusion.predictions import with_predictions
+from orbisim_diffusion.predictions import Arrays, predict, with_predictions
 from orbisim_diffusion.quality import psnr, ssim
 from orbisim_diffusion.store import Store, load
 from orbisim_diffusion.trajectories import read_off, trajectory_errors, true_states
@@ -41,6 +41,7 @@ def evaluate(
     features: Features | None = None,
     inference: StateInference | None = None,
     mujoco: bool = False,
+    predictions: Sequence[Arrays] = (),
     workers: int = 1,
     backend: str = "learned",
     report: Callable[[str], None] = print,
@@ -55,6 +56,7 @@ def evaluate(
       features: for EffNet-PD and EffNet-FVD; None leaves them out.
       inference: StaInf, for TrajErr; None leaves it out.
       mujoco: whether MuJoCo's images of the predicted states are measured, too.
+      predictions: of the file's episodes, if they were made before (with images for `mujoco`).
       workers: processes. backend: what predicts. report: is told what was measured.
 
     Returns:
@@ -65,7 +67,8 @@ def evaluate(
     horizon = min(max(horizons), int(store.length.min()) - 1)
     predicted = store
     if mujoco or {"GT-first", "Recon-first"} & set(workflows):
-        predicted = with_predictions(store, path, chosen, workers, backend, mujoco)
+        made = predictions or predict(path, chosen, workers, backend, mujoco)
+        predicted = with_predictions(store, made[: len(chosen)])
     true = _true(store, horizon)
     spans = sorted({min(h, horizon) for h in horizons})
 
@@ -81,6 +84,8 @@ def evaluate(
         found[TRUE] = scores(true[:, 1:])
     if mujoco:
         found[MUJOCO] = scores(_true(predicted, horizon)[:, 1:])
+    for key, row in found.items():
+        report(f"{path.name} {key}: {row}")
     predicted = dataclasses.replace(predicted, frames=store.frames)
     for workflow in workflows:
         states = predicted if workflow in ("GT-first", "Recon-first") else store

@@ -15,6 +15,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from orbisim.files import npz
+from orbisim.files.writing import writing
 from orbisim.host.progress import track
 from orbisim.registry import make_backend, make_renderer
 from orbisim.scene import Scene, visible
@@ -96,32 +98,53 @@ def _changes(config: dict[str, Any]) -> dict[str, Any]:
     return {name: tuple(v) if isinstance(v, list) else v for name, v in config.items()}
 
 
-def with_predictions(
-    store: Store,
+def predict(
     path: Path,
     episodes: Sequence[int],
     workers: int = 1,
     backend: str = "learned",
     seen: bool = False,
-) -> Store:
-    """The store of one file, with predicted poses in the place of the true ones.
+) -> list[Arrays]:
+    """`predicted_episode` of some episodes of a file.
 
     Args:
-      store: of the file's first episodes. path: the file. episodes: which are predicted.
-      workers: processes. backend: what predicts.
-      seen: whether the frames become MuJoCo's images of the predicted states.
+      path: the file. episodes: which. workers: processes. backend, seen: see `predicted_episode`.
     """
-    pos, quat, frames = store.pos.clone(), store.quat.clone(), store.frames
-    frames = frames.clone() if seen else frames
-    found = _all(path, episodes, workers, backend, seen)
-    for index, arrays in zip(episodes, track(found, "predicting", len(episodes)), strict=True):
+    return list(track(_all(path, episodes, workers, backend, seen), "predicting", len(episodes)))
+
+
+def with_predictions(store: Store, found: Sequence[Arrays]) -> Store:
+    """A store with predicted poses, and images where there are some, in the place of the true ones.
+
+    Args:
+      store: of one file. found: of its first episodes.
+    """
+    pos, quat, frames = store.pos.clone(), store.quat.clone(), store.frames.clone()
+    for index, arrays in enumerate(found):
         first, length = int(store.first[index]), int(store.length[index])
         for into, name in ((pos, "geoms/pos"), (quat, "geoms/quat")):
             values: Tensor = torch.as_tensor(arrays[name]).to(store.device)
             into[first : first + length, : values.shape[1]] = values
-        if seen:
+        if "frames" in arrays:
             frames[first : first + length] = torch.as_tensor(arrays["frames"]).to(store.device)
     return dataclasses.replace(store.with_poses(pos, quat), frames=frames)
+
+
+def save_predictions(path: Path, found: Sequence[Arrays]) -> None:
+    """Writes predictions to an .npz file."""
+    named = {f"{i}/{n}": array for i, arrays in enumerate(found) for n, array in arrays.items()}
+    with writing(path, announce=False) as part, part.open("wb") as file:
+        np.savez(file, **named)  # type: ignore[arg-type]
+
+
+def read_predictions(path: Path) -> list[Arrays]:
+    """Reads what `save_predictions` wrote."""
+    found: dict[int, Arrays] = {}
+    with npz.opened(path) as file:
+        for key in file:
+            number, name = key.split("/", 1)
+            found.setdefault(int(number), {})[name] = file[key]
+    return [found[number] for number in sorted(found)]
 
 
 def _all(path: Path, episodes: Sequence[int], workers: int, backend: str, seen: bool) -> Any:

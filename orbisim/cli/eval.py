@@ -8,7 +8,8 @@ from typing import Any
 import click
 
 from orbisim.cli.common import device_option, emit_json, json_option, note, print_table
-from orbisim.errors import MissingDependencyError
+from orbisim.errors import InputError, MissingDependencyError
+from orbisim.tasks.dataset import EpisodeFile
 
 _EXAMPLE = "Example: orbisim eval dynamics checkpoints/push held_out.h5 --json"
 
@@ -107,6 +108,12 @@ _VISION = "Example: orbisim eval vision checkpoints/look test_push.h5 --steps 1 
 @click.option(
     "--mujoco", is_flag=True, help="MuJoCo's images of the predicted states as a row, too."
 )
+@click.option(
+    "--predictions",
+    default=None,
+    type=click.Path(path_type=Path),
+    help="An .npz file of predicted states: read if it is there, else made. For one file of DATA.",
+)
 @click.option("--workers", type=click.IntRange(min=1), default=1, help="Processes.")
 @device_option
 @json_option
@@ -121,6 +128,7 @@ def vision(
     features: bool,
     weights: Path | None,
     mujoco: bool,
+    predictions: Path | None,
     workers: int,
     device: str | None,
     as_json: bool,
@@ -137,12 +145,22 @@ def vision(
         from orbisim_diffusion.estimate import load_with_inference
         from orbisim_diffusion.features import Features
         from orbisim_diffusion.model import Painter
+        from orbisim_diffusion.predictions import predict, read_predictions, save_predictions
     except ImportError as error:
         raise MissingDependencyError("evaluation", "learned", str(error)) from error
     on = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
     point, inference = load_with_inference(checkpoint)
     painter = Painter.of(point, on)
     seen = Features(on, weights) if features else None
+    known = []
+    if predictions is not None:
+        if len(data) != 1:
+            raise InputError(f"--predictions are of one file; got {len(data)}")
+        if not predictions.exists():
+            with EpisodeFile(data[0]) as file:
+                count = min(len(file), episodes)
+            save_predictions(predictions, predict(data[0], range(count), workers, backend, mujoco))
+        known = read_predictions(predictions)
     tables = [
         evaluation.evaluate(
             painter,
@@ -154,6 +172,7 @@ def vision(
             features=seen,
             inference=inference and inference.to(on),
             mujoco=mujoco,
+            predictions=known,
             workers=workers,
             backend=backend,
             report=note,

@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 
 import pytest
-from orbisim_diffusion.checkpoint import MANIFEST
 from orbisim_diffusion.estimate import load_inference
 
 from orbisim.cli.main import run
@@ -32,10 +31,12 @@ def test_the_command_adds_it_and_a_training_keeps_it(
     assert run([*more, *options]) == 0
     load_inference(tmp_path / "more")
     evaluation = ["eval", "vision", str(tmp_path / "more"), str(data), "--no-features", "--mujoco"]
+    evaluation += ["--predictions", str(tmp_path / "predictions.npz")]
     less = ["--workflow", "Recon-first", "--horizon", "2", "--device", "cpu", "--json"]
     capsys.readouterr()
     assert run([*evaluation, *less]) == 0
     rows = json.loads(capsys.readouterr().out)["tables"][0]["rows"]
     assert rows["MuJoCo of predicted states"]["PSNR2"] > rows["Recon-first, 1 steps"]["PSNR2"]
     assert rows["true video"]["TrajErr"] > 0 and rows["true video"]["SSIM2"] == 1.0
-    assert (folder / MANIFEST).exists()
+    assert run([*evaluation, *less]) == 0  # from the file
+    assert json.loads(capsys.readouterr().out)["tables"][0]["rows"] == rows
