@@ -26,7 +26,7 @@ MUJOCO, TRUE = "MuJoCo of predicted states", "true video"
 """MuJoCo's images of the states that the backend predicts, for a synthetic camera the best that
 there can be; and what StaInf makes of the true video, the floor of TrajErr."""
 HORIZONS = (10, 100)
-_BATCH = 32
+_BATCH = 128
 """Episodes at a time."""
 
 
