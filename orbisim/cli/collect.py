@@ -13,6 +13,7 @@ from orbisim.cli.common import (
     json_option,
     note,
     print_table,
+    scene_options,
     seed_option,
 )
 from orbisim.errors import InputError
@@ -60,6 +61,7 @@ from orbisim.errors import InputError
 @click.option("--ray", is_flag=True, help="Spread over a Ray cluster (RAY_ADDRESS, or local).")
 @seed_option
 @json_option
+@scene_options("task")
 @engine_command
 def command(
     task: str,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import logging
 import sys
@@ -12,6 +13,7 @@ from typing import Any, TypeVar
 
 import click
 
+from orbisim.errors import InputError
 from orbisim.files.writing import check_folder
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -42,6 +44,97 @@ def trusted_option(function: F) -> F:
         is_flag=True,
         help="Read the scene without bounds on time and memory.",
     )(function)
+
+
+def scene_options(argument: str = "scene") -> Callable[[F], F]:
+    """Adds --actuators, --floating-base and --package; the command gets them in the scene's name.
+
+    Args:
+      argument: of the command, that names the scene.
+    """
+
+    def decorate(function: F) -> F:
+        @functools.wraps(function)
+        def wrapped(*args: Any, **kwargs: Any) -> Any:
+            from orbisim.scene.query import with_options
+
+            options: dict[str, Any] = {}
+            if (kind := kwargs.pop("actuators")) is not None:
+                options |= {"actuators": kind, "actuate": "all"}
+            if kwargs.pop("floating_base"):
+                options["floating_base"] = True
+            if pairs := kwargs.pop("packages"):
+                options["package_paths"] = dict(map(_package, pairs))
+            scene = kwargs[argument]
+            if options:
+                if scene is None or Path(scene).suffix.lower() not in (".urdf", ".zip"):
+                    raise InputError(
+                        f"--actuators, --floating-base and --package are for URDF; got {scene}"
+                    )
+                kwargs[argument] = with_options(scene, options)
+            return function(*args, **kwargs)
+
+        for option in reversed(_SCENE_OPTIONS):
+            wrapped = option(wrapped)
+        return wrapped  # type: ignore[return-value]
+
+    return decorate
+
+
+_SCENE_OPTIONS = (
+    click.option(
+        "--actuators",
+        type=click.Choice(["motor", "position", "velocity"]),
+        default=None,
+        help="Of URDF: an actuator at every joint that moves and mimics none. Default: none.",
+    ),
+    click.option(
+        "--floating-base", is_flag=True, help="Of URDF: the root link is not fixed to the world."
+    ),
+    click.option(
+        "--package",
+        "packages",
+        multiple=True,
+        metavar="NAME=DIR",
+        help="Of URDF: where package://NAME leads; repeatable.",
+    ),
+)
+
+
+def _package(text: str) -> tuple[str, str]:
+    name, equals, folder = text.partition("=")
+    if not (name and equals and Path(folder).is_dir()):
+        raise InputError(f"--package is NAME=DIR, of a folder that is there; got {text!r}")
+    return name, str(Path(folder).resolve())
+
+
+def warn_undriven(nu: int, scene: str) -> None:
+    """Says that controls do nothing in a scene without actuators."""
+    if not nu:
+        urdf = Path(scene.partition("?")[0]).suffix.lower() == ".urdf"
+        note(
+            "warning: the scene has no actuators, so controls do nothing"
+            + ("; --actuators position adds them" if urdf else "")
+        )
+
+
+def torch_device(name: str | None) -> str:
+    """A device of torch by its name; the GPU if there is one where none is named.
+
+    Raises:
+      InputError: this machine does not have it.
+    """
+    import torch
+
+    if name is None:
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    kind, _, number = name.partition(":")
+    count = {"cpu": 1, "cuda": torch.cuda.device_count()}.get(kind, 0)
+    if not (number or "0").isdigit() or int(number or 0) >= count:
+        raise InputError(
+            f"this machine has no device {name!r} (see: orbisim doctor); use --device cpu"
+        )
+    return name
 
 
 def device_option(function: F) -> F:
@@ -141,7 +234,6 @@ def quiet_engine() -> Iterator[None]:
 
 def engine_command(function: F) -> F:
     """For commands that load scenes: `quiet_engine` around them."""
-    import functools
 
     @functools.wraps(function)
     def wrapped(*args: Any, **kwargs: Any) -> Any:

@@ -15,6 +15,7 @@ from orbisim.cli.common import (
     json_option,
     note,
     print_table,
+    scene_options,
     seed_option,
     writable_folder,
 )
@@ -50,6 +51,7 @@ from orbisim.cli.common import (
 @device_option
 @seed_option
 @json_option
+@scene_options()
 @engine_command
 def command(
     scene: str,

@@ -14,6 +14,7 @@ from orbisim.cli.common import (
     map_option,
     note,
     print_table,
+    scene_options,
     seed_option,
     writable_folder,
 )
@@ -99,6 +100,7 @@ from orbisim.errors import InputError
 @map_option
 @seed_option
 @json_option
+@scene_options()
 @engine_command
 def command(
     scene: str,

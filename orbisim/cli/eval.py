@@ -7,7 +7,14 @@ from typing import Any
 
 import click
 
-from orbisim.cli.common import device_option, emit_json, json_option, note, print_table
+from orbisim.cli.common import (
+    device_option,
+    emit_json,
+    json_option,
+    note,
+    print_table,
+    torch_device,
+)
 from orbisim.errors import InputError, MissingDependencyError
 from orbisim.tasks.dataset import EpisodeFile
 
@@ -60,7 +67,7 @@ def dynamics(
         horizons=horizons or None,
         burn=burn,
         limit=episodes,
-        device=device or "cpu",
+        device=torch_device(device or "cpu"),
         by_group=by_group,
     )
     if as_json:
@@ -148,7 +155,7 @@ def vision(
         from orbisim_diffusion.predictions import predict, read_predictions, save_predictions
     except ImportError as error:
         raise MissingDependencyError("evaluation", "learned", str(error)) from error
-    on = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
+    on = torch.device(torch_device(device))
     point, inference = load_with_inference(checkpoint)
     painter = Painter.of(point, on)
     seen = Features(on, weights) if features else None
@@ -238,7 +245,7 @@ def policy(
         seeds=seeds or (0, 1, 2),
         model=model,
         threads=threads,
-        device=device or "cpu",
+        device=torch_device(device or "cpu"),
     )
     if as_json:
         emit_json(result)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from orbisim.cli.common import emit_json, engine_command, json_option, note
+from orbisim.cli.common import emit_json, engine_command, json_option, note, scene_options
 from orbisim.errors import MissingDependencyError
 
 
@@ -27,6 +27,7 @@ from orbisim.errors import MissingDependencyError
     help="A vision checkpoint with StaInf. Default: the zoo's for the scene.",
 )
 @json_option
+@scene_options()
 @engine_command
 def command(video: Path, scene: str, out: Path, checkpoint: Path | None, as_json: bool) -> None:
     """Read the states of robot and objects off VIDEO; write them as a recording.

@@ -12,6 +12,7 @@ from orbisim.cli.common import (
     json_option,
     note,
     print_table,
+    scene_options,
     trusted_option,
 )
 
@@ -20,6 +21,7 @@ from orbisim.cli.common import (
 @click.argument("scene")
 @json_option
 @trusted_option
+@scene_options()
 @engine_command
 def command(scene: str, as_json: bool, trusted: bool) -> None:
     """Read SCENE and print its static descriptors.

@@ -13,6 +13,7 @@ from orbisim.cli.common import (
     json_option,
     note,
     print_table,
+    scene_options,
     trusted_option,
 )
 
@@ -37,6 +38,7 @@ def command() -> None:
 )  # fmt: skip
 @trusted_option
 @json_option
+@scene_options()
 @engine_command
 def info(log: str, scene: str | None, mapping: Path | None, trusted: bool, as_json: bool) -> None:
     """Print what LOG holds: columns, units, rates, gaps, noise, and what looks odd."""
@@ -66,6 +68,7 @@ def info(log: str, scene: str | None, mapping: Path | None, trusted: bool, as_js
 @click.option("--force", is_flag=True, help="Write over a file that exists.")
 @trusted_option
 @json_option
+@scene_options()
 @engine_command
 def init(log: str, scene: str, out: Path, force: bool, trusted: bool, as_json: bool) -> None:
     """Write a first map of LOG: which of its columns are which signals of the scene.

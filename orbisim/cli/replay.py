@@ -18,6 +18,7 @@ from orbisim.cli.common import (
     map_option,
     note,
     print_table,
+    scene_options,
     writable_folder,
 )
 
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
 @map_option
 @device_option
 @json_option
+@scene_options()
 @engine_command
 def command(
     scene: str,

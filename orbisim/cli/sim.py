@@ -16,7 +16,9 @@ from orbisim.cli.common import (
     json_option,
     note,
     print_table,
+    scene_options,
     seed_option,
+    warn_undriven,
     writable_folder,
 )
 from orbisim.errors import InputError, MissingDependencyError
@@ -57,6 +59,7 @@ from orbisim.files.writing import make_folder
 @device_option
 @seed_option
 @json_option
+@scene_options()
 @engine_command
 def command(
     scene: str,
@@ -134,8 +137,8 @@ def _controls(setup: Any, kind: str | None, duration: float, step: float, seed: 
     scripted = type(setup) is not Episodes
     if kind == "policy" and not scripted:
         raise InputError("only tasks (task:push) have a policy; use --controls random")
-    if kind == "random" and not setup.scene.model.nu:
-        note("warning: the scene has no actuators; --controls random does nothing")
+    if kind == "random":
+        warn_undriven(setup.scene.model.nu, setup.scene.source)
     plain = Episodes(setup.scene, setup.initial)
     if kind == "policy" or (kind is None and scripted):
         return setup.controls(duration, step, seed)

@@ -8,7 +8,15 @@ from typing import Any
 
 import click
 
-from orbisim.cli.common import device_option, emit_json, json_option, note, seed_option
+from orbisim.cli.common import (
+    device_option,
+    emit_json,
+    json_option,
+    note,
+    scene_options,
+    seed_option,
+    torch_device,
+)
 from orbisim.errors import InputError, MissingDependencyError
 
 _EXAMPLE = (
@@ -71,6 +79,7 @@ def command() -> None:
 @device_option
 @seed_option
 @json_option
+@scene_options()
 def dynamics(
     data: tuple[Path, ...],
     name: str,
@@ -111,7 +120,7 @@ def dynamics(
         steps=steps,
         limit=time_limit,
         seed=seed,
-        device=device or _default_device(),
+        device=torch_device(device),
         held_out=held_out,
         save_every=save_every,
         resume=resume,
@@ -213,12 +222,6 @@ def _training() -> Any:
     return run
 
 
-def _default_device() -> str:
-    import torch
-
-    return "cuda" if torch.cuda.is_available() else "cpu"
-
-
 def _assignment(text: str) -> tuple[str, str]:
     name, equals, value = text.partition("=")
     if not equals:
@@ -315,7 +318,7 @@ def vision(
         held=held_out_data,
         out=out,
         limits=(time_limit * shares[0], time_limit * shares[1], time_limit * shares[2]),
-        device=device or _default_device(),
+        device=torch_device(device),
         seed=seed,
         workers=workers,
         steps=steps,
@@ -389,7 +392,7 @@ def policy(task: str, method: str, as_json: bool, **options: Any) -> None:
         from orbisim_policies import workflows
     except ImportError as error:
         raise MissingDependencyError("training", "learned", str(error)) from error
-    options["device"] = options["device"] or _default_device()
+    options["device"] = torch_device(options["device"])
     manifest = workflows.train(task, method, options, note)
     if as_json:
         emit_json({"schema": "orbisim.train_policy/1", "policy": str(options["out"]), **manifest})

@@ -14,8 +14,10 @@ from orbisim.cli.common import (
     engine_command,
     json_option,
     note,
+    scene_options,
     seed_option,
     trusted_option,
+    warn_undriven,
 )
 from orbisim.errors import InputError
 
@@ -55,6 +57,7 @@ from orbisim.errors import InputError
 @seed_option
 @trusted_option
 @json_option
+@scene_options()
 @engine_command
 def command(
     scene: str,
@@ -80,6 +83,8 @@ def command(
     if ghost is not None and trajectory is None:
         raise InputError("--ghost needs --trajectory: it is overlaid on one")
     setup = episodes(scene, 1, seed, **({} if _is_task(scene) else {"trusted": trusted}))
+    if controls == "random":
+        warn_undriven(setup.scene.model.nu, scene)
     shown, notes = Trajectory.load(trajectory) if trajectory else (None, {})
     other, ghost_notes = Trajectory.load(ghost) if ghost else (None, {})
     labels = tuple(_label(n, p) for n, p in ((notes, trajectory), (ghost_notes, ghost)) if p)

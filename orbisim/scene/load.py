@@ -14,6 +14,7 @@ from orbisim.files.reading import size_of
 from orbisim.scene.mjcf import MjcfReader
 from orbisim.scene.objects import SceneSource, assets_of, scene_of, text_of
 from orbisim.scene.paths import path_of, refuse_other_kinds
+from orbisim.scene.query import without_options
 from orbisim.scene.readers import reader_of_root, reader_of_suffix, suffixes
 from orbisim.scene.reading import Reader
 from orbisim.scene.safety.archive import extracted
@@ -40,7 +41,8 @@ def load_scene(
 
     Args:
       source: a path to MJCF (`.xml`), URDF, USD (`.usd`, `.usda`, `.usdc`, `.usdz`), another format
-        that a plug-in reads, or a zip archive holding one of them; a task name
+        that a plug-in reads, or a zip archive holding one of them, each with options of its reader
+        behind it if need be (`robot.urdf?actuators=position`); a task name
         (`suite:cheetah-run`, `task:push`); a document (MJCF, URDF) as text or bytes that start
         with `<`; a `Scene`, which is returned as it is; an `MjSpec` or `MjModel`; or an element of
         `dm_control.mjcf`, whose whole model is taken with its assets.
@@ -64,7 +66,9 @@ def load_scene(
         raise InputError("assets are for MJCF given as a string; a file finds its own")
     if is_scene_name(text):
         return named_scene(text)
-    return _from_path(path_of(text), trusted, options)
+    path, chosen = without_options(path_of(text))
+    scene = _from_path(path, trusted, {**chosen, **options})
+    return scene.replace_source(path_of(text)) if chosen else scene
 
 
 def _nothing_else(source: object, assets: object, options: Mapping[str, Any]) -> None:

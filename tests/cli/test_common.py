@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import json
 import logging
+from pathlib import Path
 
 import pytest
 
-from orbisim.cli.common import emit_json, note, print_table, quiet_engine
+from orbisim.cli.common import emit_json, note, print_table, quiet_engine, torch_device
+from orbisim.cli.main import run
+from orbisim.errors import InputError
+from tests.scene.urdf.urdf_text import two_links
 
 
 def test_json_has_no_nan(capsys: pytest.CaptureFixture[str]) -> None:
@@ -59,3 +63,52 @@ def test_the_engines_warnings_come_once(capsys: pytest.CaptureFixture[str]) -> N
     assert err.count("warning: ") == 1
     assert "QVEL" in err
     assert logging.getLogger("absl").level == logging.ERROR
+
+
+LIMIT = "<limit effort='5' velocity='2' lower='-1' upper='1'/>"
+
+
+def test_urdf_options_are_on_every_command_that_takes_a_scene(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "meshes").mkdir()
+    path = tmp_path / "robot.urdf"
+    path.write_text(two_links(LIMIT))
+    options = ["--actuators", "motor", "--floating-base", "--package", f"p={tmp_path / 'meshes'}"]
+    assert run(["info", str(path), "--json", *options]) == 0
+    found = json.loads(capsys.readouterr().out)
+    kinds = [j["type"] for e in found["entities"] for p in e["parts"] for j in p["joints"]]
+    assert len(found["actuators"]) == 1 and kinds == ["free", "hinge"]
+    simulated = ["sim", str(path), "--duration", "0.1", "--controls", "random"]
+    assert run([*simulated, *options]) == 0
+    assert "no actuators" not in capsys.readouterr().err
+    assert run(simulated) == 0
+    assert "no actuators, so controls do nothing; --actuators position" in capsys.readouterr().err
+    for command in ("compare", "replay", "diagnose", "collect", "view", "infer"):
+        assert run([command, "--help"]) == 0
+        assert "--floating-base" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["info", "x.xml", "--floating-base"], "are for URDF; got x.xml"),
+        (["info", "x.urdf", "--package", "p=/no/such"], "of a folder that is there"),
+        (["info", "x.urdf", "--package", "p"], "--package is NAME=DIR"),
+    ],
+)
+def test_urdf_options_that_make_no_sense(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(arguments) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_device_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    torch = pytest.importorskip("torch")
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert [torch_device(name) for name in (None, "cpu", "cuda:0")] == ["cuda", "cpu", "cuda:0"]
+    for name in ("cuda:1", "cuda:x", "tpu"):
+        with pytest.raises(InputError, match=f"no device '{name}'"):
+            torch_device(name)

@@ -14,6 +14,7 @@ import pytest
 from orbisim import load_scene, make_backend
 from orbisim.cli.main import run
 from orbisim.tasks.collect import collect
+from tests.scene.urdf.urdf_text import two_links
 
 ROOT = Path(__file__).parents[2]
 TOY = ["--set", "model.width=32", "--set", "model.layers=1", "--device", "cpu"]
@@ -146,3 +147,21 @@ def test_train_all_and_the_measurements_run_at_toy_size(episodes: Path, tmp_path
     assert (tmp_path / "out" / "checkpoints-0.tar").stat().st_size < 15e6
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["pendulum"]["metrics"]["model"]
+
+
+@pytest.mark.slow
+def test_a_robot_of_ones_own_by_commands_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    limit = "<limit effort='5' velocity='2' lower='-1' upper='1'/>"
+    (tmp_path / "robot.urdf").write_text(two_links("<axis xyz='0 1 0'/>", limit))
+    robot = [str(tmp_path / "robot.urdf"), "--actuators", "motor"]
+    data, out = str(tmp_path / "robot.h5"), str(tmp_path / "checkpoint")
+    collected = ["--episodes", "12", "--set", "steps=60", "--workers", "1", "--randomize", "20"]
+    assert run(["collect", *robot, *collected, "--out", data]) == 0
+    sizes = ["--steps", "20", "--set", "train.stages=1x1x64", *TOY]
+    assert run(["train", "dynamics", data, "--scene", *robot, "--out", out, *sizes]) == 0
+    capsys.readouterr()
+    simulated = ["--controls", "random", "--duration", "0.4", "--json"]
+    assert run(["sim", *robot, "--backend", f"learned:{out}", *simulated]) == 0
+    assert json.loads(capsys.readouterr().out)["steps"] == 20

@@ -110,8 +110,8 @@ class FileFinder:
         raise self._missing(
             element,
             f"the package {package!r} is not found",
-            "set ROS_PACKAGE_PATH to the folder that holds it, or in Python pass "
-            f"package_paths={{{package!r}: FOLDER}}",
+            f"name its folder: --package {package}=FOLDER (in Python package_paths="
+            f"{{{package!r}: FOLDER}}), or set ROS_PACKAGE_PATH to the folder that holds it",
         )
 
     def _inside(self, path: Path, folder: Path, name: str, element: str) -> Path | None:

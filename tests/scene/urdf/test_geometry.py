@@ -268,7 +268,7 @@ def test_meshdir_and_strippath_of_the_extension(package: Path) -> None:
     [
         ("meshes/none.stl", "does not exist; expected it at"),
         ("package://my_robot/none.stl", "has no file 'none.stl'; looked in"),
-        ("package://other/none.stl", "set ROS_PACKAGE_PATH to the folder that holds it, or"),
+        ("package://other/none.stl", "name its folder: --package other=FOLDER (in Python"),
         ("http://example.org/a.stl", "on the network"),
         ("", "filename is empty"),
     ],
