@@ -203,7 +203,7 @@ def inference(
         data,
         held_out_data,
         Run(time_limit, steps, None, seed),
-        device=device or _default_device(),
+        device=torch_device(device),
         workers=workers,
         report=note,
     )
