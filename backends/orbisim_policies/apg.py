@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
+import warnings
 from typing import Any
 
 import torch
@@ -16,12 +17,17 @@ from orbisim_world_model.entities import choose
 from orbisim_world_model.graphs import Graphed
 from orbisim_world_model.optimizer import FlatAdamW
 from orbisim_world_model.sampling import generator_of
+from orbisim_world_model.stepper import cause
 from torch import Tensor
 
 from orbisim.errors import InputError
 from orbisim_policies.learned import LearnedWorlds, Pool
 from orbisim_policies.network import NetworkConfig, Policy, value_network
-from orbisim_policies.rollout import Running, advanced, began, observation, worth
+from orbisim_policies.rollout import Acted, Running, acted, began, observation, worth
+from orbisim_policies.rollout import compiled as compile_step
+
+_NONE = -1e9
+"""Of objectives: there was none yet."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,6 +40,8 @@ class ApgConfig:
       noise, final_noise: standard deviation of what is added to actions before they are bounded.
       limit: largest norm of the gradient that a world hands back over a step (see `advanced`).
       clip: largest norm of the policy's gradient.
+      fall: share of the best objective after the loss of which a training goes back to where it
+        was best, with half the rate (whole episodes).
       discount, trace: of values, with a horizon. value_steps: of the value function each time.
       network: of the policy.
     """
@@ -46,6 +54,7 @@ class ApgConfig:
     final_noise: float = 0.05
     limit: float = 0.1
     clip: float = 1.0
+    fall: float = 0.2
     discount: float = 0.99
     trace: float = 0.95
     value_steps: int = 4
@@ -62,6 +71,7 @@ class Apg:
       seed: of weights, starts and noise.
       policy: to go on from; fresh if None.
       graph: run an iteration as one CUDA graph, where there is a GPU.
+      compiled: have torch compile a control step with its policy; a minute or two at first.
 
     Raises:
       InputError: the horizon does not divide the episode.
@@ -76,6 +86,7 @@ class Apg:
         seed: int = 0,
         policy: Policy | None = None,
         graph: bool = True,
+        compiled: bool = False,
     ) -> None:
         problem = worlds.problem
         self.horizon = config.horizon or problem.steps
@@ -98,6 +109,8 @@ class Apg:
         self.value_optimizer = FlatAdamW(self.values, 0.0, 1.0)
         self.whole = self.horizon == problem.steps
         self.done = 0
+        self._best = self.optimizer.values.clone()
+        self._level = torch.tensor([_NONE, _NONE, 1.0], device=device)
         self._spread = torch.zeros((), device=device)
         self._starts, self._noise = self._drawn()
         self._running = began(worlds, self._starts)
@@ -105,6 +118,20 @@ class Apg:
         self._running = self._running._replace(done=phases.float() * self.horizon)
         self._graph = graph and device.type == "cuda"
         self._run: Any = None
+        self._act: Acted = lambda now, noise: acted(worlds, self.policy, now, noise, config.limit)
+        if compiled:
+            self._compile()
+
+    def _compile(self) -> None:
+        """Has a control step compiled; goes on without where that fails."""
+        fast = compile_step(self.worlds, self.policy, self.config.limit)
+        try:
+            after, _ = fast(self._running.detach(), self._noise[0])
+            worth(self.worlds, after).sum().backward()
+            self._act = fast
+        except Exception as error:  # compilers fail in many ways; the step itself does not
+            warnings.warn(f"step not compiled, it is slower: {cause(error)}", stacklevel=3)
+        self.optimizer.zero_grad()
 
     # -- an iteration --------------------------------------------------------------------------
 
@@ -117,7 +144,8 @@ class Apg:
         """
         config = self.config
         low, high = config.final_rate, config.rate
-        self.optimizer.rate.fill_(low + 0.5 * (high - low) * (1 + math.cos(math.pi * progress)))
+        rate = low + 0.5 * (high - low) * (1 + math.cos(math.pi * progress))
+        self.optimizer.rate.copy_(rate * self._level[2])
         self.value_optimizer.rate.fill_(1e-3)
         self._spread.fill_(config.noise + (config.final_noise - config.noise) * progress)
         fresh, noise = self._drawn()
@@ -125,9 +153,42 @@ class Apg:
         if self._run is None:
             saved = {name: tensor.clone() for name, tensor in self.state().items()}
             self._run = Graphed(self._iterate, lambda: self._restore(saved), self._graph)
-        found: Tensor = self._run()
+        found: Tensor = self._run().clone()
         self.done += 1
-        return found.clone()
+        if self.whole:
+            self._look_back(found[0])
+        return found
+
+    @torch.no_grad()  # type: ignore[untyped-decorator]
+    def _look_back(self, objective: Tensor) -> None:
+        """Keeps the best weights; goes back to them, with half the steps, after a fall.
+
+        The objective of many steps in closed loop has cliffs, behind which there is no gradient.
+        """
+        level, best, scale = self._level
+        level = torch.where(level > _NONE / 2, 0.8 * level + 0.2 * objective, objective)
+        better = level > best
+        best = torch.where(better, level, best)
+        fell = level < best - self.config.fall * best.abs()
+        optimizer = self.optimizer
+        self._best.copy_(torch.where(better, optimizer.values, self._best))
+        optimizer.values.copy_(torch.where(fell, self._best, optimizer.values))
+        for moment in (optimizer.first, optimizer.second, optimizer.count):
+            moment.mul_(1.0 - fell.float())
+        self._level.copy_(
+            torch.stack([torch.where(fell, best, level), best, scale * (1.0 - 0.5 * fell.float())])
+        )
+
+    @property
+    def chosen(self) -> Policy:
+        """The policy to keep: over whole episodes the best by its objective, else the last."""
+        kept = copy.deepcopy(self.policy)
+        if self.whole and self._level[1] > _NONE / 2:
+            offset = 0
+            for p in kept.parameters():
+                p.data = self._best[offset : offset + p.numel()].view_as(p).clone()
+                offset += p.numel()
+        return kept
 
     def _drawn(self) -> tuple[Pool, Tensor]:
         """Starts and noise of this iteration: of the seed and its number alone."""
@@ -144,12 +205,11 @@ class Apg:
         return self._short_horizon()
 
     def _whole_episodes(self) -> Tensor:
-        worlds, limit = self.worlds, self.config.limit
+        worlds = self.worlds
         self.optimizer.zero_grad()
         now = began(worlds, self._starts)
         for t in range(self.horizon):
-            action = self.policy(observation(worlds, now), self._spread * self._noise[t])
-            now = advanced(worlds, now, action, limit)
+            now, _ = self._act(now, self._spread * self._noise[t])
         parts = worth(worlds, now)
         total = parts.sum(1)
         fine = total.isfinite()
@@ -172,10 +232,8 @@ class Apg:
         seen, rewards = [], []
         before = worth(worlds, now).sum(1)
         for t in range(self.horizon):
-            view = observation(worlds, now)
+            now, view = self._act(now, self._spread * self._noise[t])
             seen.append(view.detach())
-            action = self.policy(view, self._spread * self._noise[t])
-            now = advanced(worlds, now, action, config.limit)
             parts = worth(worlds, now)
             after = parts.sum(1)
             ended = now.done >= problem.steps
@@ -240,7 +298,7 @@ class Apg:
         """What is needed to go on, by name."""
         found = {f"policy.{k}": v for k, v in self.optimizer.state().items()}
         if self.whole:
-            return found
+            return {**found, "best": self._best, "level": self._level}
         found |= {f"values.{k}": v for k, v in self.value_optimizer.state().items()}
         found |= {f"target.{k}": v for k, v in self.target.state_dict().items()}
         for name, field in zip(Running._fields, self._running, strict=True):

@@ -59,6 +59,11 @@ class Cloning:
         self.done += 1
         return loss.detach()
 
+    @property
+    def chosen(self) -> Policy:
+        """The policy to keep."""
+        return self.policy
+
     def state(self) -> dict[str, Tensor]:
         """What is needed to go on, by name."""
         return self.optimizer.state()

@@ -13,6 +13,7 @@ from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.fitting import fit
 from orbisim_world_model.manifest import read_manifest
 from orbisim_world_model.reading import read_attributes, read_settings
+from orbisim_world_model.rotation import rotate_back, to_matrix
 from torch import Tensor
 
 from orbisim.errors import InputError
@@ -75,6 +76,8 @@ class LearnedWorlds:
         self.substeps = round(ratio)
         self.model = model.to(device).requires_grad_(False).train()
         self._memory = self.model.initial_memory(1)
+        index = self.layout._indices(str(device))
+        self._to_qpos, self._to_qvel = index["to_qpos"], index["to_qvel"]
 
     def pool(self, starts: Starts) -> Pool:
         """Starts as tensors, with the descriptors of their scenes."""
@@ -117,6 +120,9 @@ class LearnedWorlds:
         return Entities(*(a + (h - a).detach() for a, h in zip(after, held, strict=True)))
 
     def coordinates(self, x: Entities) -> tuple[Tensor, Tensor]:
-        """qpos [N, nq] and qvel [N, nv]."""
-        qpos, qvel, _ = self.layout.join(x)
-        return qpos, qvel
+        """qpos [N, nq] and qvel [N, nv]: `Layout.join`, with its indices at hand for a compiler."""
+        free_q = torch.cat([x.pos, x.quat], dim=-1).flatten(1)
+        local = rotate_back(to_matrix(x.quat), x.ang)
+        free_v = torch.cat([x.vel, local], dim=-1).flatten(1)
+        qpos = torch.cat([x.q, free_q], dim=1)[:, self._to_qpos]
+        return qpos, torch.cat([x.v, free_v], dim=1)[:, self._to_qvel]

@@ -93,6 +93,7 @@ class PushProblem(Problem):
     def _place(self, device: torch.device) -> None:
         self.arm = ArmKinematics(UR5E, device)
         self._low, self._high = (torch.tensor(v, device=device) for v in (_LOW, _HIGH))
+        self._middle = torch.tensor((0.5, 0.0, 0.1), device=device)
         self._turns = tuple(torch.tensor(v, device=device) for v in (-_YAW, _YAW))
 
     # -- episodes ------------------------------------------------------------------------------
@@ -183,9 +184,9 @@ class PushProblem(Problem):
         off, lag = hand[:, :2] - behind, command[:, :3] - hand
         place = hand[:, :2] - first[:, :2]
         parts = [
-            (hand - hand.new_tensor([0.5, 0.0, 0.1])) / 0.15,
-            (first[:, :2] - first.new_tensor([0.5, 0.0])) / 0.15,
-            (second[:, :2] - first.new_tensor([0.6, 0.0])) / 0.15,
+            (hand - self._middle) / 0.15,
+            (first - self._middle)[:, :2] / 0.15,
+            (second - self._middle)[:, :2] / 0.15,
             (hand - first) / 0.1,
             way[:, :2] / 0.1,
             along,

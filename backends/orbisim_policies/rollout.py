@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
@@ -12,6 +13,9 @@ from torch import Tensor
 from orbisim_policies.learned import LearnedWorlds, Pool
 from orbisim_policies.network import Policy
 from orbisim_policies.problem import Moment, Problem
+
+Acted = Callable[["Running", Tensor], "tuple[Running, Tensor]"]
+"""One control step from noise on the actions; also gives what the policy saw."""
 
 
 class Running(NamedTuple):
@@ -72,6 +76,42 @@ def advanced(worlds: LearnedWorlds, now: Running, action: Tensor, limit: float) 
 def worth(worlds: LearnedWorlds, now: Running) -> Tensor:
     """[N, parts]: the value of the episode if it ends here."""
     return worlds.problem.value(now.score, worlds.coordinates(now.x)[0])
+
+
+def acted(
+    worlds: LearnedWorlds, policy: Policy, now: Running, noise: Tensor, limit: float
+) -> tuple[Running, Tensor]:
+    """One control step of a policy, and what it saw before."""
+    view = observation(worlds, now)
+    return advanced(worlds, now, policy(view, noise), limit), view
+
+
+def compiled(worlds: LearnedWorlds, policy: Policy, limit: float) -> Acted:
+    """`acted` compiled by torch for the number of worlds that it is called with.
+
+    From tensors to tensors, as `orbisim_world_model.stepper.compiled_step`.
+    """
+    count = len(Entities._fields)
+
+    def flat(noise: Tensor, *given: Tensor) -> tuple[Tensor, ...]:
+        now = Running(Entities(*given[:count]), *given[count:])
+        after, view = acted(worlds, policy, now, noise, limit)
+        return (*after.x, *after[1:4], view)
+
+    fast = torch.compile(flat, dynamic=False, fullgraph=True)
+
+    def step(now: Running, noise: Tensor) -> tuple[Running, Tensor]:
+        x = [field if field.requires_grad else field.clone().requires_grad_() for field in now.x]
+        *found, view = fast(noise, *x, *now[1:])
+        after = now._replace(
+            x=Entities(*found[:count]),
+            command=found[count],
+            score=found[count + 1],
+            done=found[count + 2],
+        )
+        return after, view
+
+    return step
 
 
 @torch.no_grad()  # type: ignore[untyped-decorator]

@@ -41,14 +41,15 @@ class Run:
 
     Attributes:
       out: folder for policy, metrics and curves.
-      steps, limit: budgets in iterations and in seconds; at least one.
+      steps, limit: budgets in iterations and in seconds, preparation included; at least one.
       seed: of everything random. device: where to compute.
       starts: how many episodes' beginnings there are to draw from.
       demonstrations: episodes to imitate.
       check: episodes of each live estimate in MuJoCo; 0 for none. check_every: seconds.
       save_every: seconds between saves. log_every: iterations between lines of metrics.
       resume: go on with what stands in `out`. start: folder of a policy to begin with.
-      graph: CUDA graphs. nthread: threads of MuJoCo; 0 for one per usable core.
+      graph: CUDA graphs. compiled: torch compiles a control step (apg).
+      nthread: threads of MuJoCo; 0 for one per usable core.
     """
 
     out: Path
@@ -65,14 +66,18 @@ class Run:
     resume: bool = False
     start: Path | None = None
     graph: bool = True
+    compiled: bool = False
     nthread: int = 0
 
 
 class Trainer(Protocol):
     """What a training is made of: `Apg`, `Cloning`."""
 
-    policy: Policy
     done: int
+
+    @property
+    def chosen(self) -> Policy:
+        """The policy to keep."""
 
     def step(self, progress: float) -> Tensor:
         """One iteration; what is logged of it."""
@@ -103,14 +108,15 @@ def train_apg(
       OrbiSimError: no objective is finite any more; what was saved before stays.
     """
     check_run(run)
-    device = torch.device(run.device)
+    clock, device = Clock(run.steps, run.limit), torch.device(run.device)
     if device.type == "cuda":
         torch.backends.cuda.matmul.allow_tf32 = True
     worlds = LearnedWorlds(problem.to(device), checkpoint, device)
     seeds = training_seeds(problem, run)
     pool = worlds.pool(problem.draw(seeds))
     start = load_policy(run.start, problem) if run.start else None
-    trainer = Apg(worlds, pool, config, seed=run.seed, policy=start, graph=run.graph)
+    speed = {"graph": run.graph, "compiled": run.compiled}
+    trainer = Apg(worlds, pool, config, seed=run.seed, policy=start, **speed)
     names = ("objective", "finite", "value_loss", *problem.parts)
     notes = {
         "method": "apg",
@@ -119,7 +125,7 @@ def train_apg(
         "true_steps": _true_steps(worlds) + _inherited(run),
         "start": run.start.name if run.start else "",
     }
-    return _train(trainer, problem, run, names, notes, report)
+    return _train(trainer, problem, run, clock, names, notes, report)
 
 
 def train_clone(
@@ -127,6 +133,7 @@ def train_clone(
 ) -> dict[str, Any]:
     """Clones the task's script; returns the manifest. Errors as `train_apg`."""
     check_run(run)
+    clock = Clock(run.steps, run.limit)
     seeds = training_seeds(problem, run)[: run.demonstrations]
     shown = demonstrate(problem, seeds, run.nthread)
     device = torch.device(run.device)
@@ -144,7 +151,7 @@ def train_clone(
         "demonstrations": {"episodes": shown.episodes, "success": shown.success},
         "true_steps": shown.steps,
     }
-    return _train(trainer, problem, run, ("loss",), notes, report)
+    return _train(trainer, problem, run, clock, ("loss",), notes, report)
 
 
 def training_seeds(problem: Problem, run: Run) -> list[int]:
@@ -172,12 +179,12 @@ def _train(
     trainer: Trainer,
     problem: Problem,
     run: Run,
+    clock: Clock,
     names: Sequence[str],
     notes: dict[str, Any],
     report: Report,
 ) -> dict[str, Any]:
     with claimed(make_folder(run.out), "another training", "wait for it, or choose another --out"):
-        clock = Clock(run.steps, run.limit)
         _resume(trainer, clock, run, notes)
         begin_metrics(run.out / METRICS, clock.done)
         rows: list[Tensor] = []
@@ -189,12 +196,12 @@ def _train(
             if clock.done % run.log_every == 0:
                 checks = {}
                 if run.check and now - checked > run.check_every:
-                    checks, checked = _checked(trainer.policy, problem, run), time.monotonic()
+                    checks, checked = _checked(trainer.chosen, problem, run), time.monotonic()
                 _log(rows, names, clock, run, checks, report)
             if now - saved > run.save_every:
                 _save(trainer, clock, problem, run, notes, False)
                 saved = time.monotonic()
-        checks = _checked(trainer.policy, problem, run) if run.check else {}
+        checks = _checked(trainer.chosen, problem, run) if run.check else {}
         _log(rows, names, clock, run, checks, report)
         manifest = _save(trainer, clock, problem, run, notes, True)
         draw_curves(run.out)
@@ -285,7 +292,7 @@ def _save(
     training = {**where, "seconds": round(clock.elapsed, 1), "device": name, "finished": finished}
     versions = {"torch": torch.__version__, "orbisim": VERSION}
     manifest = {**notes, "training": training, "versions": versions}
-    save_policy(run.out, trainer.policy, problem, manifest)
+    save_policy(run.out, trainer.chosen, problem, manifest)
     return {"task": problem.name, **manifest}
 
 

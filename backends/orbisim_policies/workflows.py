@@ -26,7 +26,7 @@ _RUN = {
         name: name
         for name in ("out", "steps", "seed", "device", "demonstrations", "check", "check_every")
     },
-    **{name: name for name in ("save_every", "resume", "start", "graph")},
+    **{name: name for name in ("save_every", "resume", "start", "graph", "compiled")},
     "threads": "nthread",
 }
 """Options of the command line, and what they are called in `Run`."""

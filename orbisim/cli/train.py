@@ -377,6 +377,7 @@ _POLICY = "Example: orbisim train policy push --method apg --out policies/push -
     "--start", type=click.Path(path_type=Path), default=None, help="Policy to begin with (apg)."
 )
 @click.option("--graph/--no-graph", default=True, help="CUDA graphs, on a GPU.")
+@click.option("--compiled", is_flag=True, help="Have torch compile a control step (apg).")
 @click.option("--threads", default=0, help="Of MuJoCo; 0 for all cores.")
 @device_option
 @seed_option
