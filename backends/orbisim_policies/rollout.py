@@ -96,7 +96,7 @@ def compiled(worlds: LearnedWorlds, policy: Policy, limit: float) -> Acted:
     def flat(noise: Tensor, *given: Tensor) -> tuple[Tensor, ...]:
         now = Running(Entities(*given[:count]), *given[count:])
         after, view = acted(worlds, policy, now, noise, limit)
-        return (*after.x, *after[1:4], view)
+        return (*after.x, after.command, after.score, after.done, view)
 
     fast = torch.compile(flat, dynamic=False, fullgraph=True)
 

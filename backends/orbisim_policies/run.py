@@ -57,7 +57,7 @@ class Run:
     limit: float | None = None
     seed: int = 0
     device: str = "cpu"
-    starts: int = 4096
+    starts: int = 2048
     demonstrations: int = 500
     check: int = 64
     check_every: float = 60.0

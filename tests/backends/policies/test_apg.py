@@ -64,3 +64,17 @@ def test_a_horizon_that_does_not_divide_the_episode_is_refused(
     pool = cartpole_worlds.pool(cartpole.draw([0]))
     with pytest.raises(InputError, match="divides"):
         Apg(cartpole_worlds, pool, dataclasses.replace(SMALL, horizon=3))
+
+
+@pytest.mark.slow
+def test_a_compiled_step_is_the_same_step(
+    cartpole: SuiteProblem, cartpole_worlds: LearnedWorlds
+) -> None:
+    pool = cartpole_worlds.pool(cartpole.draw(range(2)))
+    plain, fast = (
+        Apg(cartpole_worlds, pool, SMALL, compiled=compiled) for compiled in (False, True)
+    )
+    for step in range(2):
+        first, second = (training.step(0.1 * step) for training in (plain, fast))
+        assert torch.allclose(first, second, atol=1e-5)
+    assert torch.allclose(plain.optimizer.values, fast.optimizer.values, atol=1e-5)
