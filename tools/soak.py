@@ -1,12 +1,12 @@
 """Loads, steps and closes backends many times over, and records the memory that stays.
 
 Usage:
-  python tools/soak.py --cycles 20000 --out build/soak.json [--backends mujoco warp learned hybrid]
+  python tools/soak.py --cycles 20000 --out build/soak.json [--backends mujoco warp learned ...]
 
 A cycle loads a scene into a new backend, steps it a few times and closes it. Resident memory is
 read after every hundredth cycle, when garbage was collected; the slope over the second half of the
-cycles (the first fills caches) says what leaks. `learned` uses a checkpoint of the zoo, `hybrid`
-one that is made for the purpose.
+cycles (the first fills caches) says what leaks. `learned` uses a checkpoint of the zoo, `compiled`
+the same with its step compiled to C, `hybrid` one that is made for the purpose.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import numpy as np
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-BACKENDS = ("mujoco", "warp", "learned", "hybrid")
+BACKENDS = ("mujoco", "warp", "learned", "compiled", "hybrid")
 _EVERY = 100
 
 
@@ -44,7 +44,11 @@ def cycle_of(name: str, folder: Path) -> Callable[[], None]:
     if name == "hybrid":
         source, name = _hybrid(folder)
     scene = orbisim.load_scene(source)
-    config: dict[str, Any] = {"native": False} if name != "mujoco" and ":" in name else {}
+    config: dict[str, Any] = {}
+    if name not in ("mujoco", "warp"):
+        config["native"] = name == "compiled"
+    if name == "compiled":
+        name = "learned"
 
     def cycle() -> None:
         engine = orbisim.make_backend(name, scene, device="cpu", **config)

@@ -21,6 +21,7 @@ from orbisim.diagnosis.fleet_table import Robot, Row, csv_text, rows_of
 from orbisim.diagnosis.run import diagnose
 from orbisim.diagnosis.settings import Settings
 from orbisim.errors import InputError, OrbiSimError
+from orbisim.files.reading import read_json
 from orbisim.files.writing import make_folder, write_json, write_text
 from orbisim.host.cpus import usable_cpus
 from orbisim.host.progress import track
@@ -154,7 +155,7 @@ def work(
     if problem:
         write_json(place / _FAILED, {"problem": problem}, announce=False)
     else:  # last: what has it is done
-        write_json(place / _INPUTS, {"mark": mark}, announce=False)
+        _finish(place, mark)
 
 
 def attempt(
@@ -204,7 +205,7 @@ def _by_ray(
         if problem:
             write_json(place / _FAILED, {"problem": problem}, announce=False)
         else:
-            write_json(place / _INPUTS, {"mark": mark}, announce=False)
+            _finish(place, mark)
         yield None
 
 
@@ -221,12 +222,22 @@ def _mark(scene: Scene, recordings: Sequence[Path], options: Options) -> str:
     return found.hexdigest()
 
 
+def _finish(place: Path, mark: str) -> None:
+    """Says that a robot is done, and by which report."""
+    known = {"mark": mark, "report": _digest(place)}
+    write_json(place / _INPUTS, known, announce=False)
+
+
 def _is_done(place: Path, mark: str) -> bool:
+    """Whether it is, and its report is still what was written."""
     try:
-        known = json.loads((place / _INPUTS).read_text())
-        return bool(known["mark"] == mark and (place / "report.json").is_file())
-    except (OSError, ValueError, KeyError, TypeError):
+        return read_json(place / _INPUTS) == {"mark": mark, "report": _digest(place)}
+    except (OSError, InputError):
         return False
+
+
+def _digest(place: Path) -> str:
+    return hashlib.sha256((place / "report.json").read_bytes()).hexdigest()
 
 
 def _robot(name: str, place: Path) -> Robot:

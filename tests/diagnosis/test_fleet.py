@@ -80,6 +80,19 @@ def test_what_is_done_is_not_done_again(robots: Path, tmp_path: Path, done: list
     assert done == ["b", "c"]  # another seed is another result
 
 
+@pytest.mark.parametrize("name", ["report.json", "inputs.json"])
+@pytest.mark.parametrize("content", [b"", b"[]", b'{"effects": 3}', b"\xff", b"[" * 100_000])
+def test_a_damaged_result_is_made_anew(
+    robots: Path, tmp_path: Path, done: list[str], name: str, content: bytes
+) -> None:
+    diagnose_fleet(SCENE, robots, tmp_path / "out")
+    done.clear()
+    (tmp_path / "out" / "robots" / "b" / name).write_bytes(content)
+    found = diagnose_fleet(SCENE, robots, tmp_path / "out")
+    assert done == ["b"]
+    assert not {one.name: one.problem for one in found.robots}["b"]
+
+
 def test_a_fault_of_ours_is_one_robots(
     robots: Path, tmp_path: Path, done: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,7 +7,6 @@ import logging
 import pickle
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pyarrow
@@ -259,10 +258,10 @@ def test_a_million_rows(tmp_path, suffix):
         np.arange(1e6) * 1e-3,
         {"qpos/a": rng.standard_normal(1_000_000), "xpos/b": rng.standard_normal((1_000_000, 3))},
     )
-    started = time.monotonic()
+    watch = Stopwatch()
     recording.save(tmp_path / f"a{suffix}")
     assert Recording.load(tmp_path / f"a{suffix}") == recording
-    assert time.monotonic() - started < 30
+    assert watch.seconds < 30
 
 
 def test_header_is_plain_json(tmp_path):
@@ -312,6 +311,17 @@ def test_a_table_with_very_many_columns_is_read_in_time(tmp_path):
     with pytest.raises(RecordingError, match="stands in two columns"):
         Recording.load(tmp_path / "a.csv")
     assert watch.seconds < 20.0  # it was minutes
+
+
+def test_a_table_of_zeros_without_end_is_refused(tmp_path):
+    """A few kilobytes that stand for gigabytes of numbers."""
+    rows = 40_000_000
+    zeros = pyarrow.array(np.zeros(rows, np.int8)).dictionary_encode().cast(pyarrow.int8())
+    table = pyarrow.table({"time": zeros, "qpos/a": zeros, "qpos/b": zeros, "qpos/c": zeros})
+    pyarrow.parquet.write_table(table, tmp_path / "a.parquet", compression="gzip")
+    assert (tmp_path / "a.parquet").stat().st_size < 2**20
+    with pytest.raises(RecordingError, match="out of proportion"):
+        Recording.load(tmp_path / "a.parquet")
 
 
 def test_a_component_that_is_no_number_is_named(tmp_path):

@@ -9,7 +9,8 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from orbisim.errors import InputError
+from orbisim.errors import InputError, OutputError
+from orbisim.report import video
 from orbisim.report.video import data_uri, difference, frames_of, side_by_side, write_video
 from orbisim.scene import Scene
 from orbisim.state import State
@@ -39,6 +40,19 @@ def test_a_page_holds_the_same_video(tmp_path: Path) -> None:
 def test_where_no_file_can_be(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"gone/v\.mp4: cannot be written"):
         write_video(tmp_path / "gone" / "v.mp4", grey(1), 10)
+
+
+def test_half_a_video_is_never_under_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(path: Path, *_: object, **__: object) -> None:
+        Path(path).write_bytes(b"half")
+        raise OSError("ffmpeg died")
+
+    monkeypatch.setattr(video.iio, "imwrite", broken)
+    with pytest.raises(OutputError, match="ffmpeg died"):
+        write_video(tmp_path / "v.mp4", grey(1), 10)
+    assert not list(tmp_path.iterdir())
 
 
 def test_side_by_side() -> None:

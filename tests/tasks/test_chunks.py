@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from orbisim.errors import InputError, OutputError
+from orbisim.files import writing
 from orbisim.tasks import chunks, collect
 from orbisim.tasks.collect import collect as collected
 from orbisim.tasks.orders import Order
@@ -82,6 +83,22 @@ def test_a_damaged_chunk_is_set_aside(tmp_path: Path, caplog: pytest.LogCaptureF
         assert chunks.finished(tmp_path, range(16)) is None
     assert "is damaged; its episodes are collected anew" in caplog.text
     assert found.with_name(found.name + ".damaged").read_bytes() == b"damaged"
+
+
+def test_a_chunk_is_on_the_disk_before_it_has_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Power that fails must not leave a name without its content."""
+    seen: list[list[str]] = []
+
+    def sync(handle: int) -> None:
+        seen.append(sorted(path.name[:12] for path in tmp_path.glob("chunk-*.h5")))
+
+    monkeypatch.setattr(writing.os, "fsync", sync)
+    part = tmp_path / "part"
+    part.write_bytes(b"content")
+    chunks.keep(part, range(16), tmp_path)
+    assert seen == [[], ["chunk-000000"]]  # the file; then the folder with its name
 
 
 def test_a_half_label_does_not_block(tmp_path: Path) -> None:

@@ -30,6 +30,7 @@ from orbisim.view.drawing import Drawing
 from orbisim.view.server import Server
 from orbisim.view.simulation import Simulation
 from orbisim.view.three import packed
+from tests.clock import Stopwatch
 from tests.view.scenes import CLOTH, commands_of, matrix_of, showcase, unpacked
 
 PENDULUM = load_scene(
@@ -154,9 +155,9 @@ def test_keeps_pace_with_the_clock() -> None:
 
 
 def test_as_fast_as_possible() -> None:
-    started = time.perf_counter()
+    watch = Stopwatch()
     state = Live(PENDULUM, duration=30.0, realtime=False).finish()
-    assert time.perf_counter() - started < 15
+    assert watch.seconds < 15
     assert state.time[0] == pytest.approx(30.0)
 
 
