@@ -7,6 +7,7 @@ the recorded controls to its end. The error of a signal is taken over all sample
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import sys
 import types
 from collections.abc import Mapping, Sequence
@@ -225,8 +226,8 @@ def _finite(value: float) -> float | None:
 class _Callable(types.ModuleType):
     """`orbisim.replay` is the function, also after this module has been imported."""
 
-    def __call__(self, *args: Any, **kwargs: Any) -> Replay:
-        return replay(*args, **kwargs)
+    __call__ = staticmethod(replay)
 
 
 sys.modules[__name__].__class__ = _Callable
+__signature__ = inspect.signature(replay)

@@ -254,7 +254,9 @@ def _print(result: Any) -> None:
             ("effect", "target", "reason"),
             [(a.effect, a.target, a.reason) for a in result.alternatives],
         )
-    for text in result.notes:
+    from orbisim.report.notes import merged
+
+    for text in merged(result.notes):
         note(f"note: {text}")
 
 

@@ -77,13 +77,14 @@ def command(
     """
     from orbisim.recording import load_recordings
     from orbisim.replay import replay
+    from orbisim.report.notes import merged
 
     with _held_back():
         loaded = load_recordings(recordings, mapping)
         result = replay(
             scene, loaded, backend=backend, window=window, device=device, velocities=velocities
         )
-    for text in result.notes:
+    for text in merged(result.notes):
         note(f"note: {text}")
     if out is not None:
         note(f"report: {result.report(out)}")

@@ -48,9 +48,14 @@ from orbisim.errors import InputError
     help="What the actuators get.",
 )
 @click.option(
-    "--html", type=click.Path(path_type=Path), help="Write one file that needs no server, and stop."
+    "--html",
+    type=click.Path(path_type=Path),
+    help="Write one file that needs no server, and stop. It plays the trajectory, or with "
+    "--duration, --controls or --backend what is simulated now.",
 )
-@click.option("--duration", type=float, help="Stop after so many seconds. Default: until Ctrl-C.")
+@click.option(
+    "--duration", type=float, help="Stop after so many seconds. Default: until Ctrl-C; of --html 2."
+)
 @click.option("--port", type=int, help="Of the local server. Default: a free one.")
 @click.option("--browser/--no-browser", default=True, help="Whether to open a browser.")
 @device_option
@@ -101,6 +106,8 @@ def command(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         if html is not None:
+            if shown is None and (duration or controls != "zero" or backend != "mujoco"):
+                shown = _simulated(setup, backend, controls, duration or 2.0, seed, device)
             path = save_html(html, setup.scene, shown, **saved)
             if as_json:
                 emit_json({"schema": "orbisim.view/1", "scene": scene, "file": str(path)})
@@ -125,6 +132,21 @@ def command(
             )
     for warning in caught:
         note(f"warning: {warning.message}")
+
+
+def _simulated(
+    setup: Any, backend: str, controls: str, duration: float, seed: int, device: str | None
+) -> Any:
+    """What a saved page plays: the trajectory of a backend, of one world."""
+    import numpy as np
+
+    from orbisim.registry import make_backend
+
+    engine = make_backend(backend, setup.scene, device=None if backend == "mujoco" else device)
+    sequence = setup.controls(duration, engine.timestep, seed)
+    if controls == "zero":
+        sequence = np.zeros_like(sequence)
+    return engine.rollout(setup.initial, sequence)
 
 
 def _is_task(scene: str) -> bool:

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import hashlib
+import platform
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from orbisim import plugins
@@ -24,6 +28,7 @@ from orbisim.recording.joints import Kind, joints
 from orbisim.recording.sensors import sensors
 from orbisim.scene import Scene
 from orbisim.scene.patch import Patch, patch_of
+from orbisim.version import VERSION
 
 SCHEMA = "orbisim.diagnosis/1"
 PATCH = "patch.diff"
@@ -123,6 +128,7 @@ class Diagnosis:
             "no_patch": self.patch.problem or None,
             "rest": None if self.rest is None else self.rest.to_json(),
             "notes": list(self.notes),
+            "origin": self.origin,
         }
         return {key: _strict(value) for key, value in plain.items()}
 
@@ -130,6 +136,21 @@ class Diagnosis:
     def patch(self) -> Patch:
         """What to change in the user's own MJCF files."""
         return patch_of(self.scene, self.augmented_scene)
+
+    @functools.cached_property
+    def origin(self) -> dict[str, Any]:
+        """What the result was made from: versions, and SHA-256 of the recordings' files."""
+        names = [one.source for one in (*self.fit, *self.held_out)]
+        files = dict.fromkeys(_STRETCH.sub("", name) for name in names)
+        return {
+            "versions": {
+                "orbisim": VERSION,
+                "mujoco": mujoco.__version__,
+                "numpy": np.__version__,
+                "python": platform.python_version(),
+            },
+            "sha256": {name: digest for name in files if (digest := _digest(name)) is not None},
+        }
 
     def report(self, path: str | Path) -> Path:
         """Writes the HTML page to `path`; returns it."""
@@ -149,6 +170,18 @@ class Diagnosis:
         write_json(out / "report.json", self.to_json())
         self.report(out / "report.html")
         return out
+
+
+_STRETCH = re.compile(r"\[\S+ s to \S+ s\]$")
+
+
+def _digest(name: str) -> str | None:
+    """SHA-256 of a file; None of what is none (a folder, an episode of a log, a value)."""
+    try:
+        with Path(name).open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except (OSError, ValueError):
+        return None
 
 
 def _strict(value: Any) -> Any:

@@ -139,9 +139,17 @@ class Mirror:
         if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
             raise InputError(
                 f"backend {self.backend.name!r} advances {self.backend.timestep:g} s at a time; "
-                f"{nstep} timesteps of {self._model.opt.timestep:g} s are not a multiple of it"
+                f"{nstep} timesteps of {self._model.opt.timestep:g} s are not a multiple of it; "
+                f"{self._remedy()}"
             )
         return round(ratio)
+
+    def _remedy(self) -> str:
+        """What to call instead, where a whole number of timesteps makes a step of the backend."""
+        steps = self.backend.timestep / float(self._model.opt.timestep)
+        if abs(steps - round(steps)) > 1e-6:
+            return f"load the scene with a timestep that divides {self.backend.timestep:g} s"
+        return f"call physics.step({round(steps)}), or a multiple of that"
 
     def _accept(self, state: State) -> None:
         host = state.numpy()

@@ -8,6 +8,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 from markupsafe import Markup
 
 from orbisim import metrics
@@ -18,6 +19,8 @@ from orbisim.registry import make_renderer
 from orbisim.report import figures, video
 from orbisim.report.page import render_page, si
 from orbisim.scene.descriptor import name_of
+
+Floats = npt.NDArray[np.float64]
 
 _SIZE = {"height": 240, "width": 320}
 """Of a video, pixels: two of them side by side fit a page."""
@@ -107,13 +110,40 @@ def _summary(comparison: Comparison) -> str:
     horizon = si(float(comparison.horizon_s[-1]), "s")
     text = (
         f"After {horizon} the median {group['name'].lower()} error is "
-        f"{group['last']:.2g} {group['unit']}"
+        f"{group['last']:.2g} {_spelled(group['unit'])}"
     )
     if group["rounding"] is not None:
         text += f" (float32 rounding of the initial state alone: {group['rounding']:.2g})"
+        text += f". {_verdict(group['last'], group['rounding'], comparison)}"
+    else:
+        text += "."
     fast, slow = sorted((comparison.a, comparison.b), key=lambda s: -s.steps_per_s)
     ratio = fast.steps_per_s / slow.steps_per_s
-    return f"{text}. Here {fast.backend} is {ratio:.3g} times as fast as {slow.backend}."
+    return f"{text} Here {fast.backend} is {ratio:.3g} times as fast as {slow.backend}."
+
+
+_SAME, _CLOSE = 10.0, 1000.0
+"""Error over rounding up to which two backends are called the same, and close."""
+
+
+def _verdict(error: float, rounding: float, comparison: Comparison) -> str:
+    """What the error means beside that of rounding."""
+    a, b = comparison.a.backend, comparison.b.backend
+    if error == 0:
+        return f"{b} gives exactly what {a} gives."
+    if rounding <= 0:
+        return f"{b} differs from {a}."
+    ratio = error / rounding
+    if ratio <= _SAME:
+        return f"{b} agrees with {a} as well as float32 allows in this scene."
+    if ratio <= _CLOSE:
+        return f"{b} agrees with {a} to {ratio:.2g} times what rounding does in this scene."
+    return f"{b} and {a} differ: {ratio:.2g} times what rounding does in this scene."
+
+
+def _spelled(unit: str) -> str:
+    """A unit that depends on the joint, in words."""
+    return "(rad of joints that turn, m of joints that slide)" if unit == "rad or m" else unit
 
 
 def _speed_note(comparison: Comparison) -> str:
@@ -150,14 +180,30 @@ def _worst_charts(comparison: Comparison) -> list[Markup]:
     names = _qpos_names(model)
     chosen = np.argsort(-spread, kind="stable")[:_MAX_JOINTS]
     charts: list[Markup] = []
+    sides = (comparison.a.backend, comparison.b.backend)
     for index in chosen:
         drawn, axes = figures.figure(height=2.2)
-        axes.plot(time, a[:, index], color=figures.A, label=comparison.a.backend)
-        axes.plot(time, b[:, index], color=figures.B, label=comparison.b.backend, linestyle="--")
-        axes.set(title=f"qpos {names[index]}", xlabel="time (s)")
-        figures.legend(axes)
-        charts.append(figures.to_svg(drawn, f"qpos {names[index]} of both sides over time"))
+        if _identical_to_the_eye(a[:, index], b[:, index]):
+            text = f"qpos {names[index]}: {sides[1]} less {sides[0]}"
+            axes.plot(time, b[:, index] - a[:, index], color=figures.B)
+        else:
+            text = f"qpos {names[index]}"
+            axes.plot(time, a[:, index], color=figures.A, label=sides[0])
+            axes.plot(time, b[:, index], color=figures.B, label=sides[1], linestyle="--")
+            figures.legend(axes)
+        axes.set(title=text, xlabel="time (s)")
+        charts.append(figures.to_svg(drawn, f"{text} over time"))
     return charts
+
+
+def _identical_to_the_eye(a: Floats, b: Floats) -> bool:
+    """Whether two lines in one chart would cover each other: then their difference is drawn."""
+    apart, travel = float(np.abs(b - a).max(initial=0.0)), float(np.ptp(a)) if a.size else 0.0
+    return apart < _LINE_WIDTH * travel
+
+
+_LINE_WIDTH = 0.01
+"""Of a line, as a share of a chart's height."""
 
 
 def _qpos_names(model: mujoco.MjModel) -> list[str]:

@@ -23,6 +23,7 @@ from orbisim.effects.measured import correct
 from orbisim.files.writing import write_text
 from orbisim.recording import Recording, bind
 from orbisim.report import held_out, shape
+from orbisim.report.notes import merged
 from orbisim.report.page import render_page
 from orbisim.report.shape import AFTER, BEFORE, LEARNED, MEASURED, Degree
 
@@ -65,6 +66,8 @@ def write_report(diagnosis: Diagnosis, path: Path) -> Path:
         left_at=worst.name,
         advice=_advice(diagnosis, rows, worst),
         command=_command(diagnosis),
+        notes=merged(diagnosis.notes),
+        origin=diagnosis.origin,
         number=number,
         interval=_interval,
     )

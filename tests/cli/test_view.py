@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from orbisim import view
 from orbisim.cli.main import run
 from orbisim.testing import scenes
 
@@ -40,3 +42,21 @@ def test_view_writes_a_page(capsys: pytest.CaptureFixture[str], scene: str, tmp_
     status, _, err = output(capsys, "view", scene, "--ghost", saved)
     assert status == 2
     assert "--trajectory" in err
+
+
+def test_a_page_plays_what_is_simulated(
+    capsys: pytest.CaptureFixture[str], scene: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("meshcat")
+    shown = []
+    save = view.save_html
+    monkeypatch.setattr(
+        view, "save_html", lambda p, s, t, **o: (shown.append(t), save(p, s, t, **o))[1]
+    )
+    page = str(tmp_path / "page.html")
+    options = ("--controls", "random", "--duration", "0.2")
+    for more in (options, ("--backend", "mujoco")):
+        status, _, err = output(capsys, "view", scene, "--html", page, *more)
+        assert (status, err) == (0, "")
+    assert shown[0].qpos.shape == (1, 40, 2) and np.ptp(shown[0].qpos[0, :, 0]) > 0
+    assert shown[1] is None  # as it is

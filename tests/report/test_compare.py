@@ -7,12 +7,19 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from orbisim import load_scene, make_renderer, metrics
 from orbisim.compare import Comparison, compare
 from orbisim.errors import RenderingUnavailableError
-from orbisim.report.compare import _command, _qpos_names, _summary
+from orbisim.report.compare import (
+    _command,
+    _identical_to_the_eye,
+    _qpos_names,
+    _summary,
+    _verdict,
+)
 from tests.physics.test_switching import Drift
 from tests.test_compare import MIXED
 
@@ -47,6 +54,25 @@ def test_one_sentence_says_how_far_apart(comparison: Comparison) -> None:
     text = _summary(dataclasses.replace(comparison, a=fast, b=slow))
     assert text.startswith("After 200 ms the median joint position error is ")
     assert text.endswith("Here mujoco is 3 times as fast as drift.")
+    assert "(rad of joints that turn, m of joints that slide)" in text
+    assert " drift and mujoco differ: " in text
+
+
+def test_the_verdict_follows_the_ratio(comparison: Comparison) -> None:
+    said = [_verdict(error, 1e-6, comparison) for error in (0.0, 5e-6, 2e-4, 1.0)]
+    assert said == [
+        "drift gives exactly what mujoco gives.",
+        "drift agrees with mujoco as well as float32 allows in this scene.",
+        "drift agrees with mujoco to 2e+02 times what rounding does in this scene.",
+        "drift and mujoco differ: 1e+06 times what rounding does in this scene.",
+    ]
+
+
+def test_lines_that_cover_each_other_are_drawn_as_their_difference() -> None:
+    line = np.linspace(0, 1, 50)
+    assert _identical_to_the_eye(line, line + 1e-3)
+    assert not _identical_to_the_eye(line, line + 0.05)
+    assert not _identical_to_the_eye(np.zeros(5), np.zeros(5) + 1e-9)  # nothing moves but one
 
 
 def test_the_command_repeats_the_comparison(comparison: Comparison) -> None:
