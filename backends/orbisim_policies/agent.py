@@ -21,6 +21,7 @@ from orbisim_policies.evaluate import as_float
 from orbisim_policies.network import Policy
 from orbisim_policies.problem import Moment, Problem, Starts
 from orbisim_policies.problems import make_problem
+from orbisim_policies.zoo import resolved
 
 
 @dataclasses.dataclass
@@ -44,6 +45,7 @@ class Agent:
           InputError: it is damaged, or for another scene.
           SceneError: the scene cannot be read.
         """
+        folder = resolved(folder)
         manifest = read_manifest(folder)
         check_scene(folder, str(manifest.get("scene_hash", "")), load_scene(scene))
         problem = make_problem(str(manifest.get("task")), int(manifest.get("steps", 0)) or None)

@@ -19,6 +19,7 @@ from orbisim_policies.problem import Problem
 from orbisim_policies.problems import make_problem
 from orbisim_policies.push import PushProblem
 from orbisim_policies.run import Run, train_apg, train_clone
+from orbisim_policies.zoo import resolved
 
 _RUN = {
     "time_limit": "limit",
@@ -38,6 +39,8 @@ def train(
     """Trains a policy as the command line says; returns its manifest."""
     problem = make_problem(task, options["episode"])
     run = Run(**{_RUN[name]: value for name, value in options.items() if name in _RUN})
+    if run.start is not None:
+        run = dataclasses.replace(run, start=resolved(run.start))
 
     def report(line: dict[str, Any]) -> None:
         note(sentence(line))
@@ -75,6 +78,7 @@ def evaluate(
     device: str,
 ) -> dict[str, Any]:
     """Evaluates a policy as the command line says."""
+    folder = resolved(folder)
     manifest = read_manifest(folder)
     steps = int(manifest.get("steps", 0)) or None
     problem = make_problem(task or str(manifest.get("task")), steps)

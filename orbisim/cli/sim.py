@@ -44,7 +44,7 @@ from orbisim.files.writing import make_folder
     "--policy",
     type=click.Path(path_type=Path),
     default=None,
-    help="Folder of a policy that acts (orbisim train policy).",
+    help="Policy that acts: a folder (orbisim train policy), or a name of the zoo (push).",
 )
 @click.option("--camera", default="", help="Name or number of a camera. Default: the first.")
 @click.option("--size", default="480x640", show_default=True, help="Height x width of the video.")
