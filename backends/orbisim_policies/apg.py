@@ -62,7 +62,7 @@ class ApgConfig:
 
 
 class Apg:
-    """One training, resumable to the exact step.
+    """The policy gradient of section 3.5, one training, resumable to the exact step.
 
     Args:
       worlds: the learned step.
