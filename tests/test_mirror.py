@@ -60,6 +60,10 @@ SEEN_THROUGH = {
     "orbisim.testing.backend": ("conformance/test_backends.py", "tests that others inherit"),
     "orbisim.testing.reader": ("conformance/test_readers.py", "tests that others inherit"),
     "orbisim.testing.renderer": ("conformance/test_renderers.py", "tests that others inherit"),
+    "orbisim.tasks.mechanisms.families": (
+        "tasks/mechanisms/test_catalogue.py",
+        "every family's instances are scenes, and a hand succeeds with them",
+    ),
     "orbisim.view": ("view", "a page is seen in the browser"),
     "orbisim_mujoco.renderer": ("conformance/test_renderers.py", "images against each other"),
     "orbisim_diffusion": ("backends/diffusion", "parts are seen in the renderer and its training"),

@@ -6,7 +6,7 @@ A package registers its own with the entry point group `orbisim.effects`, or cal
 from __future__ import annotations
 
 from orbisim import plugins
-from orbisim.effects import actuators, bodies, contacts, joints, sensors, unnamed
+from orbisim.effects import actuators, bodies, contacts, joints, mechanisms, sensors, unnamed
 from orbisim.effects.base import Effect
 from orbisim.errors import InputError, UnknownNameError
 
@@ -54,7 +54,9 @@ _BUILT_IN: tuple[type[Effect], ...] = (
 )
 
 _registered: dict[str, Effect] = {cls.name: cls() for cls in _BUILT_IN}
-_unnamed: dict[str, Effect] = {cls.name: cls() for cls in unnamed.UNNAMED}
+_not_sought: dict[str, Effect] = {
+    cls.name: cls() for cls in (*unnamed.UNNAMED, *mechanisms.MECHANISMS)
+}
 
 
 def effect_names() -> tuple[str, ...]:
@@ -81,8 +83,8 @@ def find(name: str) -> Effect:
     Raises:
       UnknownNameError: there is none.
     """
-    if name in _unnamed:
-        return _unnamed[name]
+    if name in _not_sought:
+        return _not_sought[name]
     if name not in _registered:
         if name not in plugins.names(GROUP):
             raise UnknownNameError("effect", name, effect_names())

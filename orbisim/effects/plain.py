@@ -117,6 +117,8 @@ def _law(model: Any, entry: dict[str, Any]) -> tuple[Law, int]:
         if effect == "stribeck_friction":
             return _stribeck(dof, p["coulomb"], p["static"], p["velocity"]), 0
         return _loaded(dof, p["coefficient"], options.get("load", "actuator")), ACCELERATION
+    if effect in ("latch", "detent"):
+        return (_latch if effect == "latch" else _detent)(model, target, p, options), 0
     if effect == "joint_coupling":
         joints = [_id(model, "joint", name) for name in (target, options["other"])]
         by = options.get("by", "torque")
@@ -169,6 +171,32 @@ def _loaded(dof: int, coefficient: float, load: str) -> Law:
         external = data.qfrc_constraint[dof] - data.qfrc_bias[dof]
         carried = data.qfrc_actuator[dof] if load == "actuator" else external
         losses[dof] += coefficient * abs(carried)
+
+    return law
+
+
+def _latch(model: Any, target: str, p: dict[str, float], options: dict[str, str]) -> Law:
+    joint = _id(model, "joint", target)
+    q, dof = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+    other = options.get("other")
+    by = None if other is None else int(model.jnt_qposadr[_id(model, "joint", other)])
+    side = -1.0 if options.get("side") == "below" else 1.0
+
+    def law(model: Any, data: Any, losses: Any) -> None:
+        released = by is not None and side * (data.qpos[by] - p["threshold"]) > 0
+        if abs(data.qpos[q] - p["position"]) <= p["width"] and not released:
+            losses[dof] += p["force"]
+
+    return law
+
+
+def _detent(model: Any, target: str, p: dict[str, float], options: dict[str, str]) -> Law:
+    joint = _id(model, "joint", target)
+    q, dof = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+
+    def law(model: Any, data: Any, losses: Any) -> None:
+        wave = np.sin(2 * np.pi * (data.qpos[q] - p["position"]) / p["pitch"])
+        data.qfrc_applied[dof] -= p["amplitude"] * wave
 
     return law
 

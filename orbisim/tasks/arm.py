@@ -33,6 +33,8 @@ class ArmConfig:
       iterations: for each control step.
       reach: largest translation in one control step, m. turn: largest rotation, rad.
       stride: largest change of a joint target in one control step, rad.
+      posture: share of its way home that each joint goes in each iteration, as far as the end
+        effector stays where it is; without it the elbow of a seven-joint arm drifts.
     """
 
     asset: str
@@ -44,6 +46,7 @@ class ArmConfig:
     reach: float = 0.05
     turn: float = 0.2
     stride: float = 0.25
+    posture: tuple[float, ...] = ()
 
 
 UR5E = ArmConfig("ur5e", joints=6, opening=0.085)
@@ -124,7 +127,12 @@ class ArmController:
         jacobian = self._jacobian[:, : self.config.joints]
         error = np.concatenate([pos - self.pos, rotation_vector(rot @ self.rot.T)])
         normal = jacobian @ jacobian.T + self.config.damping**2 * np.eye(6)
-        self._place(self.target + jacobian.T @ np.linalg.solve(normal, error))
+        change = jacobian.T @ np.linalg.solve(normal, error)
+        if self.config.posture:
+            away = self._home[: self.config.joints] - self.target
+            homeward = np.array(self.config.posture) * away
+            change += homeward - jacobian.T @ np.linalg.solve(normal, jacobian @ homeward)
+        self._place(self.target + change)
         return float(np.abs(error).max())
 
 

@@ -44,7 +44,20 @@ class Hold:
     grip: float | None = None
 
 
-Segment = Move | Hold
+@dataclasses.dataclass(frozen=True, eq=False)
+class Follow:
+    """Go along poses, one for each control step.
+
+    Attributes:
+      pos: [N, 3], m. rot: [N, 3, 3] of the tool. grip: None keeps it.
+    """
+
+    pos: Floats
+    rot: Floats
+    grip: float | None = None
+
+
+Segment = Move | Hold | Follow
 Plan = Iterator[Segment]
 _TURN = 2.0
 """Speed of turning the tool, rad/s."""
@@ -71,6 +84,7 @@ class Director:
         self._pos = arm.pos.copy()
         self._velocity = np.zeros(3)
         self._yaw, self._grip = yaw, grip
+        self._rot = pointing_down(yaw)
         self._segment: Segment | None = None
         self._left = 0
 
@@ -80,10 +94,12 @@ class Director:
             self._next()
         if isinstance(self._segment, Move):
             self._advance(self._segment)
+        elif isinstance(self._segment, Follow):
+            self._follow(self._segment)
         else:
             self._velocity = np.zeros(3)
             self._left -= 1
-        return self._arm.action_to(self._pos, pointing_down(self._yaw), self._grip)
+        return self._arm.action_to(self._pos, self._rot, self._grip)
 
     def _done(self) -> bool:
         if isinstance(self._segment, Move):
@@ -94,7 +110,7 @@ class Director:
 
     def _next(self) -> None:
         self._segment = next(self._plan, Hold(1))
-        self._left = self._segment.steps if isinstance(self._segment, Hold) else 0
+        self._left = _length(self._segment)
         if self._segment.grip is not None:
             self._grip = self._segment.grip
 
@@ -113,6 +129,21 @@ class Director:
         if move.yaw is not None:
             most = _TURN * self._step
             self._yaw += float(np.clip(move.yaw - self._yaw, -most, most))
+            self._rot = pointing_down(self._yaw)
+
+    def _follow(self, path: Follow) -> None:
+        """The next pose of a path."""
+        index = len(path.pos) - self._left
+        self._velocity = (path.pos[index] - self._pos) / self._step
+        self._pos, self._rot = path.pos[index], path.rot[index]
+        self._left -= 1
+
+
+def _length(segment: Segment) -> int:
+    """Control steps of a segment; 0 where they are not known before."""
+    if isinstance(segment, Follow):
+        return len(segment.pos)
+    return segment.steps if isinstance(segment, Hold) else 0
 
 
 def wander(

@@ -10,6 +10,7 @@ from orbisim.episodes import Episodes
 from orbisim.errors import InputError, UnknownNameError
 from orbisim.scene import Scene
 from orbisim.tasks.base import Task
+from orbisim.tasks.domains import MECHANISMS
 
 _TASKS: dict[str, str | type[Task]] = {
     "push": "orbisim.tasks.push:Push",
@@ -23,11 +24,12 @@ _TASKS: dict[str, str | type[Task]] = {
 
 _SUITE = "orbisim.tasks.suite:SuiteTask"
 _SCENE = "orbisim.tasks.scene_task:SceneTask"
+_MECHANISM = "orbisim.tasks.mechanism:MechanismTask"
 
 
 def available() -> tuple[str, ...]:
     """Names of the tasks (of the suite's, see `orbisim.suite.ALL_TASKS`)."""
-    return tuple(sorted(_TASKS))
+    return tuple(sorted([*_TASKS, *(f"mechanism:{family}" for family in MECHANISMS)]))
 
 
 def register(name: str, task: type[Task]) -> None:
@@ -44,7 +46,7 @@ def register(name: str, task: type[Task]) -> None:
 
 
 def make(name: str, **changes: Any) -> Task:
-    """A task by name: `push`, `task:push`, `suite:cheetah-run`; or the path of a scene.
+    """A task by name: `push`, `task:mechanism:door`, `suite:cheetah-run`; or a scene's path.
 
     Args:
       name: its name; what has a suffix, such as `arm.xml`, is a path.
@@ -60,8 +62,11 @@ def make(name: str, **changes: Any) -> Task:
     if Path(name).suffix:
         return _imported(_SCENE)(name, **changes)
     short = rest if prefix == "task" and rest else name
+    kind, _, family = short.partition(":")
+    if kind == "mechanism" and family in MECHANISMS:
+        return _imported(_MECHANISM)(family, **changes)
     if short not in _TASKS:
-        known = [f"task:{n}" for n in _TASKS] if prefix == "task" else list(_TASKS)
+        known = [f"task:{n}" for n in available()] if prefix == "task" else list(available())
         raise UnknownNameError("task", name, [*known, "suite:cheetah-run"])
     found = _TASKS[short]
     task: Task = (_imported(found) if isinstance(found, str) else found)(**changes)

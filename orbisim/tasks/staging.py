@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Callable, Sequence
 
@@ -9,6 +10,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.effects.plain import Step
 from orbisim.physics.mjdata import read_state
 from orbisim.state import State
 from orbisim.tasks.arm import ArmController
@@ -54,6 +56,7 @@ class Script:
       tool: position of the end effector at the start, m. yaw: of the tool, rad.
       grip: at the start, from -1 (open) to 1 (closed).
       plan: makes the motion from the stage.
+      joints: positions of joints after those of the arm and the cubes, rad or m.
     """
 
     cubes: Sequence[Pose]
@@ -61,6 +64,7 @@ class Script:
     plan: Callable[[Stage], Plan]
     yaw: float = 0.0
     grip: float = 1.0
+    joints: tuple[float, ...] = ()
 
 
 def opening_pose(script: Script, arm: ArmController) -> tuple[Floats, Floats]:
@@ -68,7 +72,7 @@ def opening_pose(script: Script, arm: ArmController) -> tuple[Floats, Floats]:
     target = arm.solve(script.tool, script.yaw)
     opening = arm.gripper(script.grip)
     cubes = [pose.qpos for pose in script.cubes]
-    qpos = np.concatenate([target, [opening / 2, opening / 2], *cubes])
+    qpos = np.concatenate([target, [opening / 2, opening / 2], *cubes, script.joints])
     return qpos, np.append(target, opening)
 
 
@@ -76,6 +80,8 @@ def perform(
     model: mujoco.MjModel, script: Script, arm: ArmController, steps: int, control_timestep: float
 ) -> tuple[Rollout, State]:
     """Runs a script for `steps` control steps; also returns the initial state."""
+    model = copy.copy(model)  # effects that the scene carries change fields of it
+    step = Step(model)
     stage = Stage(model)
     stage.data.qpos[:], stage.data.ctrl[:] = opening_pose(script, arm)
     plan = script.plan(stage)  # may move what it begins from
@@ -88,7 +94,7 @@ def perform(
     for _ in range(steps):
         action = director.action()
         data.ctrl[:] = arm.step(action)
-        mujoco.mj_step(model, data, substeps)
+        step(model, data, substeps)
         actions.append(action)
         ctrl.append(data.ctrl.copy())
         qpos.append(data.qpos.copy())

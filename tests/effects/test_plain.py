@@ -51,6 +51,15 @@ INSTANCES = {
     "quadratic_drag": [("ball", {"coefficient": 0.4}, {})],
     "magnus": [("ball", {"coefficient": 0.4}, {})],
 }
+MECHANISMS = {
+    "latch": [
+        ("elbow", {"force": 5.0, "position": -0.7, "width": 0.2, "threshold": 0.6},
+         {"other": "shoulder"}),
+        ("elbow", {"force": 1.0, "position": -0.8, "width": 0.3, "threshold": 0.0}, {}),
+    ],
+    "detent": [("elbow", {"amplitude": 0.5, "pitch": 0.3, "position": 0.1}, {})],
+}  # fmt: skip
+"""No catalogue lists them."""
 NATIVE = {
     "backlash": ("elbow", {"width": 0.02}),
     "joint_flexibility": ("elbow", {"stiffness": 60.0, "damping": 0.1}),
@@ -60,7 +69,7 @@ NATIVE = {
 """With memory; MJCF has them."""
 CASES = {
     f"{effect}, {number}": EffectInstance(effect, *arguments)
-    for effect, some in INSTANCES.items()
+    for effect, some in (INSTANCES | MECHANISMS).items()
     for number, arguments in enumerate(some)
 } | {effect: EffectInstance(effect, *arguments) for effect, arguments in NATIVE.items()}
 

@@ -17,6 +17,7 @@ from orbisim.scene.urdf.inertials import Inferrer, of_body
 from orbisim.scene.urdf.joints import Joints
 from orbisim.scene.urdf.model import WORLD, Inertial, Robot
 from orbisim.scene.urdf.options import UrdfOptions
+from orbisim.scene.urdf.own_extension import apply_extension
 from orbisim.scene.urdf.packages import FileFinder
 from orbisim.scene.urdf.visuals import without_missing_visuals
 
@@ -76,11 +77,13 @@ class _Builder:
         self._actuators.add(self._robot)
         self._joints.finish()
         self._meshes.finish()
+        beyond = apply_extension(self._robot.own_extension, self._spec, self._source)
         return ReadResult(
             self._spec,
             (
                 *self._robot.unsupported,
                 *self._extension.unsupported,
+                *beyond,
                 *self._geoms.unsupported(),
                 *self._joints.unsupported,
                 *self._actuators.unsupported,

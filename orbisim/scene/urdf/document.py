@@ -53,6 +53,7 @@ def read_document(data: bytes | str, source: str) -> Robot:
         transmissions=transmissions,
         root=find_root(links, joints, source),
         extension=root.child("mujoco"),
+        own_extension=root.child("orbisim"),
         unsupported=(*cleaner.unsupported(), *idle),
         warnings=tuple(reader.warnings),
     )

@@ -76,7 +76,7 @@ RULES: Mapping[str, Rule] = {
     "mimic": Rule({"joint": NAME, "multiplier": 1, "offset": 1}, ("joint",)),
 }
 
-HANDLED_ELSEWHERE = {("robot", "mujoco"), ("robot", "transmission")}
+HANDLED_ELSEWHERE = {("robot", "mujoco"), ("robot", "orbisim"), ("robot", "transmission")}
 """Children that other modules read from the tree."""
 
 MANY = {"link", "joint", "visual", "collision"}

@@ -128,6 +128,7 @@ class Robot:
     Attributes:
       root: name of the link without a parent.
       extension: the `<mujoco>` element, MuJoCo's extension of URDF.
+      own_extension: the `<orbisim>` element.
       unsupported: elements that no part of the scene stands for.
     """
 
@@ -137,6 +138,7 @@ class Robot:
     transmissions: tuple[Transmission, ...]
     root: str
     extension: Node | None
+    own_extension: Node | None
     unsupported: tuple[Unsupported, ...]
     warnings: tuple[str, ...]
 
