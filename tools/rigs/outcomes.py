@@ -23,6 +23,7 @@ class Outcome:
 
     Attributes:
       truth: the trial's file. tool, verdict: words. found: effects, the first one first.
+      retuned: number of declared parameters that are said to be off.
       failure: why there is no report. before, after: held-out error. seconds: it took.
     """
 
@@ -30,6 +31,7 @@ class Outcome:
     tool: str
     verdict: str
     found: tuple[dict[str, Any], ...]
+    retuned: int
     failure: str
     before: float
     after: float
@@ -88,6 +90,12 @@ class Outcome:
         return [n for n in self.names if not self.stands_for(n) and not self.allowed(n)]
 
     @property
+    def quiet(self) -> bool:
+        """Nothing is said to be missing or off, but for what is correct about the chain."""
+        said_right = self.verdict == "no_residual" or bool(self.names)
+        return said_right and not self.retuned and all(self.allowed(n) for n in self.names)
+
+    @property
     def wrong(self) -> bool:
         """Something is named, and nothing of it is injected or correct about the chain."""
         return bool(self.needless) and not self.right_any
@@ -130,6 +138,7 @@ def _outcome(truth: dict[str, Any], entry: dict[str, Any]) -> Outcome:
         tool=entry["tool"],
         verdict=str(report.get("verdict", "")),
         found=tuple(report.get("effects", ())),
+        retuned=len(report.get("retuned", ())),
         failure=str(entry["failure"] or ""),
         before=_number(error.get("before")),
         after=_number(error.get("after")),

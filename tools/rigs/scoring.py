@@ -96,22 +96,26 @@ def _names(own: Sequence[Outcome]) -> list[str]:
 
 def _alarms(own: Sequence[Outcome]) -> list[str]:
     """False alarms: findings without a law that are not correct about the chain either, of the
-    diagnoses that have finished."""
-    quiet = [o for o in own if o.kind == "none" and not o.failure]
-    rows = [("all", quiet)]
-    for artefact in sorted({_artefact(o) for o in quiet}):
-        rows.append((artefact, [o for o in quiet if _artefact(o) == artefact]))
+    diagnoses that have finished; and how many of all ended as they must."""
+    every = [o for o in own if o.kind == "none"]
+    rows = [("all", every)]
+    for artefact in sorted({_artefact(o) for o in every}):
+        rows.append((artefact, [o for o in every if _artefact(o) == artefact]))
     lines = [
         "## Without an effect",
         "",
-        "| artefact | false alarms, 95 % bounds (Clopper-Pearson) | verdicts |",
-        "| --- | --- | --- |",
+        "| artefact | false alarms, 95 % bounds (Clopper-Pearson) | `no_residual` or a right sensor "
+        "finding | verdicts |",
+        "| --- | --- | --- | --- |",
     ]
     for name, some in rows:
-        verdicts = Counter(o.verdict or "failed" for o in some)
+        verdicts = Counter(o.verdict or "no answer" for o in some)
         said = ", ".join(f"{v} {n}" for v, n in verdicts.most_common())
-        alarms = share(sum(bool(o.needless) for o in some), len(some), "exact")
-        lines.append(f"| {name} | {alarms} | {said} |")
+        ended = [o for o in some if not o.failure]
+        alarms = share(sum(bool(o.needless) for o in ended), len(ended), "exact")
+        lines.append(
+            f"| {name} | {alarms} | {sum(o.quiet for o in some)} of {len(some)} | {said} |"
+        )
     return [*lines, ""]
 
 
@@ -218,7 +222,9 @@ def _failures(own: Sequence[Outcome]) -> list[str]:
     for o in own:
         t = o.truth
         bad = o.failure or (
-            (o.kind in ("single", "pair") and o.visible and not o.right_first) or o.needless
+            (o.kind in ("single", "pair") and o.visible and not o.right_first)
+            or o.needless
+            or (o.kind == "none" and not o.quiet)
         )
         if not bad:
             continue
@@ -226,6 +232,7 @@ def _failures(own: Sequence[Outcome]) -> list[str]:
             f"{x['effect'] or x['kind']}({x['target']}, {x['size']:.2g})" for x in t["laws"]
         )
         said = ", ".join(f"{e}({x})" for e, x in o.names) or "nothing"
+        said += f" and {o.retuned} declared parameters off" if o.retuned else ""
         where = f"{t['machine']}, {'+'.join(t['artefacts']) or 'white'}, "
         shows = f"shows {t['visibility']:.3g} times, {o.seconds:.0f} s"
         lines.append(

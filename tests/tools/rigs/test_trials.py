@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import sys
 import time
@@ -115,7 +116,7 @@ def outcome(
     }
     numbers = {"p": {"value": 2.1, "ci95": [1.9, 2.3]}}
     effects = tuple({"effect": e, "target": t, "parameters": numbers} for e, t in found)
-    return Outcome(truth, "diagnose", "explained", effects, "", 1.0, 0.1, 3.0)
+    return Outcome(truth, "diagnose", "explained", effects, 0, "", 1.0, 0.1, 3.0)
 
 
 def test_names_are_judged() -> None:
@@ -141,7 +142,15 @@ def test_a_summary_counts_with_bounds() -> None:
     some = [outcome([("a", "x")]), outcome([("d", "x")]), outcome([("d", "x")], "none")]
     text = "\n".join(scoring.summary(some, [o.truth for o in some]))
     assert "right first | 1 of 2, 50 % (9 to 91)" in text
-    assert "| all | 1 of 1, 100 % (3 to 100) | explained 1 |" in text  # a false alarm
+    assert "| all | 1 of 1, 100 % (3 to 100) | 0 of 1 | explained 1 |" in text  # a false alarm
+
+
+def test_without_an_effect_nothing_may_be_off() -> None:
+    late = outcome([("sensor_delay", "x")], "none", ("sensor_delay",))
+    assert late.quiet
+    assert not dataclasses.replace(late, retuned=2).quiet
+    assert dataclasses.replace(outcome([], "none"), verdict="no_residual").quiet
+    assert not outcome([], "none").quiet  # explained by nothing
 
 
 def test_stability_compares_the_same_trials() -> None:
