@@ -104,8 +104,8 @@ def _alarms(own: Sequence[Outcome]) -> list[str]:
     lines = [
         "## Without an effect",
         "",
-        "| artefact | false alarms, 95 % bounds (Clopper-Pearson) | `no_residual` or a right sensor "
-        "finding | verdicts |",
+        "| artefact | false alarms, 95 % bounds (Clopper-Pearson) | silent or right sensor finding "
+        "| verdicts |",
         "| --- | --- | --- | --- |",
     ]
     for name, some in rows:
