@@ -35,8 +35,8 @@ KINDS = ("armature", "frictionloss", "damping", "stiffness")
 __all__ = ["fit", "fitted_scene", "sysid"]
 
 
-class _TimeUp(Exception):
-    """The time for the fit is over."""
+class _Ended(Exception):
+    """The fit is over before its end, with the reason."""
 
 
 def fit(
@@ -86,7 +86,8 @@ def fitted_scene(
 def _optimum(
     parameters: parameter.ParameterDict, sequences: trajectory.ModelSequences, until: float
 ) -> tuple[parameter.ParameterDict, str]:
-    """The fitted parameters, and `fitted`; or the best ones when time is up, and `stopped`."""
+    """The fitted parameters, and `fitted`; or the best ones, and `stopped` when time is up or
+    `diverged` where a simulation did: MuJoCo then begins anew, and sysid refuses its times."""
     best: list[Floats] = []
     try:
         found, _ = optimize.optimize(
@@ -97,19 +98,24 @@ def _optimum(
             max_iters=30,
             iter_callback=lambda trace: best.append(np.ravel(trace[-1].candidate)),
         )
-    except _TimeUp:
+    except _Ended as ended:
         found = parameters.copy()
         if best:
             found.update_from_vector(best[-1])
-        return found, "stopped"
+        return found, str(ended)
     return found, "fitted"
 
 
 def _until(function: Callable[..., Any], until: float) -> Callable[..., Any]:
     def timed(*args: Any, **kwargs: Any) -> Any:
         if time.perf_counter() > until:
-            raise _TimeUp
-        return function(*args, **kwargs)
+            raise _Ended("stopped")
+        try:
+            return function(*args, **kwargs)
+        except ValueError as error:
+            if "strictly increasing" not in str(error):
+                raise
+            raise _Ended("diverged") from error
 
     return timed
 
