@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -22,7 +23,7 @@ from orbisim.files.writing import make_folder, output_errors, write_bytes, writi
 from orbisim.tasks.sampling import episode_seed
 from orbisim.version import VERSION
 from orbisim_policies.apg import Apg, ApgConfig
-from orbisim_policies.checkpoint import MANIFEST, load_policy, save_policy
+from orbisim_policies.checkpoint import MANIFEST, load_policy, read_manifest, save_policy
 from orbisim_policies.cloning import CloneConfig, Cloning
 from orbisim_policies.demonstrations import Demonstrations, demonstrate
 from orbisim_policies.evaluate import in_mujoco, starts_of, summary
@@ -45,7 +46,8 @@ class Run:
       seed: of everything random. device: where to compute.
       starts: how many episodes' beginnings there are to draw from.
       demonstrations: episodes to imitate.
-      check: episodes of each live estimate in MuJoCo; 0 for none. check_every: seconds.
+      check: episodes of each live estimate in MuJoCo, by which the policy that is kept is chosen; 0
+        for none. check_every: seconds.
       save_every: seconds between saves. log_every: iterations between lines of metrics.
       resume: go on with what stands in `out`. start: folder of a policy to begin with.
       graph: CUDA graphs. compiled: torch compiles a control step (apg).
@@ -188,6 +190,7 @@ def _train(
         _resume(trainer, clock, run, notes)
         begin_metrics(run.out / METRICS, clock.done)
         rows: list[Tensor] = []
+        keeper = _Keeper(problem, run, notes)
         saved = checked = time.monotonic()
         while clock.progress < 1.0:
             rows.append(trainer.step(clock.progress).reshape(-1))
@@ -196,27 +199,69 @@ def _train(
             if clock.done % run.log_every == 0:
                 checks = {}
                 if run.check and now - checked > run.check_every:
-                    checks, checked = _checked(trainer.chosen, problem, run), time.monotonic()
+                    checks, checked = keeper.check(trainer.chosen, clock), time.monotonic()
                 _log(rows, names, clock, run, checks, report)
             if now - saved > run.save_every:
-                _save(trainer, clock, problem, run, notes, False)
+                _save(trainer, clock, keeper, False)
                 saved = time.monotonic()
-        checks = _checked(trainer.chosen, problem, run) if run.check else {}
+        checks = keeper.check(trainer.chosen, clock) if run.check else {}
         _log(rows, names, clock, run, checks, report)
-        manifest = _save(trainer, clock, problem, run, notes, True)
+        manifest = _save(trainer, clock, keeper, True)
         draw_curves(run.out)
     return manifest
 
 
-def _checked(policy: Policy, problem: Problem, run: Run) -> dict[str, Any]:
-    """A live estimate: success and reward in MuJoCo over a few episodes, the same each time."""
-    starts = starts_of(problem, run.check, run.seed, "checks")
-    copied = Policy(problem.observations, problem.actions, policy.config)
-    copied.load_state_dict({name: t.detach().cpu() for name, t in policy.state_dict().items()})
-    found = summary(problem, starts, *in_mujoco(problem, copied, starts, run.nthread)[:2])
-    shares = {f"success_{name}": row["share"] for name, row in found["success"].items()}
-    means = {f"true_{name}": row["mean"] for name, row in found["reward"].items()}
-    return {**shares, **means}
+class _Keeper:
+    """Which policy stands in the folder: the best so far by its live estimates in MuJoCo.
+
+    Without estimates it is the one that the training chooses itself.
+    """
+
+    def __init__(self, problem: Problem, run: Run, notes: dict[str, Any]) -> None:
+        self.problem, self.run, self.notes = problem, run, notes
+        self.best, self.steps, self.at = -math.inf, 0, 0
+        if run.resume and (run.out / MANIFEST).exists():
+            known = read_manifest(run.out).get("check", {})
+            self.best, self.steps = known.get("reward", -math.inf), known.get("true_steps", 0)
+            self.at = known.get("step", 0)
+
+    def check(self, policy: Policy, clock: Clock) -> dict[str, Any]:
+        """A live estimate: success and reward over a few episodes, the same each time."""
+        problem, run = self.problem, self.run
+        starts = starts_of(problem, run.check, run.seed, "checks")
+        copied = Policy(problem.observations, problem.actions, policy.config)
+        copied.load_state_dict({n: t.detach().cpu() for n, t in policy.state_dict().items()})
+        found = summary(problem, starts, *in_mujoco(problem, copied, starts, run.nthread)[:2])
+        self.steps += run.check * problem.steps
+        shares = {f"success_{name}": row["share"] for name, row in found["success"].items()}
+        means = {f"true_{name}": row["mean"] for name, row in found["reward"].items()}
+        if sum(means.values()) > self.best:
+            self.best, self.at = sum(means.values()), clock.done
+            self.write(copied, clock, False)
+        return {**shares, **means}
+
+    def write(self, policy: Policy, clock: Clock, finished: bool) -> dict[str, Any]:
+        """Writes the policy; returns its manifest."""
+        manifest = self.manifest(clock, finished)
+        save_policy(self.run.out, policy, self.problem, manifest)
+        return manifest
+
+    def manifest(self, clock: Clock, finished: bool) -> dict[str, Any]:
+        """What is known of a policy at this time."""
+        run, device = self.run, torch.device(self.run.device)
+        check = {"episodes": run.check, "true_steps": self.steps}
+        return {
+            **self.notes,
+            "check": {**check, **({"reward": self.best, "step": self.at} if self.steps else {})},
+            "training": {
+                "seed": run.seed,
+                "step": clock.done,
+                "seconds": round(clock.elapsed, 1),
+                "device": torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
+                "finished": finished,
+            },
+            "versions": {"torch": torch.__version__, "orbisim": VERSION},
+        }
 
 
 def _log(
@@ -277,23 +322,18 @@ def _resume(trainer: Trainer, clock: Clock, run: Run, notes: dict[str, Any]) -> 
     clock.done, clock.spent = known["step"], known["seconds"]
 
 
-def _save(
-    trainer: Trainer,
-    clock: Clock,
-    problem: Problem,
-    run: Run,
-    notes: dict[str, Any],
-    finished: bool,
-) -> dict[str, Any]:
+def _save(trainer: Trainer, clock: Clock, keeper: _Keeper, finished: bool) -> dict[str, Any]:
+    """Writes what is needed to go on, and the policy unless a better one stands there."""
+    run = keeper.run
     where = {"seed": run.seed, "step": clock.done, "seconds": clock.elapsed}
-    save_progress(run.out, trainer.state(), {"config": notes, **where})
-    device = torch.device(run.device)
-    name = torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu"
-    training = {**where, "seconds": round(clock.elapsed, 1), "device": name, "finished": finished}
-    versions = {"torch": torch.__version__, "orbisim": VERSION}
-    manifest = {**notes, "training": training, "versions": versions}
-    save_policy(run.out, trainer.chosen, problem, manifest)
-    return {"task": problem.name, **manifest}
+    save_progress(run.out, trainer.state(), {"config": keeper.notes, **where})
+    if not run.check or keeper.best == -math.inf:
+        manifest = keeper.write(trainer.chosen, clock, finished)
+    else:
+        manifest = keeper.manifest(clock, finished)
+        kept = load_policy(run.out, keeper.problem)
+        save_policy(run.out, kept, keeper.problem, manifest)
+    return {"task": keeper.problem.name, **manifest}
 
 
 def _true_steps(worlds: LearnedWorlds) -> int:

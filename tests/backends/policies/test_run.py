@@ -82,3 +82,27 @@ def test_a_training_without_a_finite_number_ends_with_an_error(
     with pytest.raises(OrbiSimError, match="diverged"):
         train_apg(cartpole, SMALL, job(tmp_path / "p"))
     assert running.METRICS in {p.name for p in (tmp_path / "p").iterdir()}
+
+
+def test_the_policy_with_the_best_estimate_is_kept(
+    cartpole: SuiteProblem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = running.summary
+    values = iter([0.3, 0.5, 0.1])
+
+    def rated(*arguments: object) -> object:
+        known = found(*arguments)  # type: ignore[arg-type]
+        known["reward"]["return"]["mean"] = next(values)
+        return known
+
+    monkeypatch.setattr(running, "summary", rated)
+    lines: list[dict[str, object]] = []
+    job_of = job(tmp_path / "p", steps=2, check=2, check_every=0.0)
+    manifest = train_apg(cartpole, SMALL, job_of, report=lines.append)
+    assert [line["true_return"] for line in lines if "true_return" in line] == [0.3, 0.5, 0.1]
+    check = {"episodes": 2, "true_steps": 48, "reward": 0.5, "step": 2}
+    assert manifest["check"] == check
+    kept = load_policy(tmp_path / "p", cartpole)
+    other = train_apg(cartpole, SMALL, job(tmp_path / "q", steps=2, limit=None))
+    last = load_policy(tmp_path / "q", cartpole)
+    assert other["check"]["true_steps"] == 0 and kept.config == last.config
