@@ -10,6 +10,7 @@ from orbisim.scene.reading import ReadResult
 from orbisim.scene.usd.actuators import ActuatorBuilder
 from orbisim.scene.usd.assets import MaterialAssets, MeshAssets
 from orbisim.scene.usd.bodies import Bodies
+from orbisim.scene.usd.carried import add_carried
 from orbisim.scene.usd.context import Context
 from orbisim.scene.usd.equalities import add_equalities, close_loop
 from orbisim.scene.usd.filters import FilterReader
@@ -104,6 +105,7 @@ class _SpecBuilder:
         if actuators.driven:
             prefer_implicit(self._context, self._spec)
         self._exclude()
+        add_carried(self._context, self._spec)
         add_native_keys(self._context, self._spec)
         add_start(self._context, self._registry, self._bodies, self._forest, actuators)
         return self._spec
