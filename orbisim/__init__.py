@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from orbisim.diagnosis import Diagnosis as Diagnosis
     from orbisim.diagnosis import diagnose as diagnose
     from orbisim.errors import OrbiSimError as OrbiSimError
+    from orbisim.identification import identify as identify
     from orbisim.physics import Physics as Physics
     from orbisim.physics import hybrid as hybrid
     from orbisim.recording import Recording as Recording
@@ -61,6 +62,7 @@ _HOMES = {
     "make_renderer": "orbisim.registry",
     "register_backend": "orbisim.registry",
     "register_renderer": "orbisim.registry",
+    "identify": "orbisim.identification",
     "replay": "orbisim.replay",
     "Scene": "orbisim.scene",
     "SceneDescriptor": "orbisim.scene",

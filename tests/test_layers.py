@@ -41,7 +41,7 @@ LAYERS = (
     {"freerun"},
     {"scores"},
     {"replay", "compare", "tasks", "view"},
-    {"diagnosis", "vector"},
+    {"diagnosis", "identification", "vector"},
     # what shows results
     {"report", "testing"},
     {"cli"},

@@ -24,6 +24,14 @@ SEEN_THROUGH = {
     "orbisim.diagnosis": ("diagnosis", "stages are seen in the verdict that they lead to"),
     "orbisim.freerun.jobs": ("freerun", "a value that is handed to a worker"),
     "orbisim.host.children": ("files/test_locking.py", "processes that end with their parent"),
+    "orbisim.identification.classical": (
+        "identification/test_init.py",
+        "what mujoco.sysid finds of a recording",
+    ),
+    "orbisim.identification.learned": (
+        "identification/test_init.py",
+        "what gradients find of a recording",
+    ),
     "orbisim.recording": ("recording", "stages of binding are seen in the bound recording"),
     "orbisim.report.diagnosis": ("report/test_names.py", "a page needs a diagnosis"),
     "orbisim.scene.safety.problem": (

@@ -99,6 +99,12 @@ _CONTACTS = (
     *_HOLDS,
 )
 """The same data and stages, with contacts from known geometry."""
+_CLIPS = (
+    *_CONTACTS[:-1],
+    ("train.rate", 7e-4),
+    ("train.stages", "0.55x8x2048arf,0.45x16x2048arf"),
+)
+"""After that, with `tools/collect_clips.py`: many short ones around contacts."""
 _TAIL = (
     ("model.rest", True),
     ("train.rate", 2e-4),
@@ -126,6 +132,9 @@ ABLATIONS = (
 JOBS: dict[str, Job] = {
     "push": Job(("push", "push_hold"), settings=_HOLDS, weight=6.0),
     "push_contacts": Job(("push", "push_hold"), settings=_CONTACTS, weight=6.0),
+    "push_clips": Job(
+        ("push", "push_hold", "push_clips"), settings=_CLIPS, weight=6.0, start="push_contacts"
+    ),
     "push_tail": Job(
         ("push", "push_hold", "push_more", "push_long"), settings=_TAIL, weight=6.0, start="push"
     ),

@@ -200,6 +200,11 @@ class LearnedBackend(Backend):
         return None if width is None else like(width, result.qpos)
 
     @property
+    def surface(self) -> str:
+        """The geom whose friction is the world setting `friction_slide`; empty if there is none."""
+        return self.engine.layout.surface
+
+    @property
     def entity_names(self) -> tuple[str, ...]:
         """`robot`, if there is one, and the objects."""
         return self.engine.guard.names

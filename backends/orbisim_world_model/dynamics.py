@@ -33,6 +33,11 @@ _NETWORKS: dict[str, Any] = {
 }
 
 
+_LEAST = 1e-3
+"""Least scale of what is seen of contacts, all of order 1 (or m): a direction that never varies in
+the data but by rounding is not blown up."""
+
+
 class Step(NamedTuple):
     """What one step gives.
 
@@ -346,6 +351,8 @@ def fit_together(models: list[Dynamics], transitions: list[Transitions]) -> None
             values = torch.cat([v.reshape(-1, v.shape[-1]) for v, _ in parts])
             weights = [v.new_ones(v.shape[:-1]) if w is None else w for v, w in parts]
             getattr(lead, name).fit(values, torch.cat([w.reshape(-1) for w in weights]))
+    if lead.contacts is not None:
+        lead.see_edges.std.clamp_(min=_LEAST)
     if lead.config.residual:
         _share(lead.object_scale.std, ((0, 3), (3, 7), (7, 10), (10, 13)))
 

@@ -17,6 +17,7 @@ COMMANDS = {
     "compare": "run the same episodes through two backends and report the differences",
     "replay": "free-running simulation against a recording",
     "diagnose": "find the physical effect that a scene lacks, from recordings",
+    "identify": "system identification: descriptors of a scene from recordings",
     "recording": "what a log holds; a first mapping file",
     "collect": "collect episodes of a task for training",
     "train": "train a learned model",

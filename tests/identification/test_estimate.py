@@ -1,0 +1,58 @@
+"""Least squares with intervals, on problems whose answer is known."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from orbisim.identification.estimate import PRIOR, estimate
+
+BOUNDS = torch.tensor([1e-3, 1e-3, 1e-3]), torch.tensor([1e3, 1e3, 1e3])
+TIME = torch.linspace(0.1, 2.0, 10, dtype=torch.float64)
+
+
+def _decay(values: Tensor) -> Tensor:
+    """Amplitude, rate, and a third that nothing depends on: [W, 10]."""
+    return values[:, :1] * torch.exp(-values[:, 1:2] * TIME)
+
+
+def test_many_problems_at_once() -> None:
+    generator = torch.Generator().manual_seed(0)
+    truth = torch.exp(torch.randn(40, 3, generator=generator, dtype=torch.float64) * 0.5)
+    group = torch.arange(40).repeat_interleave(8)
+    noise = 0.05 * torch.randn(320, 1, generator=generator, dtype=torch.float64)
+    seen = _decay(truth[group]) * (1 + noise)
+    found = estimate(
+        lambda v: (_decay(v) - seen) / 0.05, torch.ones(40, 3).double(), BOUNDS, group, 25, 10
+    )
+    error = (found.values / truth - 1)[:, :2].abs()
+    assert error.median() < 0.03
+    inside = ((found.low <= truth) & (truth <= found.high))[:, 0].double().mean()
+    assert 0.85 <= inside <= 1.0  # of an amplitude whose errors are those of whole windows
+    assert (found.cost[:, -1] <= found.cost[:, 0]).all()
+    # the third stays, as uncertain as the prior says
+    torch.testing.assert_close(found.values[:, 2], torch.ones(40).double(), atol=1e-6, rtol=0)
+    assert (found.high[:, 2] > 1.9 * math.log(PRIOR)).all()
+
+
+def test_one_window_far_off_is_not_believed() -> None:
+    truth = torch.tensor([[2.0, 1.0, 1.0]], dtype=torch.float64)
+    group = torch.zeros(9, dtype=torch.long)
+    seen = _decay(truth[group])
+    seen[4] += 50.0
+    found = estimate(
+        lambda v: (_decay(v) - seen) / 0.05, torch.ones(1, 3).double(), BOUNDS, group, 25, 10
+    )
+    assert abs(float(found.values[0, 0]) - 2.0) < 0.02
+
+
+def test_values_stay_within_bounds() -> None:
+    group = torch.zeros(4, dtype=torch.long)
+    low, high = torch.tensor([0.5, 0.5, 0.5]), torch.tensor([1.5, 1.5, 1.5])
+    seen = _decay(torch.full((4, 3), 3.0).double())
+    found = estimate(
+        lambda v: (_decay(v) - seen) / 0.01, torch.ones(1, 3).double(), (low, high), group
+    )
+    assert float(found.values.max()) <= 1.5 + 1e-6 and float(found.values.min()) >= 0.5 - 1e-6
