@@ -1,5 +1,5 @@
-"""`make demo`: two backends on two scenes, and an arm whose scene lacks something: a table and a
-report for each."""
+"""`make demo`: two backends on two scenes, an arm whose scene lacks something, and a pushed cube as
+MuJoCo and as the diffusion renderer show it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,14 @@ import sys
 import time
 from pathlib import Path
 
+import imageio.v3 as iio
+import numpy as np
+
+from orbisim import make_renderer
 from orbisim.cli.main import run
+from orbisim.report.video import difference
+from orbisim.state import State
+from orbisim.tasks.registry import make
 
 OUT = Path("out/demo")
 ARM = Path("mjcf_assets/arm2")
@@ -32,10 +39,29 @@ def main() -> int:
     print()
     if status:
         return status
+    strip(OUT / "vision.png")
     print(f"Done in {time.monotonic() - started:.0f} s. Open in a browser:")
     for name in (*(scene.partition(":")[2] for scene in SCENES), "diagnosis"):
         print(f"  {(OUT / name / 'report.html').resolve()}")
+    print(f"  {(OUT / 'vision.png').resolve()} (MuJoCo, diffusion, difference)")
     return 0
+
+
+def strip(path: Path) -> None:
+    """An episode of pushing at five times: MuJoCo above, the diffusion renderer, the difference."""
+    task = make("push")
+    episode = task.episode("to_hit", 7)
+    scene, rows = task.scene("to_hit", 7), []
+    states = []
+    for t in range(0, episode.steps, episode.steps // 5):
+        time_, qpos, qvel, act = (episode.arrays[n][t] for n in ("time", "qpos", "qvel", "act"))
+        states.append(State(time_[None], qpos[None], qvel[None], act[None]))
+    for name in ("mujoco", "diffusion"):
+        renderer = make_renderer(name, scene)
+        rows.append([renderer.render(s, camera="side", height=128, width=128) for s in states])
+        renderer.close()
+    rows.append(list(difference(*rows)))
+    iio.imwrite(path, np.concatenate([np.concatenate(row, axis=1) for row in rows]))
 
 
 if __name__ == "__main__":

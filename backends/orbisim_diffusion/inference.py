@@ -3,20 +3,35 @@
 from __future__ import annotations
 
 import itertools
+import math
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from orbisim.scene.visible import ROBOT
+from orbisim_diffusion.blocks import (
+    Attention,
+    ResidualBlock,
+    as_image,
+    as_sequence,
+    conv,
+    norm,
+)
 from orbisim_diffusion.config import PATCH
-from orbisim_diffusion.solids import Solids, matrices
+from orbisim_diffusion.solids import Solids, View, matrices, project, rays
 from orbisim_diffusion.store import Store
 from orbisim_diffusion.symmetry import angle, rotation_error
 
 OBJECTS, JOINTS = 4, 9
 """Most objects and joints; the tasks have up to four cubes, a Panda with its fingers has nine."""
-_WIDTH, _HEADS, _ENCODER, _DECODER = 128, 4, 3, 2
+_WIDTH, _FINE, _HEADS, _BLOCKS = 96, 48, 4, 4
+_FINER = 2
+"""Cells along a latent's side."""
+_THRESHOLD = -0.85
+"""Logit from which on a peak is an object (0.3)."""
+_HEIGHT, _FARTHEST = 0.025, 3.0
+"""Where a cell looks: at this height above the table, m, and not farther than so many depths."""
 _ORIGIN = (0.5, 0.0, 0.1)
 _ROBOT = 3 + 6 + 2 * JOINTS
 _OBJECT = 1 + 3 + 6 + 3 + 3
@@ -42,55 +57,105 @@ class Inferred(NamedTuple):
     colour: Tensor
 
 
+class Dense(NamedTuple):
+    """What the network answers.
+
+    Attributes:
+      robot: [B, R] of `_robot_of`. grid: [B, 16, h, w] at the cells of a grid of four pixels:
+        logit of an object's centre being there, and that object's place (from the cell's `base`),
+        orientation, size and colour.
+    """
+
+    robot: Tensor
+    grid: Tensor
+
+
 class StateInference(nn.Module):
     """StaInf (paper, appendix B.3): a light head on the frozen encoder's latents.
 
-    A transformer over the latents, and a query for the robot and for each object.
+    Convolutions and attention over the latents; the robot is read off all of them, each object off
+    the cell that its centre is seen in (as detectors do, Zhou et al. 2019, "Objects as Points"),
+    which needs no matching in training.
 
     Args:
       channels: of a latent. size: height and width of the images, pixels.
     """
 
+    base: Tensor
+
     def __init__(self, channels: int, size: int) -> None:
         super().__init__()
-        places = (size // PATCH) ** 2
-        self.enter = nn.Linear(channels, _WIDTH)
-        self.place = nn.Parameter(0.02 * torch.randn(places, _WIDTH))
-        self.queries = nn.Parameter(torch.randn(1 + OBJECTS, _WIDTH))
-        options = {"dim_feedforward": 4 * _WIDTH, "dropout": 0.0, "activation": "gelu"}
-        self.encoder = nn.TransformerEncoder(
-            nn.TransformerEncoderLayer(
-                _WIDTH, _HEADS, batch_first=True, norm_first=True, **options
-            ),
-            _ENCODER,
-            enable_nested_tensor=False,
+        places = size // PATCH
+        self.cells = _FINER * places
+        self.enter = conv(channels + 2, _WIDTH)
+        self.body = nn.ModuleList(ResidualBlock(_WIDTH, _WIDTH) for _ in range(_BLOCKS))
+        self.attend = nn.ModuleList(Attention(_WIDTH, _HEADS) for _ in range(_BLOCKS // 2))
+        self.grow = nn.Sequential(
+            conv(_WIDTH, _FINE * _FINER**2), nn.PixelShuffle(_FINER), ResidualBlock(_FINE, _FINE)
         )
-        self.decoder = nn.TransformerDecoder(
-            nn.TransformerDecoderLayer(
-                _WIDTH, _HEADS, batch_first=True, norm_first=True, **options
-            ),
-            _DECODER,
-            norm=nn.LayerNorm(_WIDTH),
+        self.object = nn.Sequential(norm(_FINE), nn.SiLU(), nn.Conv2d(_FINE, _OBJECT, 1))
+        narrow = _WIDTH * 2 // 3
+        self.robot = nn.Sequential(
+            norm(_WIDTH),
+            nn.SiLU(),
+            conv(_WIDTH, narrow, stride=2),
+            nn.SiLU(),
+            conv(narrow, narrow, stride=2),
+            nn.SiLU(),
+            nn.Flatten(),
+            nn.Linear(narrow * math.ceil(places / 4) ** 2, 2 * _WIDTH),
+            nn.SiLU(),
+            nn.Linear(2 * _WIDTH, _ROBOT),
         )
-        self.robot, self.object = nn.Linear(_WIDTH, _ROBOT), nn.Linear(_WIDTH, _OBJECT)
+        self.register_buffer("base", torch.zeros(self.cells**2, 3))
+
+    @torch.no_grad()  # type: ignore[untyped-decorator]
+    def look_from(self, view: View) -> None:
+        """Takes the camera of the training data (the first of the views) for where cells look."""
+        ray = rays(view.at(slice(0, 1)), self.cells, self.cells)[0]
+        down = (_HEIGHT - view.pos[0, 2]) / ray[:, 2].clamp_max(-1e-3)
+        self.base.copy_(view.pos[0] + down.clamp(0.0, _FARTHEST)[:, None] * ray)
+
+    def dense(self, latents: Tensor) -> Dense:
+        """Of latents [B, C, h, w] of the frozen encoder."""
+        height, width = latents.shape[-2:]
+        y = torch.linspace(-1, 1, height, device=latents.device)
+        x = torch.linspace(-1, 1, width, device=latents.device)
+        where = torch.stack(torch.meshgrid(y, x, indexing="ij")).expand(len(latents), 2, -1, -1)
+        x = self.enter(torch.cat([latents, where.to(latents.dtype)], dim=1))
+        for number, block in enumerate(self.body):
+            x = block(x)
+            if number % 2:
+                x = as_image(self.attend[number // 2](as_sequence(x)), height, width)
+        return Dense(self.robot(x).float(), self.object(self.grow(x)).float())
 
     def forward(self, latents: Tensor) -> Inferred:
-        """Of latents [B, C, h, w] of the frozen encoder."""
-        memory = self.encoder(self.enter(latents.flatten(2).transpose(1, 2)) + self.place)
-        found = self.decoder(self.queries.expand(len(latents), -1, -1), memory).float()
-        robot, each = self.robot(found[:, 0]).float(), self.object(found[:, 1:]).float()
-        origin = robot.new_tensor(_ORIGIN)
-        sine, cosine = robot[:, 9 : 9 + JOINTS], robot[:, 9 + JOINTS :]
-        return Inferred(
-            hand_pos=origin + 0.3 * robot[:, :3],
-            hand_rot=_rotation(robot[:, 3:9]),
-            joints=torch.atan2(sine, cosine),
-            present=each[..., 0],
-            pos=origin + 0.3 * each[..., 1:4],
-            rot=_rotation(each[..., 4:10]),
-            size=0.025 * each[..., 10:13].clamp(-4, 4).exp(),
-            colour=each[..., 13:16].sigmoid(),
-        )
+        """What is seen: robot, and the objects at the highest peaks of the grid."""
+        found = self.dense(latents)
+        score = found.grid[:, 0]
+        peak = nn.functional.max_pool2d(score[:, None], 3, 1, 1)[:, 0]
+        score = torch.where(score == peak, score, -20.0).flatten(1)
+        best, cell = score.topk(OBJECTS, dim=1)
+        return _inferred(self, found, best - _THRESHOLD, cell)
+
+
+def _inferred(model: StateInference, found: Dense, present: Tensor, cell: Tensor) -> Inferred:
+    """The robot, and the objects of cells [B, N]."""
+    index = cell[:, None].expand(-1, _OBJECT, -1)
+    each = found.grid.flatten(2).gather(2, index).transpose(1, 2)  # [B, N, 16]
+    robot = found.robot
+    origin = robot.new_tensor(_ORIGIN)
+    sine, cosine = robot[:, 9 : 9 + JOINTS], robot[:, 9 + JOINTS :]
+    return Inferred(
+        hand_pos=origin + 0.3 * robot[:, :3],
+        hand_rot=_rotation(robot[:, 3:9]),
+        joints=torch.atan2(sine, cosine),
+        present=present,
+        pos=model.base[cell] + 0.1 * each[..., 1:4],
+        rot=_rotation(each[..., 4:10]),
+        size=0.025 * each[..., 10:13].clamp(-4, 4).exp(),
+        colour=each[..., 13:16].sigmoid(),
+    )
 
 
 class Truth(NamedTuple):
@@ -152,23 +217,54 @@ def objects_of(solids: Solids) -> Solids:
     return Solids(*(field[rows, order[:, :OBJECTS]] for field in solids))
 
 
-def inference_loss(found: Inferred, true: Truth) -> Tensor:
-    """Errors of robot and objects, each object compared with the one that it fits best.
+def inference_loss(model: StateInference, found: Dense, true: Truth, view: View) -> Tensor:
+    """Errors of robot and objects, each object read off the cell that its centre is seen in.
 
-    Positions in units of 2 cm, sizes of 10 %, colours of 0.1, joints of 0.1 rad.
+    Positions in units of 2 cm, sizes of 10 %, colours of 0.1, joints of 0.1 rad. Objects whose
+    centre is outside the image do not count.
+
+    Args:
+      model: StaInf. found: what it answers. true: the truth. view: the cameras of the frames.
     """
-    hand = _smooth((found.hand_pos - true.hand_pos) / 0.02).mean()
-    turn = (found.hand_rot - true.hand_rot).square().sum((-1, -2)).mean()
-    joints = (_smooth((found.joints - true.joints) / 0.1) * true.jointed).mean()
-    chosen = matched(found, true)
-    there = true.there
-    count = there.sum().clamp_min(1)
-    present = nn.functional.binary_cross_entropy_with_logits(chosen.present, there.float())
-    pos = (_smooth((chosen.pos - true.pos) / 0.02).mean(-1) * there).sum() / count
-    size = (_smooth(_log_ratio(chosen.size, true.size) / 0.1).mean(-1) * there).sum() / count
-    colour = (_smooth((chosen.colour - true.colour) / 0.1).mean(-1) * there).sum() / count
-    rot = _of(rotation_error(chosen.rot, true.rot, true.size), there).sum() / count
-    return hand + turn + joints + present + pos + size + colour + rot
+    count, size = model.cells, found.grid.shape[-1]
+    place = project(view, true.pos)[0] + 0.5  # [B, N, 2], 0 to 1 right and down
+    there = true.there & ((place >= 0) & (place < 1)).all(-1)
+    column, row = (place.clamp(0, 1 - 1e-6) * count).long().unbind(-1)
+    read = _inferred(model, found, true.there.float(), row * size + column)
+    hand = _smooth((read.hand_pos - true.hand_pos) / 0.02).mean()
+    turn = (read.hand_rot - true.hand_rot).square().sum((-1, -2)).mean()
+    joints = (_smooth((read.joints - true.joints) / 0.1) * true.jointed).mean()
+    number = there.sum().clamp_min(1)
+
+    def mean(values: Tensor) -> Tensor:
+        return (values * there).sum() / number
+
+    pos = mean(_smooth((read.pos - true.pos) / 0.02).mean(-1))
+    shape = mean(_smooth(_log_ratio(read.size, true.size) / 0.1).mean(-1))
+    colour = mean(_smooth((read.colour - true.colour) / 0.1).mean(-1))
+    rot = _of(rotation_error(read.rot, true.rot, true.size), there).sum() / number
+    peaks = _peak_loss(found.grid[:, 0], place * count - 0.5, row, column, there)
+    return hand + turn + joints + peaks + pos + shape + colour + rot
+
+
+def _peak_loss(score: Tensor, centre: Tensor, row: Tensor, column: Tensor, there: Tensor) -> Tensor:
+    """The focal loss of Zhou et al. 2019, equation 1: cells near a centre count less as wrong.
+
+    Args:
+      score: [B, h, w] logits. centre: [B, N, 2] in cells. row, column: [B, N]. there: [B, N].
+    """
+    height, width = score.shape[-2:]
+    x = torch.arange(width, device=score.device)
+    y = torch.arange(height, device=score.device)[:, None]
+    apart = (x - centre[..., 0, None, None]).square() + (y - centre[..., 1, None, None]).square()
+    near = (torch.exp(-0.5 * apart) * there[..., None, None]).amax(1)  # [B, h, w]
+    hit = torch.zeros_like(near)
+    rows = torch.arange(len(score), device=score.device)[:, None].expand_as(row)
+    hit[rows[there], row[there], column[there]] = 1.0
+    p = score.sigmoid()
+    right = (1 - p).square() * nn.functional.logsigmoid(score) * hit
+    wrong = (1 - near) ** 4 * p.square() * nn.functional.logsigmoid(-score) * (1 - hit)
+    return -(right + wrong).sum() / there.sum().clamp_min(1)
 
 
 def matched(found: Inferred, true: Truth) -> Inferred:

@@ -27,7 +27,8 @@ from orbisim_diffusion.measures import spread
 from orbisim_diffusion.store import Store, load
 from orbisim_diffusion.training import Run, encoded
 
-TRAIN = TrainConfig(batch=512, rate=5e-4, warmup=500)
+TRAIN = TrainConfig(batch=256, rate=1e-3, warmup=200)
+_SAME_VIEW = 1e-3
 _NOISE = 0.1
 """Largest noise on latents in training: images that a model made are not quite true ones."""
 
@@ -91,19 +92,20 @@ def train_inference(
     """Trains StaInf; `store` has latents and a robot in every episode."""
     torch.manual_seed(run.seed)
     model = StateInference(config.autoencoder.channels, config.size).to(store.device)
+    index = alike(store)
+    model.look_from(store.view(index[:1]))
     loop = Loop(model, TRAIN, run.limit, run.progress, run.steps)
     robot, latents = robots(store), store.latents
     assert latents is not None
-    count = len(latents)
-    batch = min(TRAIN.batch, count)
+    batch = min(TRAIN.batch, len(index))
 
     def loss(_: int) -> Tensor:
-        index = torch.randint(count, (batch,), device=store.device)
-        clean = latents[index].float()
+        drawn = index[torch.randint(len(index), (batch,), device=store.device)]
+        clean = latents[drawn].float()
         share = torch.rand(batch, 1, 1, 1, device=store.device) * _NOISE
         with mixed(store.device):
-            found = model(clean + share * torch.randn_like(clean))
-        return inference_loss(found, truth(store, robot, index))
+            found = model.dense(clean + share * torch.randn_like(clean))
+        return inference_loss(model, found, truth(store, robot, drawn), store.view(drawn))
 
     loop.run(loss, report=report, kept=kept)
     average = loop.average
@@ -111,12 +113,20 @@ def train_inference(
     return average, loop
 
 
+def alike(store: Store) -> Tensor:
+    """Numbers of the frames of the first frame's camera: from elsewhere, places look otherwise."""
+    apart = (store.view_pos - store.view_pos[0]).norm(dim=-1)
+    turned = (store.view_rot - store.view_rot[0]).abs().amax((1, 2))
+    return ((apart < _SAME_VIEW) & (turned < _SAME_VIEW)).nonzero()[:, 0]
+
+
 @torch.no_grad()  # type: ignore[untyped-decorator]
 def inference_errors(model: StateInference, store: Store, count: int = 8192) -> dict[str, float]:
     """Errors on frames of a store with latents, spread over it."""
     assert store.latents is not None
     robot, found, true = robots(store), [], []
-    for index in spread(len(store.latents), store.device, count).split(1024):
+    chosen = alike(store)
+    for index in chosen[spread(len(chosen), store.device, count)].split(1024):
         found.append(model(store.latents[index].float()))
         true.append(truth(store, robot, index))
     return errors(
