@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import time
 from collections.abc import Callable, Iterator
+from typing import Any, ClassVar
 
 import numpy.typing as npt
 
 from orbisim.backend import Backend
 from orbisim.errors import InputError, OrbiSimError
-from orbisim.registry import make_backend
+from orbisim.registry import available_backends, make_backend
 from orbisim.scene import Scene
 from orbisim.state import State
 from orbisim.view.drawing import Drawing
-from orbisim.view.options import ViewOptions
+from orbisim.view.options import SOLID, ViewOptions
 from orbisim.view.page import Caption, page
+from orbisim.view.panel import SPEEDS, TOGGLES, Request, panel, request_of, scalar_joints
 from orbisim.view.server import Server, announce
 from orbisim.view.simulation import Pace, Policy, Simulation
 from orbisim.view.stage import stage
@@ -78,11 +81,13 @@ def view_live(
         drawing = Drawing(scene.model, options)
         simulation.place(drawing)
         commands = [*stage(drawing.kinematics, drawing.parts, options), *drawing.create()]
+        offers = panel(scene, drawing, engine.name, available_backends())
         caption = Caption(f"{title or scene.name} ({engine.name})")
-        html = page(commands, caption, options.theme, live=True)
+        html = page(commands, caption, options.theme, live=offers)
         with Server(html, port=port) as server:
             announce(server, on_ready, open_browser)
-            Show(simulation, drawing, server, Pace(fps, realtime)).run(duration)
+            show = Show(scene, simulation, drawing, server, Pace(fps, realtime), caption.title)
+            show.run(duration)
         return simulation.state
 
 
@@ -104,11 +109,21 @@ class Show:
     """Sends a simulation to the pages and does what they ask for."""
 
     def __init__(
-        self, simulation: Simulation, drawing: Drawing, server: Server, pace: Pace
+        self,
+        scene: Scene,
+        simulation: Simulation,
+        drawing: Drawing,
+        server: Server,
+        pace: Pace,
+        title: str,
     ) -> None:
+        self._scene, self._title = scene, title
         self._simulation, self._drawing = simulation, drawing
         self._server, self._pace = server, pace
         self._paused = False
+        self._joints = scalar_joints(scene.model)
+        self._engines: dict[str, Backend] = {}
+        self._name = title.rpartition("(")[2].rstrip(")")
 
     def run(self, duration: float | None) -> None:
         """Runs until `duration`, Ctrl-C, the end of the controls or an error, which pages show."""
@@ -117,8 +132,14 @@ class Show:
         except KeyboardInterrupt:
             pass
         except OrbiSimError as error:
-            self._server.publish(packed({"type": "notice", "text": str(error)}), keep=False)
+            self._tell(str(error))
             raise
+        finally:
+            for engine in self._engines.values():
+                engine.close()
+
+    def _tell(self, text: str) -> None:
+        self._server.publish(packed({"type": "notice", "text": text}), keep=False)
 
     def _run(self, duration: float | None) -> None:
         simulation, pace = self._simulation, self._pace
@@ -130,7 +151,7 @@ class Show:
             if self._paused:
                 time.sleep(pace.frame)
                 continue
-            until = simulation.elapsed + pace.frame
+            until = simulation.elapsed + pace.frame * pace.speed
             going = simulation.advance(until if duration is None else min(until, duration))
             pace.keep(simulation.elapsed)
             if pace.due():
@@ -139,16 +160,93 @@ class Show:
 
     def _obey(self) -> None:
         while not self._server.requests.empty():
-            request = self._server.requests.get()
-            if request == "pause":
-                self._paused = not self._paused
-            elif request == "restart":
-                self._simulation.restart()
-                self._publish()
-            self._pace.start(self._simulation.elapsed)
+            request = request_of(self._server.requests.get())
+            if request is not None and request.do in self._ACTIONS:
+                self._ACTIONS[request.do](self, request)
+                self._pace.start(self._simulation.elapsed)
+
+    def _pause(self, request: Request) -> None:
+        self._paused = not self._paused
+
+    def _restart(self, request: Request) -> None:
+        self._simulation.restart()
+        self._publish()
+
+    def _step(self, request: Request) -> None:
+        self._paused = True
+        self._simulation.step_once()
+        self._publish()
+
+    def _speed(self, request: Request) -> None:
+        self._pace.speed = min(max(request.value, SPEEDS[0]), SPEEDS[1])
+
+    def _joint(self, request: Request) -> None:
+        if 0 <= request.index < len(self._joints):
+            address = int(self._scene.model.jnt_qposadr[self._joints[request.index]])
+            self._simulation.place_joint(address, request.value)
+            self._publish()
+
+    def _control(self, request: Request) -> None:
+        if 0 <= request.index < self._scene.model.nu:
+            self._simulation.command(request.index, request.value)
+
+    def _manual(self, request: Request) -> None:
+        if not request.value:
+            self._simulation.release()
+
+    def _show(self, request: Request) -> None:
+        """Draws the scene anew with or without something."""
+        on, options = bool(request.value), self._drawing.options
+        if request.name == "collisions":
+            groups = {*options.groups, 3} if on else {*options.groups} - {3}
+            options = dataclasses.replace(options, groups=tuple(sorted(groups)))
+        elif request.name in TOGGLES:
+            changed: dict[str, Any] = {request.name: on}
+            options = dataclasses.replace(options, **changed)
+        self._drawing = Drawing(self._scene.model, options)
+        self._simulation.place(self._drawing)
+        commands = [{"type": "delete", "path": SOLID.root}, *self._drawing.create()]
+        self._server.publish(b"".join(packed(command) for command in commands), keep=False)
+        self._serve_anew()
+
+    def _backend(self, request: Request) -> None:
+        try:
+            if request.name not in self._engines:
+                self._engines[request.name] = make_backend(request.name, self._scene)
+            self._simulation.use(self._engines[request.name])
+        except (OrbiSimError, ImportError) as error:
+            self._tell(f"{request.name}: {error}")
+            return
+        self._name = request.name
+        self._serve_anew()
+        self._publish()
+
+    def _serve_anew(self) -> None:
+        """Pages that open later see what is shown now."""
+        drawing = self._drawing
+        commands = [*stage(drawing.kinematics, drawing.parts, drawing.options), *drawing.create()]
+        offers = panel(self._scene, drawing, self._name, available_backends())
+        caption = Caption(f"{self._title.rpartition(' (')[0]} ({self._name})")
+        self._server.replace(page(commands, caption, drawing.options.theme, live=offers))
+
+    _ACTIONS: ClassVar[dict[str, Callable[[Any, Request], None]]] = {
+        "pause": _pause,
+        "restart": _restart,
+        "step": _step,
+        "speed": _speed,
+        "joint": _joint,
+        "control": _control,
+        "manual": _manual,
+        "show": _show,
+        "backend": _backend,
+    }
 
     def _publish(self) -> None:
         self._simulation.place(self._drawing)
-        clock: Json = {"type": "set_clock", "text": f"{self._simulation.elapsed:.2f} s"}
-        commands = [*self._drawing.update(), clock]
+        elapsed = self._simulation.elapsed
+        clock: Json = {"type": "set_clock", "text": f"{elapsed:.2f} s, {self._name}"}
+        addresses = self._scene.model.jnt_qposadr[self._joints]
+        placed = self._simulation.state.numpy().qpos[0, addresses]
+        joints: Json = {"type": "set_joints", "values": [float(value) for value in placed]}
+        commands = [*self._drawing.update(), clock, joints]
         self._server.publish(b"".join(packed(command) for command in commands))

@@ -74,7 +74,118 @@ const added = {
     look_at: (command) => viewer.controls.target.fromArray(command.target),
     set_clock: (command) => { document.getElementById("clock").textContent = command.text; },
     notice: (command) => notice(command.text),
+    set_joints: (command) => showJoints(command.values),
 };
+
+// -- the camera: free, following a body, or one of the scene's ----------------------------------
+
+const camera = { path: null, last: null, fixed: null };
+
+function poseOf(path) {
+    const object = path === null ? viewer.scene_tree.find(["scene"]).object
+        : viewer.scene_tree.find(path.split("/").filter((name) => name)).object;
+    object.updateWorldMatrix(true, false);
+    return object.matrixWorld;
+}
+
+function follow(path) {
+    camera.path = path || null;
+    camera.last = null;
+}
+
+function look(through) {
+    if (camera.fixed === null && through) {
+        camera.free = [viewer.camera.position.clone(), viewer.controls.target.clone(),
+            viewer.camera.fov];
+    } else if (camera.fixed !== null && !through) {
+        viewer.camera.position.copy(camera.free[0]);
+        viewer.controls.target.copy(camera.free[1]);
+        viewer.camera.fov = camera.free[2];
+        viewer.camera.up.set(0, 1, 0);
+    }
+    camera.fixed = through || null;
+    viewer.controls.enabled = !through;
+    viewer.set_dirty();
+}
+
+function placeCamera() {
+    if (camera.fixed !== null) {
+        const pose = poseOf(camera.fixed.path).clone()
+            .multiply(new THREE.Matrix4().fromArray(camera.fixed.matrix));
+        const x = new THREE.Vector3(), y = new THREE.Vector3(), z = new THREE.Vector3();
+        pose.extractBasis(x, y, z);
+        viewer.camera.position.setFromMatrixPosition(pose);
+        viewer.controls.target.copy(viewer.camera.position).sub(z);
+        viewer.camera.up.copy(y);
+        viewer.camera.fov = camera.fixed.fov;
+    } else if (camera.path !== null) {
+        const now = new THREE.Vector3().setFromMatrixPosition(poseOf(camera.path));
+        if (camera.last !== null) {
+            const moved = now.clone().sub(camera.last);
+            viewer.camera.position.add(moved);
+            viewer.controls.target.add(moved);
+        }
+        camera.last = now;
+    }
+}
+
+// -- what a live page can change ------------------------------------------------------------------
+
+const joints = { values: {}, sliders: [], held: false };
+
+function showJoints(values) {
+    if (joints.held) {
+        return;
+    }
+    joints.sliders.forEach((slider, i) => {
+        joints.values[slider.property] = values[i];
+        slider.updateDisplay();
+    });
+}
+
+function offer(panel, send) {
+    const ask = (what, more) => send(JSON.stringify({ do: what, ...more }));
+    const gui = viewer.gui;
+    const state = { speed: 1, backend: panel.backend, camera: "free", follow: "nothing",
+        "by hand": false, ...panel.toggles };
+    gui.add({ "pause / go on": () => send("pause") }, "pause / go on");
+    gui.add({ "single step": () => send("step") }, "single step");
+    gui.add({ "restart": () => send("restart") }, "restart");
+    gui.add(state, "speed", 0.05, 5).onChange((value) => ask("speed", { value }));
+    gui.add(state, "backend", panel.backends).onChange((name) => ask("backend", { name }));
+    const named = Object.fromEntries(panel.cameras.map((one) => [one.name, one]));
+    gui.add(state, "camera", ["free", ...Object.keys(named)]).onChange((name) => look(named[name]));
+    gui.add(state, "follow", ["nothing", ...Object.keys(panel.bodies)])
+        .onChange((name) => follow(panel.bodies[name]));
+    Object.keys(panel.toggles).forEach((name) => {
+        gui.add(state, name).onChange((on) => ask("show", { name, value: Number(on) }));
+    });
+    if (panel.joints.length > 0) {
+        const folder = gui.addFolder("Joints");
+        joints.sliders = panel.joints.map((joint, index) => {
+            const name = `${index} ${joint.name}`;
+            joints.values[name] = joint.value;
+            return folder.add(joints.values, name, joint.low, joint.high)
+                .onChange((value) => { joints.held = true; ask("joint", { index, value }); })
+                .onFinishChange(() => { joints.held = false; });
+        });
+    }
+    if (panel.actuators.length > 0) {
+        const folder = gui.addFolder("Actuators");
+        const hand = folder.add(state, "by hand")
+            .onChange((on) => ask("manual", { value: Number(on) }));
+        const values = {};
+        panel.actuators.forEach((actuator, index) => {
+            const name = `${index} ${actuator.name}`;
+            values[name] = actuator.value;
+            folder.add(values, name, actuator.low, actuator.high).onChange((value) => {
+                state["by hand"] = true;
+                hand.updateDisplay();
+                ask("control", { index, value });
+            });
+        });
+    }
+}
 
 // Objects with textures appear only when these are decoded; `drawn` waits for them.
 let missing = 0;
@@ -113,6 +224,7 @@ viewer.set_object = (path, object) => {
 const render = viewer.render.bind(viewer);
 viewer.render = () => {
     tracks.forEach((track) => showTrack(track, viewer.animator.time));
+    placeCamera();
     render();
 };
 
@@ -153,9 +265,7 @@ function followServer() {
     socket.binaryType = "arraybuffer";
     socket.onmessage = (message) => run(new Uint8Array(message.data));
     socket.onclose = () => notice("The simulation has ended.");
-    const ask = (what) => () => socket.send(what);
-    viewer.gui.add({ "pause / go on": ask("pause") }, "pause / go on");
-    viewer.gui.add({ "restart": ask("restart") }, "restart");
+    offer(config.panel, (what) => socket.send(what));
     openControls();
 }
 

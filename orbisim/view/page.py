@@ -45,12 +45,15 @@ class Caption:
     notices: Sequence[str] = ()
 
 
-def page(commands: Iterable[Json], caption: Caption, theme: Theme, *, live: bool = False) -> str:
+def page(
+    commands: Iterable[Json], caption: Caption, theme: Theme, *, live: Json | None = None
+) -> str:
     """The page as HTML.
 
     Args:
       commands: meshcat's, and those that page.js adds to them.
-      live: whether the page opens a connection to its server and offers to pause and restart.
+      live: what the page offers to change (see `panel`), if it is to open a connection to its
+        server.
     """
     payload = zlib.compress(b"".join(packed(command) for command in commands), 9)
     text: str = _template().render(
@@ -59,7 +62,7 @@ def page(commands: Iterable[Json], caption: Caption, theme: Theme, *, live: bool
         viewer=viewer_script(),
         script=(Path(__file__).parent / "page.js").read_text(encoding="utf-8"),
         commands=base64.b64encode(payload).decode("ascii"),
-        config=json.dumps({"live": live}),
+        config=json.dumps({"live": live is not None, "panel": live}).replace("</", "<\\/"),
     )
     return text
 

@@ -47,7 +47,7 @@ class Server:
 
     Attributes:
       url: where the page is.
-      requests: what the pages asked for (`pause`, `restart`), oldest first.
+      requests: what the pages asked for (see `panel.Request`), oldest first.
 
     Raises:
       InputError: the port is taken, or not allowed.
@@ -89,6 +89,10 @@ class Server:
             always arrive.
         """
         self._loop.call_soon_threadsafe(self._broadcast, frame, keep)
+
+    def replace(self, html: str) -> None:
+        """Serves another page to those that open it from now on."""
+        self._html = html.encode()
 
     def close(self) -> None:
         """Disconnects the pages and stops the server."""

@@ -31,7 +31,7 @@ class Simulation:
       nstep: steps for which each control is held.
 
     Attributes:
-      state: now.
+      state: now. manual: [nu], controls that are held by hand; None for the policy's.
 
     Raises:
       InputError: start or controls do not fit the scene.
@@ -50,6 +50,8 @@ class Simulation:
         if controls is not None and not callable(controls):
             controls = backend.check_controls(self._start, np.asarray(controls, np.float64))[0]
         self._controls = controls
+        self.manual: npt.NDArray[np.float64] | None = None
+        self.state: State = self._start
         self.restart()
 
     def _check_start(self) -> None:
@@ -61,15 +63,48 @@ class Simulation:
         if not self._start.finite.all():
             raise InputError("the state to start from is not finite")
 
+    def step_once(self) -> None:
+        """One step, even if the controls have ended.
+
+        Raises:
+          DivergedError: the state is not finite any more.
+        """
+        self.advance(self.elapsed + self._backend.timestep)
+
+    def place_joint(self, address: int, value: float) -> None:
+        """Sets one number of `qpos`; velocities become zero, as nothing moved it there."""
+        state = self.state.numpy()
+        qpos = state.qpos.copy()
+        qpos[0, address] = value
+        self.state = State(state.time, qpos, np.zeros_like(state.qvel), state.act, _kept(state))
+
+    def command(self, index: int, value: float) -> None:
+        """Holds one control; the others are zero until they are set. Policies are not asked."""
+        if self.manual is None:
+            self.manual = np.zeros(self._backend.model.nu)
+        self.manual[index] = value
+
+    def release(self) -> None:
+        """The policy, or the sequence from where it was, controls again."""
+        self.manual = None
+
+    def use(self, backend: Backend) -> None:
+        """Goes on with another backend, which has the same scene; the physical state stays."""
+        state = self.state.numpy()
+        backend.check_state(plain := State(state.time, state.qpos, state.qvel, state.act))
+        self._elapsed_before = self.elapsed
+        self._backend, self.state, self._step = backend, plain, 0
+
     def restart(self) -> None:
         """Back to the start."""
+        self._elapsed_before = 0.0
         self.state, self._step = self._start, 0
         self._policy = _as_policy(self._controls)
 
     @property
     def elapsed(self) -> float:
         """Simulated time since the start, s."""
-        return self._step * self._backend.timestep
+        return self._elapsed_before + self._step * self._backend.timestep
 
     def advance(self, until: float) -> bool:
         """Steps until `elapsed` reaches `until`; whether the controls lasted.
@@ -78,9 +113,10 @@ class Simulation:
           DivergedError: the state is not finite any more.
         """
         while self.elapsed < until - 1e-9:
-            if self._policy is None:
+            if self._policy is None or self.manual is not None:
                 missing = round((until - self.elapsed) / self._backend.timestep)
-                self._advance(None, max(1, missing))
+                control = None if self.manual is None else self.manual[None]
+                self._advance(control, max(1, missing))
                 continue
             try:
                 control = self._policy(self.state)
@@ -106,6 +142,11 @@ class Simulation:
         drawing.place(host.qpos[0], memory)
 
 
+def _kept(state: State) -> dict[str, Array]:
+    """What a state remembers that holds wherever a joint is."""
+    return {n: state.memory[n] for n in ("mocap_pos", "mocap_quat") if n in state.memory}
+
+
 def _as_policy(controls: Array | Policy | None) -> Policy | None:
     if controls is None or callable(controls):
         return controls
@@ -119,21 +160,24 @@ class Pace:
     Args:
       fps: frames per second.
       realtime: False for as fast as possible.
+
+    Attributes:
+      frame: s of the clock. speed: simulated time for each second of the clock.
     """
 
     def __init__(self, fps: float, realtime: bool) -> None:
-        self.frame, self._realtime = 1 / fps, realtime
+        self.frame, self.speed, self._realtime = 1 / fps, 1.0, realtime
         self._origin = self._last = time.perf_counter()
 
     def start(self, elapsed: float) -> None:
         """From now on, simulated time runs along with the clock, from `elapsed`."""
-        self._origin = time.perf_counter() - elapsed
+        self._origin = time.perf_counter() - elapsed / self.speed
 
     def keep(self, elapsed: float) -> None:
         """Waits until the clock has caught up with simulated time."""
         if not self._realtime:
             return
-        ahead = elapsed - (time.perf_counter() - self._origin)
+        ahead = elapsed / self.speed - (time.perf_counter() - self._origin)
         if ahead > 0:
             time.sleep(ahead)
         elif ahead < -_FORGIVEN:

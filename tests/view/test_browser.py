@@ -23,6 +23,7 @@ from orbisim.view.stage import camera_pose
 from tests.view.chromium import Chromium, executable
 from tests.view.scenes import CLOTH, falling, showcase
 from tests.view.test_live import PENDULUM, live
+from tests.view.test_panel import ROBOT
 
 pytestmark = pytest.mark.skipif(executable() is None, reason="no Chromium here")
 
@@ -291,3 +292,53 @@ def test_textures_lie_as_in_mujocos_pictures(chromium: Chromium, tmp_path: Path)
     assert saturated.mean() > 0.4
     agree = (colours(ours) == colours(theirs)).all(axis=-1)[saturated]
     assert agree.mean() > 0.97
+
+
+def change(chromium: Chromium, name: str, value: str) -> None:
+    """Changes one of the page's controls as a hand would: through its field or its box."""
+    done = chromium.evaluate(
+        "(() => { const all = (gui) => [...gui.__controllers,"
+        " ...Object.values(gui.__folders).flatMap(all)];"
+        f"const one = all(orbisim.viewer.gui).find((c) => c.property === '{name}');"
+        "const field = one.domElement.querySelector('input, select');"
+        f"if (field && field.type === 'checkbox') {{ field.checked = {value}; }}"
+        f"else if (field) {{ field.value = {value}; }}"
+        "const event = field && field.type === 'checkbox' ? 'change' : 'change';"
+        "if (field) { field.dispatchEvent(new Event(event)); field.blur(); }"
+        "else { one.fire ? one.fire() : one.domElement.click(); } return true; })()"
+    )
+    assert done
+
+
+def test_a_live_pages_controls(chromium: Chromium) -> None:
+    with live(ROBOT) as running:
+        chromium.open(running.url)
+        clock = "parseFloat(document.getElementById('clock').textContent)"
+        chromium.wait_for(f"{clock} > 0.1")
+        change(chromium, "pause / go on", "0")
+        chromium.wait_for(f"(() => {{ const t = {clock}; const until = Date.now() + 150;"
+                          f"while (Date.now() < until); return {clock} === t; }})()")  # fmt: skip
+        change(chromium, "0 j", "1.25")
+        name = Drawing(ROBOT.model).bodies[1].split("/")[-1]
+        body = f"orbisim.viewer.scene_tree.find(['scene', '{name}']).object"
+        chromium.wait_for(f"Math.abs(2 * Math.asin({body}.quaternion.y) - 1.25) < 1e-3")
+        count = "(() => { let n = 0; orbisim.viewer.scene_tree.find(['scene']).object"
+        count += ".traverse((o) => { n += o.isMesh ? 1 : 0; }); return n; })()"
+        drawn = chromium.evaluate(count)
+        change(chromium, "collisions", "true")
+        chromium.wait_for(f"{count} === {drawn + 1}")
+        change(chromium, "camera", "'wall'")
+        chromium.screenshot()
+        seen = chromium.evaluate("orbisim.viewer.camera.position.toArray()")
+        np.testing.assert_allclose(seen, [0, 1, 3], atol=1e-6)  # three.js: y is up
+        forward = chromium.evaluate(
+            "orbisim.viewer.camera.getWorldDirection(new orbisim.THREE.Vector3()).toArray()"
+        )
+        np.testing.assert_allclose(forward, [0, 0, -1], atol=1e-6)
+        change(chromium, "camera", "'free'")
+        before = chromium.evaluate("orbisim.viewer.controls.target.toArray()")
+        change(chromium, "follow", "'arm'")
+        chromium.screenshot()
+        change(chromium, "1 s", "0.5")  # slides along z
+        chromium.wait_for(f"orbisim.viewer.controls.target.y > {before[1] + 0.4}")
+        assert chromium.errors == []
