@@ -18,6 +18,7 @@ from hypothesis.extra import numpy as hnp
 
 from orbisim import Recording
 from orbisim.errors import RecordingError
+from orbisim.recording.files import opened
 
 from ..clock import Stopwatch
 from .test_names import signals as named_widths
@@ -311,6 +312,13 @@ def test_a_table_with_very_many_columns_is_read_in_time(tmp_path):
     with pytest.raises(RecordingError, match="stands in two columns"):
         Recording.load(tmp_path / "a.csv")
     assert watch.seconds < 20.0  # it was minutes
+
+
+def test_a_column_that_stands_twice_is_named_wherever_it_is_read(tmp_path):
+    (tmp_path / "a.csv").write_text("time,t,t\n0,1,2\n1,2,3\n")
+    log = opened(tmp_path / "a.csv")
+    with pytest.raises(RecordingError, match="'t' stands in two columns"):
+        log.read(["time", "t"])
 
 
 def test_a_table_of_zeros_without_end_is_refused(tmp_path):

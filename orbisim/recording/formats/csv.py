@@ -69,6 +69,8 @@ def _read(path: Path, layout: _Layout, wanted: list[str]) -> Mapping[str, Array]
     import pyarrow
     import pyarrow.csv
 
+    if twice := [name for name in wanted if layout.headers.count(name) > 1]:
+        raise RecordingError(str(path), f"{twice[0]!r} stands in two columns; rename one of them")
     timeless = [name for name in wanted if not labels.is_time(labels.parse(name).name)]
     options = pyarrow.csv.ConvertOptions(
         include_columns=wanted,

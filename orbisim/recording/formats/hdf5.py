@@ -7,14 +7,19 @@ nearest group above, is theirs.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from orbisim.errors import InputError
+from orbisim.errors import InputError, RecordingError, SceneError
 from orbisim.files.hdf5 import Reader
+from orbisim.files.reading import size_of
 from orbisim.recording.formats.log import Array, Column, Log
+from orbisim.scene.safety.budget import Limits
+from orbisim.scene.safety.guard import guarded
 
 _UNITS = ("units", "unit")
+_SECONDS = 1.0
+"""Of the processor, and one more for each megabyte: a hundred times what a sound file takes."""
 
 
 class Hdf5Reader:
@@ -22,15 +27,38 @@ class Hdf5Reader:
 
     def read(self, path: Path, part: str = "") -> Log:
         """The datasets of a file."""
-        with Reader(path) as file:
-            columns = tuple(_columns(file))
+
+        def columns() -> tuple[Column, ...]:
+            with Reader(path) as file:
+                return tuple(_columns(file))
 
         def read(wanted: Sequence[str]) -> Mapping[str, Array]:
             with Reader(path) as file:
                 allowance = file.allowance()
                 return {name: file.array(name, allowance) for name in wanted}
 
-        return Log(str(path), columns, read)
+        def tried(wanted: Sequence[str]) -> Mapping[str, Array]:
+            _try(path, lambda: read(wanted))
+            return read(wanted)
+
+        _try(path, columns)
+        return Log(str(path), columns(), tried)
+
+
+def _try(path: Path, work: Callable[[], object]) -> None:
+    """Does the work in a process that can be ended.
+
+    In some damaged files the HDF5 library goes round in circles, where no exception reaches it.
+
+    Raises:
+      RecordingError: it took too long or too much memory, or crashed.
+    """
+    try:
+        guarded(work, str(path), Limits(seconds=_SECONDS).for_input_of(size_of(path)))
+    except RecordingError:
+        raise
+    except SceneError as error:
+        raise RecordingError(str(path), f"cannot be read as HDF5 ({error.problem})") from None
 
 
 def _columns(file: Reader) -> Iterator[Column]:
