@@ -2,6 +2,8 @@
 # make test      install, run the tests but the slow ones
 # make test-all  install, run all tests
 # make lint      ruff and mypy
+# make docs     builds the site of documentation into out/site
+# make examples runs the scripts of docs/examples
 # make bench     benchmarks (minutes; results in docs/benchmarks.md)
 
 VENV ?= .venv
@@ -9,7 +11,7 @@ export VENV
 PY := $(VENV)/bin/python
 export PYTHONNOUSERSITE := 1
 
-.PHONY: demo test test-all lint bench setup clean
+.PHONY: demo test test-all lint docs examples bench setup clean
 
 demo:
 	@tools/setup.sh run
@@ -32,9 +34,20 @@ lint:
 	@$(PY) -m ruff format --check .
 	@$(PY) -m mypy
 
+DOCS_VENV ?= .venv-docs
+docs: export NO_MKDOCS_2_WARNING := 1
+docs:
+	@[ -x $(DOCS_VENV)/bin/mkdocs ] || { python3 -m venv $(DOCS_VENV) && $(DOCS_VENV)/bin/python -m pip install -qq --disable-pip-version-check -r requirements/docs.lock; }
+	@$(DOCS_VENV)/bin/mkdocs build --strict --quiet
+	@echo out/site/index.html
+
+examples:
+	@tools/setup.sh test
+	@$(PY) -m pytest tests/docs/test_examples.py
+
 bench:
 	@tools/setup.sh test
 	@$(PY) tools/bench.py
 
 clean:
-	rm -rf $(VENV) out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(DOCS_VENV) out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
