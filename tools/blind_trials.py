@@ -95,7 +95,7 @@ def single_threaded(core: int | None = None) -> None:
 def one(args: argparse.Namespace) -> int:
     """A single trial, in a process of its own (used by `run`)."""
     single_threaded(args.core)
-    return run_one(Path(args.folder), args.tool, args.seconds)
+    return run_one(Path(args.folder), args.tool, args.seconds, args.patience)
 
 
 def score(args: argparse.Namespace) -> int:
@@ -130,6 +130,7 @@ def main(argv: list[str] | None = None) -> int:
     )
     running.add_argument("--sample", action="store_true", help="only the fixed few")
     running.add_argument("--timeout", type=float, default=900.0, help="s, for each diagnosis")
+    running.add_argument("--patience", type=float, help="s, of each diagnosis; else its default")
     running.add_argument("--peer-timeout", type=float, default=300.0, help="s, for each peer's fit")
     running.add_argument(
         "--time-limit", type=float, default=0.0, help="s, for all; what is cut off is left undone"
@@ -140,6 +141,7 @@ def main(argv: list[str] | None = None) -> int:
     single.add_argument("folder")
     single.add_argument("--tool", choices=TOOLS, default=TOOLS[0])
     single.add_argument("--seconds", type=float, default=300.0)
+    single.add_argument("--patience", type=float)
     single.add_argument("--core", type=int)
     single.set_defaults(work=one)
     scoring = commands.add_parser("score", help="open the truth and count")

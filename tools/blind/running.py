@@ -26,11 +26,17 @@ AROUND = 60.0
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """A tool on a trial. seconds: for the process; of the peer, which stops itself, for the fit."""
+    """A tool on a trial.
+
+    Attributes:
+      seconds: for the process; of the peer, which stops itself, for the fit.
+      patience: of the diagnosis, s; its default if None.
+    """
 
     trial: str
     tool: str
     seconds: float
+    patience: float | None = None
 
     @property
     def limit(self) -> float:
@@ -64,7 +70,7 @@ def jobs_of(args: argparse.Namespace) -> list[Job]:
         if not (args.again and entry["failure"])
     }
     seconds = {"diagnose": args.timeout, "peer": args.peer_timeout}
-    every = [Job(name, tool, seconds[tool]) for name in names for tool in args.tools]
+    every = [Job(name, tool, seconds[tool], args.patience) for name in names for tool in args.tools]
     return [job for job in every if (job.trial, job.tool) not in done]
 
 
@@ -166,14 +172,15 @@ def _on_core(folder: Path, job: Job, core: int, until: float) -> dict[str, Any] 
 
 
 def _command(folder: Path, job: Job, core: int) -> Sequence[str]:
-    what = ("--tool", job.tool, "--seconds", str(job.seconds), "--core", str(core))
+    what = ["--tool", job.tool, "--seconds", str(job.seconds), "--core", str(core)]
+    what += [] if job.patience is None else ["--patience", str(job.patience)]
     return [sys.executable, str(ENTRY), "one", str(folder), *what]
 
 
-def run_one(folder: Path, tool: str, seconds: float) -> int:
+def run_one(folder: Path, tool: str, seconds: float, patience: float | None = None) -> int:
     """Runs a tool on one trial and prints a JSON object. Only this folder is read."""
     try:
-        report = _diagnosed(folder) if tool == "diagnose" else _fitted(folder, seconds)
+        report = _diagnosed(folder, patience) if tool == "diagnose" else _fitted(folder, seconds)
         print(json.dumps({"report": report, "failure": None}))
     except Exception as error:
         lines = traceback.format_exc().splitlines()
@@ -189,13 +196,18 @@ def recordings_of(folder: Path, part: str) -> list[Path]:
 KEPT = ("verdict", "sentence", "effects", "retuned", "alternatives", "error", "residual", "noise")
 
 
-def _diagnosed(folder: Path) -> dict[str, Any]:
+def _diagnosed(folder: Path, patience: float | None) -> dict[str, Any]:
     import orbisim
+    from orbisim.diagnosis import Settings
 
+    settings = Settings()
+    if patience is not None:
+        settings = dataclasses.replace(settings, patience=patience)
     found = orbisim.diagnose(
         folder / "scene.xml",
         recordings_of(folder, "fit"),
         held_out=recordings_of(folder, "held"),
+        settings=settings,
         out=None,
         progress=False,
     ).to_json()
