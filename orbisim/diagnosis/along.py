@@ -26,7 +26,9 @@ def along(bench: Bench, judged: Judged) -> tuple[Bench, Ints] | None:
     """The fitted windows of a hypothesis, each as a recording whose reference is the hypothesis'
     own free run; and the numbers that the intervals had. None if all runs diverge at once."""
     hypothesis, windows = judged.hypothesis, judged.windows
-    shooter = Shooter(bench.scene, bench.samples, bench.intervals, windows, bench.noise)
+    shooter = Shooter(
+        bench.scene, bench.samples, bench.intervals, windows, bench.noise, bench.deadline
+    )
     start = judged.fit.start
     qpos, qvel = shooter.states(hypothesis.variant(bench.scene), start)
     reach = windows.reach()
@@ -56,6 +58,7 @@ def along(bench: Bench, judged: Judged) -> tuple[Bench, Ints] | None:
         [rows[w] for w in kept],
         hypothesis.scene(bench.scene),
         hypothesis.measurement(bench.scene).clock,
+        bench.deadline,
     )
     lengths = np.array([len(rows[w]) for w in kept])
     starts = np.concatenate([[0], np.cumsum(lengths)[:-1]])

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.diagnosis.deadline import NEVER, Deadline
 from orbisim.diagnosis.fits import Unknown
 from orbisim.diagnosis.linear import IntervalMap, Intervals, linearize
 from orbisim.diagnosis.measurement import Measurement, measurement_of
@@ -38,6 +39,7 @@ class Bench:
       fit, check: which windows parameters are fitted to, and which choices are checked on.
       noise: standard deviations of positions and velocities.
       contacts: whether the motion has contacts, where derivatives hold only close by.
+      deadline: when simulation ends with `TimeIsUpError`.
     """
 
     scene: Scene
@@ -49,17 +51,20 @@ class Bench:
     check: Bools
     noise: Noise
     contacts: bool = False
+    deadline: Deadline = NEVER
 
     def shooter(self, keep: Bools) -> Shooter:
         """Simulates the chosen windows."""
         return Shooter(
-            self.scene, self.samples, self.intervals, self.windows.some(keep), self.noise
-        )
+            self.scene, self.samples, self.intervals, self.windows.some(keep), self.noise,
+            self.deadline,
+        )  # fmt: skip
 
     def flow(self, hypothesis: Hypothesis) -> IntervalMap:
         """The map of a hypothesis over all sampling intervals."""
         clock = hypothesis.measurement(self.scene).clock
-        return IntervalMap(self.scene, self.samples, self.rows, hypothesis.scene(self.scene), clock)
+        scene = hypothesis.scene(self.scene)
+        return IntervalMap(self.scene, self.samples, self.rows, scene, clock, self.deadline)
 
     def known_signal(self, hypothesis: Hypothesis) -> list[Floats]:
         """What the measurement effects of a hypothesis add to each recording, [T, 2 nv]."""
@@ -84,9 +89,11 @@ class Bench:
 
 
 def _lower(found: Noise, samples: Sequence[Samples]) -> Noise:
-    """The lower of two estimates, both of which take unknown motion for noise."""
-    one = samples[0]
-    return np.fmin(found[0], one.q_noise), np.fmin(found[1], one.v_noise)
+    """The lower of two estimates, both of which take unknown motion for noise; not below what
+    rounding to the sensors' steps leaves, which repeats itself where motion is slow."""
+    one, nv = samples[0], len(found[0])
+    q, v = np.fmin(found[0], one.q_noise), np.fmin(found[1], one.v_noise)
+    return np.maximum(q, one.rounding[:nv]), np.maximum(v, one.rounding[nv:])
 
 
 def make_bench(

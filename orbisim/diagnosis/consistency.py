@@ -7,16 +7,12 @@ than late. Each window's share of the fit says which values it would prefer.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench
 from orbisim.diagnosis.refine import Judged, thinned
-from orbisim.diagnosis.samples import Samples, extent
-from orbisim.effects import EffectInstance, find
+from orbisim.effects import find
 from orbisim.effects.base import index_of, is_scalar_joint
 
 Floats = npt.NDArray[np.float64]
@@ -65,23 +61,6 @@ def inconsistency(
                 f"{name}: something else is at work"
             )
     return None
-
-
-def doubtful(bench: Bench, judged: Judged, number: int) -> str | None:
-    """Why an effect is not believed where more than noise is left: its numbers are absurd, or they
-    are not the same everywhere (`inconsistency`); None if it is believed."""
-    instance = judged.hypothesis.effects[number]
-    problem = absurd(bench.scene.model, instance, bench.samples)
-    return problem or inconsistency(bench, judged, number)
-
-
-def absurd(
-    model: mujoco.MjModel, instance: EffectInstance, samples: Sequence[Samples]
-) -> str | None:
-    """Why an effect with these numbers cannot be believed to act on a machine; None if it can."""
-    if find(instance.effect).log_prior(model, instance, extent(samples)) > -np.inf:
-        return None
-    return f"{instance} is nothing that this machine can have"
 
 
 def _neutral(bench: Bench, judged: Judged, number: int) -> Floats:

@@ -8,7 +8,9 @@ outweighing all others, or having to be left out. Neighbouring samples are not i
 counts as many data as the autocorrelation of what is left allows.
 
 Two explanations are compared by the difference of their log predictive scores, with its standard
-error over the blocks, plus the logarithm of their prior odds.
+error over the blocks, plus the logarithm of their prior odds. The error is that of the blocks that
+gain less than the mean (of a symmetric distribution it is the same): blocks in which a rare event
+is explained are no reason to doubt it.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ Ints = npt.NDArray[np.int64]
 FREEDOM = 4.0
 """Degrees of freedom of Student's t: the fewest with a finite variance of squares."""
 SURE = 1.0
-"""Standard errors that a gain must be worth: an event in one block of many is worth just more."""
+"""Standard errors that a gain must be worth."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -95,9 +97,7 @@ def weights(squares: Floats, blocks: Blocks) -> Floats:
 
 
 def scores(squares: Floats, blocks: Blocks) -> Floats:
-    """[B]: log predictive score of each block, but for a constant of the block; what is below the
-    floor is no better than what is there."""
-    squares = np.maximum(squares, blocks.floor**2)
+    """[B]: log predictive score of each block, but for a constant of the block."""
     size, variance = blocks.size, scales(squares, blocks) ** 2
     spread = np.log1p(size * squares / (FREEDOM * variance))
     return np.asarray(-size * np.log(variance) / 2 - (FREEDOM + size) * spread / 2)
@@ -111,8 +111,8 @@ def gain(before: Floats, after: Floats, blocks: Blocks, prior: float = 0.0) -> G
       prior: logarithm of the odds of the later one.
     """
     drop = scores(after, blocks) - scores(before, blocks)
-    error = float(drop.std() * np.sqrt(len(drop)))
-    return Gain(float(drop.sum()), error, prior)
+    short = np.minimum(drop - drop.mean(), 0.0)
+    return Gain(float(drop.sum()), float(np.sqrt(2 * (short**2).sum())), prior)
 
 
 def independent_share(residuals: Sequence[Floats]) -> float:

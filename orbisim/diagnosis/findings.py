@@ -15,12 +15,19 @@ from orbisim.diagnosis.confidence import confidence
 from orbisim.diagnosis.confounds import advice, standing
 from orbisim.diagnosis.evidence import Gain, probabilities
 from orbisim.diagnosis.fits import Fit
-from orbisim.diagnosis.found import Alternative, Candidate, Estimate, FoundEffect, Retuned, Verdict
-from orbisim.diagnosis.paying import enough
+from orbisim.diagnosis.found import (
+    Alternative,
+    Candidate,
+    Estimate,
+    FoundEffect,
+    Retuned,
+    Rival,
+    Verdict,
+)
 from orbisim.diagnosis.scoring import Score, score
+from orbisim.diagnosis.search import enough
 from orbisim.diagnosis.sensing import Sensed
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.state import Rival
 from orbisim.effects import find
 from orbisim.recording import Recording
 from orbisim.recording.joints import joints

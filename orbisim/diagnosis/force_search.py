@@ -27,11 +27,11 @@ from orbisim.diagnosis.force_data import (
     normals,
     spread,
 )
+from orbisim.diagnosis.found import Rival
 from orbisim.diagnosis.samples import Samples, extent
 from orbisim.diagnosis.screening import bounded_instance
 from orbisim.diagnosis.selection import Group, Selected, data_of, groups_of, select
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.state import Rival
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.screening import Candidate
 from orbisim.errors import OrbiSimError

@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Literal
 
+from orbisim.effects import EffectInstance
+
 Verdict = Literal["no_residual", "explained", "partly_explained", "unexplained"]
 
 
@@ -85,3 +87,20 @@ class Retuned:
     label: str
     factor: float
     ci95: tuple[float, float]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Rival:
+    """An effect that was fitted by simulation.
+
+    Attributes:
+      instance: with fitted values. delta_bic: twice the log odds by which it is worse than the best
+        of its round. ratio: residual over noise that it leaves. round: number of the round.
+      reason: why it was not taken; empty for the one that was.
+    """
+
+    instance: EffectInstance
+    delta_bic: float
+    ratio: float
+    round: int
+    reason: str = ""

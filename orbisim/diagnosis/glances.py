@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis, clean
-from orbisim.diagnosis.refine import is_structural
+from orbisim.diagnosis.context import Context
+from orbisim.diagnosis.refine import Judged, is_structural
 from orbisim.diagnosis.screening import bounded_instance, cleaned
-from orbisim.diagnosis.state import SearchState
 from orbisim.diagnosis.suspects import Suspect
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.scene import Scene
@@ -36,22 +36,22 @@ class Candidate(NamedTuple):
     sized: Callable[[float], EffectInstance | None] = lambda _: None
 
 
-def shortlist(
-    state: SearchState, hypothesis: Hypothesis, suspects: Sequence[Suspect]
-) -> list[Candidate]:
+def shortlist(context: Context, current: Judged, suspects: Sequence[Suspect]) -> list[Candidate]:
     """The best to add to a hypothesis. Where there are contacts, one simulation of each of many
     decides, and the first few are fitted from two starts."""
+    hypothesis = current.hypothesis
+    context.judge.begin_with(current)
     possible = [
         Candidate(instance, moved=suspect.moved, sized=suspect.sized)
         for suspect in suspects
-        if (instance := cleaned(state.bench, suspect)) is not None
+        if (instance := cleaned(context.bench, suspect)) is not None
     ]
-    most = state.settings.shortlist + (_MORE if hypothesis.effects else 0)
-    if not state.bench.contacts or is_structural(hypothesis):
+    most = context.settings.shortlist + (_MORE if hypothesis.effects else 0)
+    if not context.bench.contacts or is_structural(hypothesis):
         return possible[:most]
-    more = usual(state, [one.instance for one in possible])
-    glances = _resized(state, hypothesis, [*varied(possible, 2)[:_GLANCES], *more])
-    ranked = _tried(state, hypothesis, glances)
+    more = usual(context, [one.instance for one in possible])
+    glances = _resized(context, hypothesis, [*varied(possible, 2)[:_GLANCES], *more])
+    ranked = _tried(context, hypothesis, glances)
     first = varied(ranked, 1)[:most]
     if hypothesis.factors:  # each fit takes long
         return first
@@ -70,65 +70,61 @@ class _Glance(NamedTuple):
     one: Candidate
 
 
-def _resized(
-    state: SearchState, hypothesis: Hypothesis, found: Sequence[Candidate]
-) -> list[_Glance]:
+def _resized(context: Context, hypothesis: Hypothesis, found: Sequence[Candidate]) -> list[_Glance]:
     """Best first, and the best as large as simulation wants them: chained through impacts,
     regressions overshoot."""
     made = []
     for one in found:
-        left, better = state.judge.sized_glance(hypothesis.plus(one.instance))
+        left, better = context.judge.sized_glance(hypothesis.plus(one.instance))
         made.append(_Glance(left, 1.0, better, one))
     for _ in range(_RESIZED):
         made.sort(key=lambda glance: glance.left)
-        made[:_FIRST] = [_again(state, hypothesis, glance) for glance in made[:_FIRST]]
+        made[:_FIRST] = [_again(context, hypothesis, glance) for glance in made[:_FIRST]]
     return sorted(made, key=lambda glance: glance.left)
 
 
-def _again(state: SearchState, hypothesis: Hypothesis, glance: _Glance) -> _Glance:
+def _again(context: Context, hypothesis: Hypothesis, glance: _Glance) -> _Glance:
     """The better of an effect and of the same at the size that would be better."""
     size = glance.size * glance.better
     other = None if 1 / _LIKE < glance.better < _LIKE else glance.one.sized(size)
     if other is None:
         return glance
-    left, better = state.judge.sized_glance(hypothesis.plus(other))
+    left, better = context.judge.sized_glance(hypothesis.plus(other))
     if not left < glance.left:
         return glance._replace(better=1.0)
     return _Glance(left, size, better, glance.one._replace(instance=other))
 
 
-def _tried(
-    state: SearchState, hypothesis: Hypothesis, glances: Sequence[_Glance]
-) -> list[Candidate]:
+def _tried(context: Context, hypothesis: Hypothesis, glances: Sequence[_Glance]) -> list[Candidate]:
     """Ranked by what the first step of a fit leaves, or the glance where that is less."""
     left = {id(glance.one): glance.left for glance in glances}
     most = _TRIED if hypothesis.effects else _TRIED_FIRST
     few = varied([glance.one for glance in glances], 2)[:most]
 
     def least(one: Candidate) -> float:
-        return min(left[id(one)], state.judge.tried(hypothesis.plus(one.instance)))
+        return min(left[id(one)], context.judge.tried(hypothesis.plus(one.instance)))
 
     return [few[i] for i in np.argsort([least(one) for one in few], kind="stable")]
 
 
-def usual(state: SearchState, possible: Sequence[EffectInstance]) -> list[Candidate]:
+def usual(context: Context, possible: Sequence[EffectInstance]) -> list[Candidate]:
     """Effects on bodies at usual sizes, whatever a regression says: payloads and forces in
     proportion to masses; and what does the same as a suspect, and more."""
     bodies = {(e.effect, e.target) for e in possible if find(e.effect).kind == "body"}
-    scene, made = state.bench.scene, []
+    scene, made = context.bench.scene, []
     for name, target in sorted(bodies):
         every = find(name).trials(scene.model, target)
         made += [EffectInstance(name, target, dict(values)) for values in every]
     first = {(e.effect, e.target): e for e in reversed(possible)}
-    made += [more for one in first.values() for more in generalizations(state, one)]
+    made += [more for one in first.values() for more in generalizations(context, one)]
     return [
         Candidate(clean(scene, one), sized=functools.partial(_scaled, scene, one)) for one in made
     ]
 
 
-def generalizations(state: SearchState, special: EffectInstance) -> list[EffectInstance]:
+def generalizations(context: Context, special: EffectInstance) -> list[EffectInstance]:
     """What does the same as an effect for now, and more with other numbers."""
-    model, only = state.bench.scene.model, state.settings.effects
+    model, only = context.bench.scene.model, context.settings.effects
     return [
         EffectInstance(name, special.target, dict(values))
         for name in (effect_names() if only is None else only)

@@ -21,6 +21,7 @@ import mujoco.batch
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.diagnosis.deadline import NEVER, Deadline
 from orbisim.diagnosis.hidden import Layout, carried_along
 from orbisim.diagnosis.samples import Samples, substeps
 from orbisim.effects.carry import hooks_of
@@ -62,6 +63,7 @@ class IntervalMap:
       variant: the scene that is simulated (the declared one with effects added); the declared one
         if None.
       clock: recorded over true durations.
+      deadline: when simulation ends with `TimeIsUpError`.
     """
 
     def __init__(
@@ -71,8 +73,9 @@ class IntervalMap:
         rows: Sequence[Ints],
         variant: Scene | None = None,
         clock: float = 1.0,
+        deadline: Deadline = NEVER,
     ) -> None:
-        self.model = declared.model
+        self.model, self.deadline = declared.model, deadline
         self.variant = declared if variant is None else variant
         self.recording = np.concatenate([np.full(len(r), i) for i, r in enumerate(rows)])
         self.row = np.concatenate([np.asarray(r) for r in rows]).astype(np.int64)
@@ -115,6 +118,7 @@ class IntervalMap:
         out_q, out_v = np.empty_like(self.qpos), np.empty_like(self.qvel)
         hooks = hooks_of(model)
         for count in np.unique(self.substeps):
+            self.deadline.check()
             index = np.flatnonzero(self.substeps == count)
             batch = mujoco.batch.Batch(model, len(index), usable_cpus())
             timestep = batch.expand("opt.timestep")

@@ -25,7 +25,6 @@ Bools = npt.NDArray[np.bool_]
 
 _WEAK = 1e-7
 _FAR = 1e5
-_PER_WINDOW = 6
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -37,7 +36,6 @@ class Judged:
       checked: [windows] mean squared weighted residual of each check window, starts fitted.
       ratio: residual over noise, on the fitted or on the check windows, whichever is larger.
       pooled: the same over all windows, with none left out.
-      cost: information criterion of the fit; lower is better.
       check_fit: window starts on the check windows.
       windows: those that it was fitted to. touching: whether bodies touch in the data.
       fitted: as `checked`, of the windows that it was fitted to.
@@ -48,11 +46,16 @@ class Judged:
     checked: Floats
     ratio: float
     pooled: float
-    cost: float
     check_fit: Fit
     windows: Windows
     touching: bool = False
     fitted: Floats = dataclasses.field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def loss(self) -> float:
+        """How badly windows are predicted, bad ones by their logarithm: of two fits of the same
+        hypothesis, the one with less is better."""
+        return float(np.log1p(np.concatenate([self.fitted, self.checked])).mean())
 
 
 class Judge:
@@ -64,7 +67,6 @@ class Judge:
       tunables, columns: declared parameters and their effect on every interval [N, 2 nv, F]; not
         used where bodies touch, as chained through impacts it says little.
       most: at most so many windows are fitted (spread evenly), for speed; None for all.
-      robust: residuals beyond this many standard deviations count linearly; None for none.
       heavy: whether windows have one unknown scale and heavy tails, as where bodies touch, instead
         of the noise's: what is left on a real machine is model error.
     """
@@ -76,11 +78,10 @@ class Judge:
         tunables: Sequence[Tunable] = (),
         columns: Floats | None = None,
         most: int | None = None,
-        robust: float | None = None,
         heavy: bool = False,
     ) -> None:
         self.bench = bench
-        self.robust = _IMPACTS if robust is None and bench.contacts else robust
+        self.robust = _IMPACTS if bench.contacts else None
         self.heavy = heavy or bench.contacts
         self.fitted = bench.shooter(thinned(bench.fit, most))
         check = bench.check if bench.check.any() else bench.fit
@@ -98,16 +99,34 @@ class Judge:
         self._warm: dict[int, Floats] = {}
         self._own: Own | None = None
         self._told: tuple[Hypothesis, Floats] | None = None
+        self._begun: Judged | None = None
+
+    def begin_with(self, judged: Judged | None) -> None:
+        """Takes an explanation's window starts, and what they do, as first guesses; if None, none
+        where derivatives are known in advance, and else the last ones."""
+        if judged is self._begun:
+            return
+        if judged is not None:
+            self.start_from(judged)
+        elif not self.bench.contacts:
+            self._warm = {}
+        self._begun = judged
 
     def judge(
-        self, hypothesis: Hypothesis, iterations: int = 5, polish: bool = True
+        self,
+        hypothesis: Hypothesis,
+        iterations: int = 5,
+        polish: bool = True,
+        begin: Judged | None = None,
     ) -> Judged | None:
         """Fits the hypothesis' free parameters; None if it cannot be simulated.
 
         Args:
           polish: whether parameters that act in steps are searched, which takes long.
+          begin: an explanation of the same windows whose starts are first guesses.
         """
         try:
+            self.begin_with(begin)
             fitted, fit = self._fitted(hypothesis, iterations)
             if polish:
                 fitted, fit = self._polish(fitted, fit)
@@ -124,8 +143,7 @@ class Judge:
         pooled = float(np.mean([*fit_means, *means]))
         return Judged(
             fitted, fit, means, float(np.sqrt(square)), float(np.sqrt(pooled)),
-            self._cost(fitted, fit), checked, self.fitted.windows, self.bench.contacts,
-            fit_means,
+            checked, self.fitted.windows, self.bench.contacts, fit_means,
         )  # fmt: skip
 
     def _typical(self, shooter: Shooter, means: Floats, trimmed: bool = True) -> float:
@@ -153,7 +171,7 @@ class Judge:
                 if best.ratio < _REACHED and not self.bench.contacts:
                     break
                 again = self._judged_anew(best, own, iterations)
-                if again is not None and again.cost < best.cost:
+                if again is not None and again.loss < best.loss:
                     best = again
         finally:
             self._free, self._warm, self._own, self._told = kept
@@ -255,6 +273,16 @@ class Judge:
                 if shooter is self.fitted:
                     self._own, self._told = None, (judged.hypothesis, start)
 
+    def quick_loss(self, hypothesis: Hypothesis) -> float:
+        """As `Judged.loss`, with starts alone fitted, and roughly.
+
+        Raises:
+          OrbiSimError: it cannot be simulated.
+        """
+        fits = {s: self.score(hypothesis, s, 2) for s in dict.fromkeys((self.fitted, self.check))}
+        means = [_means(shooter, fit) for shooter, fit in fits.items()]
+        return float(np.log1p(np.concatenate(means)).mean())
+
     def score(self, hypothesis: Hypothesis, shooter: Shooter, iterations: int = 4) -> Fit:
         """Residuals of fixed parameters, window starts fitted."""
         variant = hypothesis.variant(self.bench.scene)
@@ -337,21 +365,6 @@ class Judge:
         values = np.array([o if n in weak else v for n, o, v in zip(names, old, new, strict=True)])
         held = fitted.at(declared, values)
         return dataclasses.replace(held, frozen=held.frozen | set(weak))
-
-    def _cost(self, hypothesis: Hypothesis, fit: Fit) -> float:
-        """Information criterion: neighbouring residuals of a wrong scene are not independent.
-
-        Each effect's parameter counts in full, each factor only if it has clearly moved from 1.
-        """
-        windows, measured = len(fit.per_window), self.fitted.target.shape[2]
-        independent = int(min(fit.count, max(windows * measured * _PER_WINDOW, 8)))
-        effects = len(hypothesis.free(self.bench.scene))
-        spread = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))[effects:]
-        moved = np.abs(fit.values[effects:] - 1) > np.maximum(3 * spread, 2e-3)
-        size = effects + int(moved.sum()) + len(hypothesis.effects)
-        typical = self._typical(self.fitted, _means(self.fitted, fit))
-        misfit = independent * np.log(max(typical, 1e-12))
-        return float(misfit + fit.penalty + size * np.log(independent))
 
     @staticmethod
     def _stepwise(hypothesis: Hypothesis, number: int, name: str) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -12,10 +13,12 @@ import mujoco
 import numpy as np
 
 from orbisim.backend import Backend
-from orbisim.diagnosis.attribution import attribute
 from orbisim.diagnosis.bench import Bench, make_bench, touches
-from orbisim.diagnosis.conclusion import Attribution
+from orbisim.diagnosis.checks import coarse_timestep, disabled
+from orbisim.diagnosis.conclusion import Attribution, attribute
 from orbisim.diagnosis.consistency import inconsistency
+from orbisim.diagnosis.context import NEAR
+from orbisim.diagnosis.deadline import Deadline
 from orbisim.diagnosis.findings import (
     alternatives_of,
     candidates_of,
@@ -30,7 +33,6 @@ from orbisim.diagnosis.findings import (
     with_sensors,
 )
 from orbisim.diagnosis.force_result import diagnose_forces
-from orbisim.diagnosis.paying import few_bad
 from orbisim.diagnosis.refine import Judged
 from orbisim.diagnosis.rest import learn_rest as learn
 from orbisim.diagnosis.result import Diagnosis
@@ -39,7 +41,6 @@ from orbisim.diagnosis.scoring import score
 from orbisim.diagnosis.sensing import Sensed, sense
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.split import bounded, split
-from orbisim.diagnosis.state import NEAR
 from orbisim.diagnosis.suspicious import refuse
 from orbisim.diagnosis.thinning import thinned, usual_window
 from orbisim.effects import add_effects, find
@@ -108,7 +109,7 @@ def diagnose(
     for one in (*given, *(kept or ())):
         notes += refuse(one, loaded)
     fit, held = _sets(given, kept)
-    settings = settings or Settings()
+    settings, start = settings or Settings(), time.monotonic()
     with (
         engine_warnings(ignore),  # about suspects that make the scene unstable: they just lose
         status("diagnosing") if progress else contextlib.nullcontext(_nothing) as say,
@@ -124,7 +125,7 @@ def diagnose(
         if result is None:
             chosen = usual_window(fit) if window is None else window
             result = _by_motion(
-                loaded, named, fit, held, settings, chosen, backend, learn_rest, notes, say
+                loaded, named, fit, held, settings, chosen, backend, learn_rest, notes, say, start
             )
         if out is not None:
             say("writing the report")
@@ -143,17 +144,24 @@ def _by_motion(
     rest: bool,
     notes: list[str],
     say: Callable[[str], None],
+    start: float,
 ) -> Diagnosis:
     """Explains the error of free runs over windows."""
     samples = prepare_all(bounded(thinned(fit, window, notes), notes), scene)
     bench = make_bench(scene, samples, window)
+    early = coarse_timestep(bench)
+    notes += [note for note in (disabled(scene),) if note is not None]
+    limit = Deadline(start + _SEARCH * settings.patience)
+    bench = dataclasses.replace(bench, deadline=limit)
     unseen = _held_back(scene, bounded(thinned(held, window, notes), notes), window)
-    found = attribute(bench, settings, say)
+    found = attribute(bench, settings, say, Deadline(start + _FITS * settings.patience))
     if found.cut_short:
         notes.append(f"the search was ended after {settings.patience:g} s; more may be found")
     say("checking on held-out data")
     unseen = unseen.whole(found.bench.noise)
     notes += _elsewhere(found)
+    if early is not None and found.before.ratio > NEAR:
+        notes.append(early)
     if found.rugged and found.after is not found.before:
         notes.append(
             "impacts make the cost rugged: intervals of effects on contacts do not contain that; "
@@ -176,6 +184,10 @@ def _by_motion(
     return result
 
 
+_SEARCH, _FITS = 0.75, 0.95
+"""Shares of the patience until which a search goes on, and the final fits."""
+
+
 def _elsewhere(found: Attribution) -> list[str]:
     """Notes on effects that leave more than noise and would have to be others in other motion."""
     notes: list[str] = []
@@ -187,6 +199,16 @@ def _elsewhere(found: Attribution) -> list[str]:
     return notes
 
 
+def few_bad(judged: Judged) -> bool:
+    """Whether a few windows are bad and the others are not."""
+    whole, typical = judged.pooled**2 - 1.0, max(judged.ratio**2 - 1.0, 0.0)
+    return whole >= max(_BAD, _FEW_BAD * typical)
+
+
+_BAD = 0.5
+"""Mean square beyond the noise, over all windows, above which some are bad."""
+_FEW_BAD = 3.0
+"""How many times what windows leave with the worst left out, if few are bad."""
 _FAR_OFF = 1.5
 """Residual over noise of a window that is bad where others are not."""
 

@@ -21,6 +21,7 @@ from orbisim.errors import RecordingError
 from orbisim.recording import Bound, Recording, bind, estimate_motion, noise_std
 from orbisim.recording.initial import activations, histories, starts
 from orbisim.recording.joints import Kind, joints
+from orbisim.recording.noise import lattice_step
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
@@ -41,6 +42,8 @@ class Samples:
       dq: [T, nv] measured minus reference position in the tangent space, NaN where not measured.
       dv: [T, nv] measured minus reference velocity, NaN where not measured.
       q_noise, v_noise: [nv] standard deviations of the measurements; NaN where there are none.
+      rounding: [2 nv] standard deviations of what rounding to a sensor's steps leaves (over the
+        root of 12 of them); 0 where values lie on no lattice.
       usable: [T] whether the reference is known.
       jumps: [T - 1, nv] whether the velocity jumped (an impact) between two samples.
     """
@@ -58,6 +61,7 @@ class Samples:
     dv: Floats
     q_noise: Floats
     v_noise: Floats
+    rounding: Floats
     usable: Bools
     jumps: Bools
 
@@ -129,6 +133,7 @@ def prepare(recording: Recording, scene: Scene) -> Samples:
         dv=dv,
         q_noise=_floor(motion.noise_std, dq),
         v_noise=_velocity_noise(bound),
+        rounding=_rounding(bound),
         usable=np.asarray(usable),
         jumps=motion.jumps,
     )
@@ -160,7 +165,28 @@ def prepare_all(recordings: Sequence[Recording], scene: Scene) -> list[Samples]:
     prepared = [prepare(recording, scene) for recording in recordings]
     q_noise = _pooled([one.q_noise for one in prepared])
     v_noise = _pooled([one.v_noise for one in prepared])
-    return [dataclasses.replace(one, q_noise=q_noise, v_noise=v_noise) for one in prepared]
+    rounding = np.max([one.rounding for one in prepared], axis=0)
+    known = {"q_noise": q_noise, "v_noise": v_noise, "rounding": rounding}
+    return [dataclasses.replace(one, **known) for one in prepared]
+
+
+def _rounding(bound: Bound) -> Floats:
+    found = np.zeros((2, bound.model.nv))
+    for joint in joints(bound.model):
+        straight = joint.scalar or joint.kind == Kind.FREE
+        for k in range((1 if joint.scalar else 3) if straight else 0):
+            v = joint.v.start + k
+            found[0, v] = _lattice(bound.qpos[:, joint.q.start + k])
+            found[1, v] = _lattice(bound.qvel[:, v])
+    return found.ravel() / np.sqrt(12.0)
+
+
+def _lattice(values: Floats) -> float:
+    known = values[np.isfinite(values)]
+    return float(lattice_step(known)) if len(known) > _FEWEST and np.ptp(known) else 0.0
+
+
+_FEWEST = 8
 
 
 def _pooled(levels: list[Floats]) -> Floats:

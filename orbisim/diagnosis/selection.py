@@ -291,6 +291,8 @@ class _Search:
     ) -> Gain:
         """Of a change by which some groups come and others go."""
         prior = sum(map(_log_prior, more)) - sum(map(_log_prior, fewer))
+        least = self.data.counts.floor**2  # what is below the noise is no better than that
+        before, after = np.maximum(before, least), np.maximum(after, least)
         return gain(before, after, self.data.counts, float(prior))
 
     def worth(self, other: _Search) -> float:

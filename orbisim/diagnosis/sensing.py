@@ -144,8 +144,8 @@ def _readings(
 
 
 def _one(data: SensorData, unseen: SensorData, settings: Settings) -> SensorFinding:
-    """The form that pays by an information criterion; each part must be seen, and help on held-out
-    data."""
+    """The form that pays by an information criterion; each part must be seen, and help in both
+    halves of the data."""
     width = data.sensor.width
     noise, size, alike = data.weighted()
     offsets = ("", "all", "each") if width > 1 else ("", "all")
@@ -157,7 +157,7 @@ def _one(data: SensorData, unseen: SensorData, settings: Settings) -> SensorFind
         if best is None or cost < _cost(best, alike, count):
             best = one
     assert best is not None
-    kept = _kept(data, unseen, best, size, alike, settings)
+    kept = _kept(data, best, size, alike, settings)
     before, after = (_rms(left_over(data, values) / size) for values in ({}, kept))
     if _excess(after) > _MOST_LEFT * _excess(before) or not _possible(kept):
         kept, after = (
@@ -193,7 +193,6 @@ def _cost(one: Fitted, alike: float, count: int) -> float:
 
 def _kept(
     data: SensorData,
-    unseen: SensorData,
     best: Fitted,
     size: Floats,
     alike: float,
@@ -202,11 +201,12 @@ def _kept(
     """Those fitted numbers that are worth it."""
     values = dict(best.values)
     while values:
-        gains = {name: _gain(data, values, name, size) for name in values}
+        gains = {name: float(_drops(data, values, name, size).sum()) for name in values}
         weakest = min(gains, key=lambda name: gains[name])
         seen = gains[weakest] / data.measured.size > _VISIBLE
         paid = gains[weakest] / alike > settings.margin
-        helps = _gain(unseen, values, weakest, size) > 0
+        halves = np.array_split(_drops(data, values, weakest, size), 2)
+        helps = min(float(half.sum()) for half in halves) > 0
         if seen and paid and helps:
             return values
         del values[weakest]
@@ -217,10 +217,10 @@ def _without(values: Mapping[str, float], name: str) -> dict[str, float]:
     return {key: value for key, value in values.items() if key != name}
 
 
-def _gain(data: SensorData, values: dict[str, float], name: str, size: Floats) -> float:
-    """How much the sum of weighted squares grows without one of the numbers."""
+def _drops(data: SensorData, values: dict[str, float], name: str, size: Floats) -> Floats:
+    """[N]: how much the weighted squares of each reading grow without one of the numbers."""
     parts = [left_over(data, v) / size for v in (_without(values, name), values)]
-    return float((parts[0] ** 2).sum() - (parts[1] ** 2).sum())
+    return np.asarray((parts[0] ** 2 - parts[1] ** 2).sum(axis=1))
 
 
 def _described(
@@ -242,7 +242,7 @@ def _described(
         evidence = {
             "held_out_error_without": _rms(left_over(unseen, _without(kept, name))),
             "held_out_error_with": _rms(left_over(unseen, kept)),
-            "delta_bic": _gain(data, kept, name, size) / alike,
+            "delta_bic": float(_drops(data, kept, name, size).sum()) / alike,
         }
         estimate = Estimate(value, unit, (value - half, value + half))
         instance = EffectInstance(_NAMES[kind], data.sensor.name, {parameter: value}, options)

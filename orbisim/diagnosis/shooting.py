@@ -11,6 +11,7 @@ import mujoco.batch
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.diagnosis.deadline import NEVER, Deadline
 from orbisim.diagnosis.hidden import Layout, carried_along
 from orbisim.diagnosis.linear import Intervals
 from orbisim.diagnosis.measurement import TRUE, Measurement
@@ -41,6 +42,7 @@ class Shooter:
       declared: the scene as declared, whose coordinates the samples have.
       samples: the recordings. intervals: their sampling intervals. windows: what to simulate.
       noise: standard deviations of positions and velocities, each [nv].
+      deadline: when simulation ends with `TimeIsUpError`.
     """
 
     def __init__(
@@ -50,9 +52,10 @@ class Shooter:
         intervals: Intervals,
         windows: Windows,
         noise: tuple[Floats, Floats],
+        deadline: Deadline = NEVER,
     ) -> None:
         self.declared, self.samples, self.windows = declared, samples, windows
-        self.nv = declared.model.nv
+        self.nv, self.deadline = declared.model.nv, deadline
         self.horizon = windows.length
         rows = [
             (samples[i], int(intervals.row[f]))
@@ -259,6 +262,7 @@ class Shooter:
         applied, qpos, qvel = (batch.bind(n) for n in ("qfrc_applied", "qpos", "qvel"))
         last = np.minimum(self.windows.reach(), self.horizon)
         for k in range(int(last.max(initial=0))):
+            self.deadline.check()
             length = (self.time[:, k + 1] - self.time[:, k]) / clock
             timestep[:] = (length / self.substeps).reshape(timestep.shape)
             applied[:, place.v] = self.force[:, k]

@@ -1,41 +1,91 @@
-"""What an explanation that was fitted by simulation is worth more than another."""
+"""What an explanation that was fitted by simulation is worth more than another: the one number by
+which a search adds, removes, exchanges, merges and retunes."""
 
 from __future__ import annotations
 
-import mujoco
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.bench import Hypothesis
+from orbisim.diagnosis.bench import Bench, Hypothesis
 from orbisim.diagnosis.evidence import Blocks, Gain, gain, independent_share
 from orbisim.diagnosis.fits import Fit
 from orbisim.diagnosis.refine import Judged
+from orbisim.diagnosis.retune import SPREAD
+from orbisim.diagnosis.samples import extent
 from orbisim.diagnosis.selection import EFFECT
 from orbisim.effects import find
 
 Floats = npt.NDArray[np.float64]
 
 
-def worth(model: mujoco.MjModel, before: Judged, after: Judged) -> Gain:
-    """Of the effects of one explanation over those of another, by the windows of both.
+def worth(bench: Bench, before: Judged, after: Judged) -> Gain:
+    """Of one explanation over another, by the windows of both."""
+    return gains(bench, before, [after])[0]
 
-    Windows that parameters were fitted to count, too; each fitted number costs half the logarithm
-    of the number of independent data (Laplace's approximation of the evidence).
+
+def gains(bench: Bench, before: Judged, others: Sequence[Judged]) -> list[Gain]:
+    """What each of some explanations is worth more than one, all by the same data.
+
+    Windows that parameters were fitted to count, too; each fitted number of an effect costs half
+    the logarithm of the number of independent data (Laplace's approximation of the evidence, with a
+    prior worth one datum). How many are independent, what the best of them leaves says.
+
+    Args:
+      bench: the data. before, others: judged on the same windows.
     """
-    share = independent_share(_courses(after))
-    fits = [after.fit] if after.check_fit is after.fit else [after.fit, after.check_fit]
+    best = min([before, *others], key=lambda one: one.loss)
+    share = independent_share(_courses(best))
+    fits = [best.fit] if best.check_fit is best.fit else [best.fit, best.check_fit]
     size = np.concatenate([np.maximum(share * _data(fit), 1.0) for fit in fits])
     blocks = Blocks(size, np.zeros(len(size), np.int64), np.ones(len(size)))
-    squares = [np.concatenate([one.fitted, one.checked][: len(fits)]) for one in (before, after)]
-    odds = prior(model, after.hypothesis) - prior(model, before.hypothesis)
-    numbers = len(after.fit.values) - len(before.fit.values)
-    cost = 0.5 * numbers * np.log(max(float(size.sum()), 2.0))
-    return gain(squares[0], squares[1], blocks, odds - cost)
+    data = max(float(size.sum()), 2.0)
+    known = _squares(before, len(size)), log_prior(bench, before, data)
+    return [
+        gain(known[0], _squares(one, len(size)), blocks, log_prior(bench, one, data) - known[1])
+        for one in others
+    ]
 
 
-def prior(model: mujoco.MjModel, hypothesis: Hypothesis) -> float:
-    """Logarithm of the prior odds of a set of effects."""
-    return sum(EFFECT + find(e.effect).odds(model, e.target) for e in hypothesis.effects)
+def _squares(judged: Judged, count: int) -> Floats:
+    """[B]: mean squared residual of each window."""
+    return np.concatenate([judged.fitted, judged.checked])[:count]
+
+
+def log_prior(bench: Bench, judged: Judged, data: float) -> float:
+    """Logarithm of the prior odds of effects with such values, less what fitted numbers cost.
+
+    Args:
+      data: how many data are independent.
+    """
+    hypothesis = judged.hypothesis
+    numbers = len(hypothesis.free(bench.scene)) + len(hypothesis.frozen)
+    return prior(bench, hypothesis) - 0.5 * numbers * float(np.log(data)) - float(
+        retuning_costs(bench, judged).sum()
+    )  # fmt: skip
+
+
+def retuning_costs(bench: Bench, judged: Judged) -> Floats:
+    """[F]: by how much each retuned declared parameter lowers the log evidence: the prior at its
+    factor, times the width of what the data leave of it (Laplace)."""
+    hypothesis = judged.hypothesis
+    if not hypothesis.factors:
+        return np.zeros(0)
+    first = len(hypothesis.free(bench.scene))
+    factors = np.array([factor for _, factor in hypothesis.factors])
+    deviation = np.sqrt(np.maximum(np.diag(judged.fit.covariance)[first:], 1e-300))
+    width = np.maximum(np.log(SPREAD / deviation), 0.0)
+    return np.asarray(width + ((factors - 1) / SPREAD) ** 2 / 2)
+
+
+def prior(bench: Bench, hypothesis: Hypothesis) -> float:
+    """Logarithm of the prior odds of a set of effects with their values."""
+    model, known, found = bench.scene.model, extent(bench.samples), 0.0
+    for one in hypothesis.effects:
+        effect = find(one.effect)
+        found += EFFECT + effect.odds(model, one.target) + effect.log_prior(model, one, known)
+    return found
 
 
 def _data(fit: Fit) -> Floats:

@@ -18,6 +18,7 @@ from orbisim.effects.base import (
     spec_element,
 )
 from orbisim.effects.screening import Candidate, Column, Floats, MotionRegressors, keyed
+from orbisim.effects.servo_offsets import same_offsets
 from orbisim.errors import InputError
 
 _LARGE = 1e6
@@ -28,6 +29,7 @@ class ActuatorEffect(Effect):
     """An effect at an actuator that reads one control."""
 
     kind = "actuator"
+    needs = (mujoco.mjtDisableBit.mjDSBL_ACTUATION,)
 
     def possible(self, model: mujoco.MjModel, target: str) -> bool:
         """Actuators with one control, and gain and bias that are affine."""
@@ -82,6 +84,9 @@ class TorqueBias(ActuatorEffect):
         actuator = spec_element(spec, "actuator", instance.target)
         actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         actuator.biasprm[0] += instance.values["offset"]
+
+    def equivalents(self, model: mujoco.MjModel, instance: EffectInstance) -> list[EffectInstance]:
+        return same_offsets(model, instance)
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         index = index_of(view.model, "actuator", target)

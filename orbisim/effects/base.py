@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal
 
 import mujoco
@@ -135,6 +135,9 @@ class Effect(abc.ABC):
       native: whether MuJoCo expresses it; then `edit` writes it, otherwise `hook` applies it.
       measurement: whether it acts on recordings instead of the simulation.
       structural: whether `edit` changes the model's sizes (adds joints or actuator states).
+      stated: whether a regression along the motion says nothing of it, so that it is tried at
+        stated values (`places`).
+      needs: parts of MuJoCo's pipeline without which it does nothing (`<option><flag/>`).
       rarity: logarithm of the odds of the effect on a machine beside those of friction at a joint.
       family: what effects share that look alike as long as they are not fitted to the end, at the
         same target; empty for none.
@@ -146,6 +149,8 @@ class Effect(abc.ABC):
     native: ClassVar[bool] = True
     measurement: ClassVar[bool] = False
     structural: ClassVar[bool] = False
+    stated: ClassVar[bool] = False
+    needs: ClassVar[tuple[mujoco.mjtDisableBit, ...]] = ()
     rarity: ClassVar[float] = 0.0
     family: ClassVar[str] = ""
 
@@ -159,6 +164,8 @@ class Effect(abc.ABC):
 
     def targets(self, model: mujoco.MjModel) -> tuple[str, ...]:
         """Names of everything in the model that can have this effect."""
+        if any(int(model.opt.disableflags) & int(bit) for bit in self.needs):
+            return ()
         return tuple(name for name in names_of_kind(model, self.kind) if self.possible(model, name))
 
     def possible(self, model: mujoco.MjModel, target: str) -> bool:
@@ -180,6 +187,20 @@ class Effect(abc.ABC):
     def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
         """Parameter values from which a search by simulation may start."""
         return [{p.name: p.scale for p in self.parameters(model, target)}]
+
+    def places(
+        self, model: mujoco.MjModel, target: str, courses: Sequence[Floats]
+    ) -> list[list[Mapping[str, float]]]:
+        """Values to begin with where no regression says anything: of each list, the best is one.
+
+        Args:
+          courses: positions of the joint in each recording, [T] each.
+        """
+        return [self.trials(model, target)]
+
+    def equivalents(self, model: mujoco.MjModel, instance: EffectInstance) -> list[EffectInstance]:
+        """Other effects that do nearly the same as this one, with the values at which they do."""
+        return []
 
     def odds(self, model: mujoco.MjModel, target: str) -> float:
         """`rarity` at a target."""

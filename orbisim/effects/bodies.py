@@ -34,6 +34,7 @@ from orbisim.effects.screening import (
     keyed,
     positive,
 )
+from orbisim.effects.servo_offsets import same_offsets
 
 _LARGE = 1e6
 _INSIDE = -2.0
@@ -249,6 +250,9 @@ class ConstantForce(BodyEffect):
     family = "force"
     native = False
 
+    def equivalents(self, model: mujoco.MjModel, instance: EffectInstance) -> list[EffectInstance]:
+        return same_offsets(model, instance)
+
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         parts = [Parameter(axis, "N", -_LARGE, _LARGE, 1.0) for axis in AXES]
         return (Parameter("magnitude", "N", 0.0, 2 * _LARGE, 1.0), *parts)
@@ -429,6 +433,7 @@ class GravityTilt(Effect):
     rarity = -2.0
     kind = "world"
     phrase = "a tilt against gravity"
+    needs = (mujoco.mjtDisableBit.mjDSBL_GRAVITY,)
 
     def possible(self, model: mujoco.MjModel, target: str) -> bool:
         """Scenes with gravity."""

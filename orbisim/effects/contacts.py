@@ -16,6 +16,7 @@ class ContactEffect(Effect):
     """An effect at a geom that can touch something and moves."""
 
     kind = "geom"
+    needs = (mujoco.mjtDisableBit.mjDSBL_CONSTRAINT, mujoco.mjtDisableBit.mjDSBL_CONTACT)
 
     def possible(self, model: mujoco.MjModel, target: str) -> bool:
         """Colliding geoms of moving bodies."""

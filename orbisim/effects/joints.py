@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -64,6 +64,7 @@ class CoulombFriction(JointEffect):
     name = "coulomb_friction"
     phrase = "Coulomb friction"
     family = "friction"
+    needs = (mujoco.mjtDisableBit.mjDSBL_CONSTRAINT, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         unit = joint_unit(model, target, "N*m", "N")
@@ -82,6 +83,7 @@ class ViscousDamping(JointEffect):
     name = "viscous_damping"
     phrase = "viscous damping"
     family = "friction"
+    needs = (mujoco.mjtDisableBit.mjDSBL_DAMPER,)
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         unit = joint_unit(model, target, "N*m*s/rad", "N*s/m")
@@ -122,6 +124,7 @@ class JointSpring(JointEffect):
     name = "joint_spring"
     rarity = -1.0
     phrase = "a joint spring"
+    needs = (mujoco.mjtDisableBit.mjDSBL_SPRING,)
 
     def possible(self, model: mujoco.MjModel, target: str) -> bool:
         joint = index_of(model, "joint", target)
@@ -227,6 +230,8 @@ class HardStop(JointEffect):
 
     name = "hard_stop"
     phrase = "an undeclared hard stop"
+    stated = True
+    needs = (mujoco.mjtDisableBit.mjDSBL_CONSTRAINT, mujoco.mjtDisableBit.mjDSBL_LIMIT)
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         unit = joint_unit(model, target, "rad", "m")
@@ -250,6 +255,18 @@ class HardStop(JointEffect):
     def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
         return ("position",)
 
+    def places(
+        self, model: mujoco.MjModel, target: str, courses: Sequence[Floats]
+    ) -> list[list[Mapping[str, float]]]:
+        """Near both ends of the travel: an impact is over within a sample or two."""
+        travel = float(np.ptp(np.concatenate(courses)))
+        found: list[list[Mapping[str, float]]] = []
+        for side in (1.0, -1.0):
+            ends = _turns([side * q for q in courses], _DEPTHS[1] * travel)
+            places = [side * (end - depth * travel) for end in ends for depth in _DEPTHS]
+            found.append([{"position": place, "side": side} for place in places])
+        return found
+
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         """A spring and a damper at one end of the travel."""
         q, v = _position(view, target), _speed(view, target)
@@ -263,6 +280,30 @@ class HardStop(JointEffect):
                 forces = [-side * beyond, -np.where(beyond > 0, v, 0.0)]
                 found.append(self.candidate(view, target, forces, _if_stiff(values), shape=1))
         return found
+
+
+def _turns(every: Sequence[Floats], apart: float) -> list[float]:
+    """Where motion ends: its farthest place, and the farthest at which each recording turns back. A
+    recording may begin beyond a stop.
+
+    Args:
+      every: positions of each recording, growing towards the stop. apart: what is another place.
+    """
+    found = [max(float(q.max()) for q in every)]
+    for q in every:
+        inner = q[1:-1][(q[1:-1] >= q[:-2]) & (q[1:-1] >= q[2:])]
+        if len(inner):
+            found.append(float(inner.max()))
+    kept: list[float] = []
+    for end in sorted(found, reverse=True):
+        if all(abs(end - other) > apart for other in kept):
+            kept.append(end)
+    return kept[:_ENDS]
+
+
+_ENDS = 4
+_DEPTHS = (0.0, 0.003, 0.01, 0.03, 0.08)
+"""How far motion may press into a stop, in units of the travel."""
 
 
 def _if_stiff(values: dict[str, float]) -> Solve:
@@ -281,6 +322,8 @@ class Backlash(JointEffect):
     name = "backlash"
     phrase = "backlash"
     structural = True
+    stated = True
+    needs = (mujoco.mjtDisableBit.mjDSBL_CONSTRAINT, mujoco.mjtDisableBit.mjDSBL_LIMIT)
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("width", joint_unit(model, target, "rad", "m"), 1e-6, 1.0, 0.02),)
@@ -306,6 +349,8 @@ class JointFlexibility(JointEffect):
     name = "joint_flexibility"
     phrase = "an elastic transmission"
     structural = True
+    stated = True
+    needs = (mujoco.mjtDisableBit.mjDSBL_SPRING,)
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (
@@ -339,6 +384,7 @@ class StribeckFriction(JointEffect):
     phrase = "Stribeck friction"
     family = "friction"
     native = False
+    needs = (mujoco.mjtDisableBit.mjDSBL_CONSTRAINT, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         unit = joint_unit(model, target, "N*m", "N")
@@ -412,6 +458,7 @@ class LoadDependentFriction(JointEffect):
     phrase = "load-dependent friction"
     family = "friction"
     native = False
+    needs = (mujoco.mjtDisableBit.mjDSBL_CONSTRAINT, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("coefficient", "1", 0.0, 10.0, 0.1),)

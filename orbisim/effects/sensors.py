@@ -17,6 +17,7 @@ from orbisim.effects.base import (
     only_if,
 )
 from orbisim.effects.screening import Candidate, Column, Floats, MotionRegressors, keyed
+from orbisim.effects.servo_offsets import same_offsets
 from orbisim.errors import InputError, UnknownNameError
 from orbisim.recording.sensors import Sensor, sensors
 
@@ -84,6 +85,9 @@ class SensorBias(MeasurementEffect):
 
     name = "sensor_bias"
     phrase = "a sensor offset"
+
+    def equivalents(self, model: mujoco.MjModel, instance: EffectInstance) -> list[EffectInstance]:
+        return same_offsets(model, instance)
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("offset", self.unit_of(model, target), -100.0, 100.0, 0.02),)

@@ -10,7 +10,7 @@ import pytest
 
 from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.findings import alternatives_of
-from orbisim.diagnosis.state import Rival
+from orbisim.diagnosis.found import Rival
 from orbisim.effects import EffectInstance
 
 HARDLY = "hardly tells it apart"

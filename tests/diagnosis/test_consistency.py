@@ -6,7 +6,7 @@ import dataclasses
 
 import orbisim
 from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
-from orbisim.diagnosis.consistency import doubtful, inconsistency
+from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.refine import Judge
 from orbisim.diagnosis.retune import Tunable
 from orbisim.diagnosis.samples import prepare_all
@@ -43,15 +43,3 @@ def test_a_retuned_parameter_does_not_make_up_for_the_difference(arm: orbisim.Sc
     assert judged is not None
     told = inconsistency(bench, judged, 0)
     assert told is not None and "time" in told
-
-
-def test_absurd_numbers_are_doubtful(arm: orbisim.Scene) -> None:
-    """Half a gram, five metres away."""
-    place = {"com_x": 5.0, "com_y": 0.0, "com_z": 0.0}
-    load = EffectInstance("payload", "forearm", {"mass": 5e-4, **place})
-    runs = inject_effect(arm, load, duration=4.0, episodes=2, noise=1e-4, seed=1)
-    bench = make_bench(arm, prepare_all(runs, arm), 0.5)
-    judged = Judge(bench, bench.intervals).judge(Hypothesis((load,)))
-    assert judged is not None
-    told = doubtful(bench, judged, 0)
-    assert told is not None and "nothing that this machine can have" in told

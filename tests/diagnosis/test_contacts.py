@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -12,17 +11,12 @@ import pytest
 
 import orbisim
 from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
-from orbisim.diagnosis.conclusion import doubt
 from orbisim.diagnosis.fits import Unknown
 from orbisim.diagnosis.gauss_newton import gauss_newton
-from orbisim.diagnosis.paying import unpaid
 from orbisim.diagnosis.refine import Judge, Judged
-from orbisim.diagnosis.retune import REACH, Tunable, retuned
-from orbisim.diagnosis.rounds import generalized
+from orbisim.diagnosis.retune import Tunable, retuned
 from orbisim.diagnosis.samples import prepare_all
-from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.shooting import Variant
-from orbisim.diagnosis.state import SearchState
 from orbisim.effects import EffectInstance, add_effects, find
 from orbisim.errors import SceneError
 from orbisim.testing import inject_effect
@@ -174,133 +168,3 @@ def test_a_payload_can_begin_at_an_offset_of_the_centre_of_mass(hammer: orbisim.
     (back,) = find("com_offset").generalized(hammer.model, heavy)
     assert back == pytest.approx(offset.values, rel=1e-3)
     assert find("com_offset").generalized(hammer.model, BIAS) == []
-
-
-def judged(checked: list[float], ratio: float, pooled: float, cost: float, touching: bool) -> Any:
-    """What `unpaid` reads of a fitted hypothesis."""
-    return SimpleNamespace(
-        checked=np.array(checked), ratio=ratio, pooled=pooled, cost=cost, touching=touching,
-        hypothesis=Hypothesis((BIAS,)), fit=SimpleNamespace(count=10000),
-    )  # fmt: skip
-
-
-def test_what_explains_all_need_not_show_in_windows_that_were_not_fitted() -> None:
-    """An event in one window of seven, or in none, where bodies touch."""
-    before, after = [1.03, 0.98, 1.2, 6.3, 0.9], [1.02, 0.97, 1.2, 4.0, 0.9]
-    settings = Settings()
-
-    def problem(gain: float = 500.0, ratio: float = 1.0, touching: bool = True) -> str | None:
-        one = judged(before, 1.2, 1.5, 900.0, touching)
-        return unpaid(settings, one, judged(after, ratio, 1.16, 900.0 - gain, touching))
-
-    assert problem() is None
-    assert "standard errors" in str(problem(gain=100.0))
-    assert problem(ratio=1.12) is None  # no window is worse
-    assert "standard errors" in str(problem(touching=False))
-    after[4] = 1.2
-    assert problem(ratio=1.12) is not None
-    worse = judged([1.0, 1.0, 1.04, 1.0], 1.0, 1.0, 400.0, True)
-    assert unpaid(settings, judged([1.0, 1.0, 1.0, 1.0], 1.6, 2.2, 900.0, True), worse) is None
-
-
-def test_declared_parameters_at_the_end_of_their_range_explain_nothing() -> None:
-    def of(factor: float) -> Any:
-        hypothesis = dataclasses.replace(Hypothesis(), factors=((GAIN, factor),))
-        return SimpleNamespace(hypothesis=hypothesis, ratio=1.05)
-
-    assert doubt(of(1.04)) is None
-    assert "further off" in str(doubt(of(1 + REACH)))
-
-
-def test_an_effect_that_paid_stays_while_all_gets_much_worse_without_it() -> None:
-    """Where bodies touch, how sure a gain is hangs on a few windows."""
-
-    def kept(cost: float, contacts: bool) -> int:
-        fewer = judged([1.0, 60.0, 1.0, 1.0], 5.4, 8.9, cost, contacts)
-        state: Any = SearchState.__new__(SearchState)
-        state.settings, state.bench = Settings(), SimpleNamespace(contacts=contacts)
-        state.judge = SimpleNamespace(judge=lambda hypothesis: fewer)
-        both = judged([1.0, 35.0, 1.5, 1.0], 5.2, 5.8, 100.0, contacts)
-        both.hypothesis = Hypothesis((BIAS, BIAS.replace(offset=0.1)))
-        return len(state.prune(both).hypothesis.effects)
-
-    assert kept(1700.0, True) == 2
-    assert kept(150.0, True) == 1
-    assert kept(1700.0, False) == 1
-
-
-def test_a_general_effect_that_did_worse_is_fitted_again_from_its_special_case(
-    hammer: orbisim.Scene,
-) -> None:
-    slide = "slide"
-    coulomb = EffectInstance("coulomb_friction", slide, {"torque": 2.0})
-    other = EffectInstance("coulomb_friction", "elsewhere", {"torque": 2.0})
-    poor = EffectInstance(
-        "stribeck_friction", slide, {"coulomb": 9.0, "static": 9.0, "velocity": 0.3}
-    )
-    state, begun = searching(hammer)
-
-    def again(special: EffectInstance, cost: float) -> int:
-        both = [fitted(poor, 100.0), fitted(special, cost)]
-        return len(generalized(state, both, Hypothesis().plus, [poor, special]))
-
-    assert again(coulomb, 20.0) == 1
-    assert begun[0].effect == "stribeck_friction" and begun[0].values["coulomb"] == 2.0
-    assert again(coulomb, 120.0) == 0
-    assert again(other, 20.0) == 0
-
-
-def test_the_best_effect_that_leaves_much_is_generalized(hammer: orbisim.Scene) -> None:
-    """A payload was not among the suspects, but an offset of the centre of mass did best."""
-    parts = {"x": 0.01, "y": -0.02, "z": 0.005}
-    offset = EffectInstance("com_offset", "head", {"offset": 0.0229, **parts})
-    state, begun = searching(hammer)
-    plus = Hypothesis().plus
-
-    def count(ratio: float, only: tuple[str, ...] | None = None) -> int:
-        begun.clear()
-        state.settings = Settings(effects=only)
-        both = [fitted(offset, 20.0, ratio), fitted(BIAS, 30.0, ratio)]
-        return len(generalized(state, both, plus, [offset, BIAS]))
-
-    assert count(9.0) == 1
-    masses = [e.values["mass"] for e in begun]
-    assert begun[0].effect == "payload" and masses == [pytest.approx(0.15)]  # what `glance` liked
-    assert count(1.0) == 0
-    assert count(9.0, ("com_offset", "torque_bias")) == 0
-
-
-def test_what_explains_all_gives_way_to_fewer_numbers_only(hammer: orbisim.Scene) -> None:
-    """A payload at a distance, and nothing is left: an offset of the centre of mass may do."""
-    place = {"com_x": 0.3, "com_y": -0.1, "com_z": 0.05}
-    load = EffectInstance("payload", "head", {"mass": 0.02, **place})
-    state, begun = searching(hammer)
-    state.judge.glance = lambda hypothesis: 1.0
-    generalized(
-        state, [fitted(load, 20.0, 1.0), fitted(BIAS, 30.0)], Hypothesis().plus, [load, BIAS]
-    )
-    assert [one.effect for one in begun] == ["com_offset"]
-    assert begun[0].values["x"] > 0 > begun[0].values["y"]
-
-
-def searching(scene: orbisim.Scene) -> tuple[Any, list[EffectInstance]]:
-    """What `generalized` reads of a search, and the effects that were fitted."""
-    begun: list[EffectInstance] = []
-
-    def judge(hypothesis: Hypothesis, iterations: int) -> Any:
-        begun.append(hypothesis.effects[-1])
-        return SimpleNamespace(hypothesis=hypothesis, cost=1.0)
-
-    def glance(hypothesis: Hypothesis) -> float:
-        return abs(hypothesis.effects[-1].values.get("mass", 0.0) - 0.2)
-
-    state = SimpleNamespace(
-        iterations=4, judge=SimpleNamespace(judge=judge, glance=glance), settings=Settings(),
-        bench=SimpleNamespace(scene=scene), done=lambda judged: judged.ratio <= 1.06,
-    )  # fmt: skip
-    return state, begun
-
-
-def fitted(one: EffectInstance, cost: float, ratio: float = 9.0) -> Any:
-    """An effect, fitted."""
-    return SimpleNamespace(hypothesis=Hypothesis((one,)), cost=cost, ratio=ratio)

@@ -63,9 +63,21 @@ def test_chance_wins_nothing() -> None:
     assert sum(won) < 20
 
 
-def test_nothing_is_better_than_the_noise() -> None:
-    worth = gain(np.full(20, 0.9), np.full(20, 0.2), blocks(20, floor=1.0))
-    assert worth.mean == 0
+def test_the_scale_is_not_below_the_noise() -> None:
+    left = np.full(20, 0.9), np.full(20, 0.2)
+    assert scales(left[1], blocks(20, floor=1.0)) == pytest.approx(1.0)
+    known, unknown = (gain(*left, blocks(20, floor=floor)).mean for floor in (1.0, 0.0))
+    assert 0 < known < 0.7 * unknown
+
+
+def test_a_rare_event_is_no_reason_to_doubt_it() -> None:
+    """Three blocks of forty get much better, none worse; or three better and three as much worse."""
+    before = np.ones(40)
+    before[:3] = 30.0
+    assert gain(before, np.ones(40), blocks(40), prior=-8.0).sure > 0
+    worse = np.ones(40)
+    worse[5:8] = 30.0
+    assert gain(before, worse, blocks(40), prior=-8.0).sure < 0
 
 
 def test_signals_have_scales_of_their_own() -> None:

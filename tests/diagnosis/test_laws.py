@@ -8,9 +8,10 @@ import pytest
 import orbisim
 from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
 from orbisim.diagnosis.consistency import inconsistency
-from orbisim.diagnosis.laws import imitated
-from orbisim.diagnosis.refine import Judge, Judged
+from orbisim.diagnosis.context import begun
+from orbisim.diagnosis.refine import Judged
 from orbisim.diagnosis.samples import prepare_all
+from orbisim.diagnosis.search import Found, named
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
 from orbisim.effects.unnamed import OneSidedLaw
@@ -24,32 +25,29 @@ CORD = EffectInstance(
 )
 
 
-def judged(
-    arm: orbisim.Scene, truth: EffectInstance, guess: Hypothesis
-) -> tuple[Bench, Judge, Judged]:
-    """A hypothesis fitted to recordings of the arm with another effect."""
+def found(arm: orbisim.Scene, truth: EffectInstance) -> tuple[Bench, Judged, str]:
+    """A spring fitted to recordings of the arm with an effect, and the law that is better."""
     runs = inject_effect(arm, truth, duration=6.0, episodes=3, noise=2e-4, seed=3)
     bench = make_bench(arm, prepare_all(runs, arm), 0.5)
-    judge = Judge(bench, bench.intervals)
-    found = judge.judge(guess, 8)
-    assert found is not None
-    return bench, judge, found
+    context = begun(bench, Settings(), lambda _: None)
+    judged = context.judge.judge(Hypothesis((SPRING,)), 8)
+    assert judged is not None
+    return bench, judged, named(Found(context, judged, judged)).law
 
 
 def test_a_spring_is_no_name_for_a_cord_that_pulls_on_one_side(arm: orbisim.Scene) -> None:
-    bench, judge, found = judged(arm, CORD, Hypothesis((SPRING,)))
-    assert found.ratio > 1.5
-    told = imitated(judge, found, Settings().margin)
-    assert told is not None and "explains it much better" in told
-    told = inconsistency(bench, found, 0)
+    bench, judged, law = found(arm, CORD)
+    assert judged.ratio > 1.5
+    assert "beyond" in law and "'elbow'" in law
+    told = inconsistency(bench, judged, 0)
     assert told is not None and "position" in told
 
 
 def test_a_spring_is_one(arm: orbisim.Scene) -> None:
-    bench, judge, found = judged(arm, SPRING, Hypothesis((SPRING,)))
-    assert imitated(judge, found, Settings().margin) is None
-    assert inconsistency(bench, found, 0) is None
-    assert found.hypothesis.effects[0].values["stiffness"] == pytest.approx(0.3, rel=0.02)
+    bench, judged, law = found(arm, SPRING)
+    assert law == ""
+    assert inconsistency(bench, judged, 0) is None
+    assert judged.hypothesis.effects[0].values["stiffness"] == pytest.approx(0.3, rel=0.02)
 
 
 def test_a_law_of_one_side_is_fitted_from_either_side() -> None:

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from orbisim.diagnosis.paying import unpaid
 
 from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.fits import Fit
-from orbisim.diagnosis.paying import unpaid
 from orbisim.diagnosis.refine import Judged
 from orbisim.diagnosis.settings import Settings
 

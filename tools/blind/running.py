@@ -193,7 +193,10 @@ def recordings_of(folder: Path, part: str) -> list[Path]:
     return sorted(folder.glob(f"{part}_*.npz"))
 
 
-KEPT = ("verdict", "sentence", "effects", "retuned", "alternatives", "error", "residual", "noise")
+KEPT = (
+    "verdict", "sentence", "effects", "retuned", "alternatives", "candidates", "error", "residual",
+    "noise", "notes",
+)  # fmt: skip
 
 
 def _diagnosed(folder: Path, patience: float | None) -> dict[str, Any]:

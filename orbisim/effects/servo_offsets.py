@@ -7,11 +7,10 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from orbisim.effects import EffectInstance
-from orbisim.effects.base import index_of, names_of_kind
+from orbisim.effects.base import EffectInstance, index_of, names_of_kind
 
 
-def twins(model: mujoco.MjModel, one: EffectInstance) -> list[EffectInstance]:
+def same_offsets(model: mujoco.MjModel, one: EffectInstance) -> list[EffectInstance]:
     """What moves the readings of a servo's joint as an offset does: of its motor, of its encoder,
     or a force along a slide. Nothing for other effects and without such a servo.
 

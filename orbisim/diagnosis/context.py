@@ -1,0 +1,117 @@
+"""What a search knows at a time: data, noise and derivatives along the best scene so far."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.diagnosis.along import along, tame
+from orbisim.diagnosis.bench import Bench
+from orbisim.diagnosis.deadline import Deadline
+from orbisim.diagnosis.linear import Intervals, linearize
+from orbisim.diagnosis.nuisance import factor_columns
+from orbisim.diagnosis.refine import Judge, Judged, is_structural
+from orbisim.diagnosis.retune import Tunable, tunables
+from orbisim.diagnosis.screening import missing_force, screen
+from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.suspects import Screening, merged
+from orbisim.effects import EffectInstance, find
+
+Floats = npt.NDArray[np.float64]
+Progress = Callable[[str], None]
+
+NEAR = 1.5
+"""Residual over noise up to which what is left counts as noise."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Context:
+    """The data and the judge of hypotheses on them.
+
+    Attributes:
+      settings: of the search. say: told what is going on.
+      bench: the data, with the noise along the best scene so far.
+      intervals: the linear system along that scene.
+      tunables: declared parameters that the data feel. columns: their effect on the motion,
+        [intervals, 2 nv, tunables]; None without.
+      judge: of hypotheses on the fitted and the check windows.
+    """
+
+    settings: Settings
+    say: Progress
+    bench: Bench
+    intervals: Intervals
+    tunables: tuple[Tunable, ...]
+    columns: Floats | None
+    judge: Judge
+
+    @property
+    def deadline(self) -> Deadline:
+        """Until when the search may take."""
+        return self.bench.deadline
+
+    def along(self, judged: Judged) -> Context:
+        """Noise and derivatives are known better along a better scene; what exceeds the noise
+        there is model error, and windows count as such."""
+        hypothesis = judged.hypothesis
+        intervals = linearize(self.bench.flow(hypothesis))
+        bench = self.bench.with_noise_of(hypothesis, intervals)
+        judge = self._judge(bench, intervals, judged.ratio > NEAR)
+        return dataclasses.replace(self, bench=bench, intervals=intervals, judge=judge)
+
+    def whole(self, deadline: Deadline, most: int) -> Context:
+        """With all windows fitted and checked (so many at most), until another deadline."""
+        bench = dataclasses.replace(self.bench.whole(), deadline=deadline)
+        judge = Judge(bench, self.intervals, self.tunables, self.columns, most, self.judge.heavy)
+        return dataclasses.replace(self, bench=bench, judge=judge)
+
+    def _judge(self, bench: Bench, intervals: Intervals, heavy: bool = False) -> Judge:
+        most = self.settings.windows
+        return Judge(bench, intervals, self.tunables, self.columns, most, heavy)
+
+    def with_tunables(self) -> Context:
+        """Finds the declared parameters that the data feel at all."""
+        if not self.settings.retune:
+            return self
+        every = tunables(self.bench.scene.model)
+        columns = factor_columns(self.bench, every)
+        size = np.abs(columns).max(axis=(0, 1)) if len(every) else np.zeros(0)
+        felt = size > 1e-9
+        found = dataclasses.replace(
+            self,
+            tunables=tuple(one for one, f in zip(every, felt, strict=True) if f),
+            columns=columns[:, :, felt] if felt.any() else None,
+        )
+        return dataclasses.replace(found, judge=found._judge(self.bench, self.intervals))
+
+    def allowed(self, instance: EffectInstance) -> bool:
+        """Whether the search may use an effect, and its target can have it."""
+        only = self.settings.effects
+        if only is not None and instance.effect not in only:
+            return False
+        return find(instance.effect).possible(self.bench.scene.model, instance.target)
+
+    def screen(self, judged: Judged) -> Screening:
+        """Ranks the effects that may be missing on top of a hypothesis; with contacts, along the
+        recordings and along its own free runs."""
+        only, hypothesis = self.settings.effects, judged.hypothesis
+        fitted = None
+        if self.bench.contacts and not is_structural(hypothesis):
+            fitted = along(self.bench, judged)
+        if fitted is None:
+            return screen(self.bench, hypothesis, self.intervals, only, self.columns)
+        bench, numbers = tame(fitted[0]), fitted[1]
+        columns = None if self.columns is None else factor_columns(bench, self.tunables)
+        force = missing_force(self.intervals)[numbers]
+        own = screen(bench, hypothesis, bench.intervals, only, columns, force)
+        seen = tame(dataclasses.replace(self.bench, intervals=self.intervals))
+        return merged(own, screen(seen, hypothesis, self.intervals, only, self.columns))
+
+
+def begun(bench: Bench, settings: Settings, say: Progress) -> Context:
+    """Along the declared scene, with nothing to retune."""
+    judge = Judge(bench, bench.intervals, (), None, settings.windows)
+    return Context(settings, say, bench, bench.intervals, (), None, judge)

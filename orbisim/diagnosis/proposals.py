@@ -1,0 +1,244 @@
+"""What a search may try next: effects that a screening ranks, events that no screening sees, and
+what can stand in the place of what is there.
+
+Nothing here decides; `orbisim.diagnosis.worth` does.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Iterator, Sequence
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.diagnosis.bench import SAME, Hypothesis, clean
+from orbisim.diagnosis.context import Context
+from orbisim.diagnosis.glances import Candidate, generalizations, shortlist, usual
+from orbisim.diagnosis.linear import linearize
+from orbisim.diagnosis.refine import Judged, is_structural
+from orbisim.diagnosis.screening import cleaned, screen
+from orbisim.diagnosis.suspects import Screening, Suspect
+from orbisim.effects import EffectInstance, effect_names, find
+from orbisim.effects.base import index_of, names_of_kind
+from orbisim.effects.unnamed import UNNAMED
+from orbisim.errors import OrbiSimError
+
+Floats = npt.NDArray[np.float64]
+
+
+def additions(
+    context: Context, current: Judged, screening: Screening, first: Sequence[EffectInstance]
+) -> Iterator[Candidate]:
+    """Effects to add: those that the screening ranks, best first, then events.
+
+    Args:
+      first: what did best where nothing was added yet: an added joint, whose state nothing reads,
+        hides what else is missing from a regression.
+    """
+    hypothesis = current.hypothesis
+    if is_structural(hypothesis):
+        taken = {(one.effect, one.target) for one in hypothesis.effects}
+        yield from (Candidate(e) for e in first if (e.effect, e.target) not in taken)
+    suspects = screening.tuned if hypothesis.factors else screening.suspects
+    yield from shortlist(context, current, suspects)
+    yield from events(context, current, screening.shares)
+
+
+def begin(context: Context, current: Judged, candidate: Candidate) -> Hypothesis:
+    """Where a fit with an effect more begins: with the effects before as they are or, if that
+    leaves less, moved; and with the effect smaller than suspected where that leaves more than there
+    is without it: with more friction than the true one a joint sticks, and a fit does not find
+    back. Where bodies touch, the shortlist has seen to its size."""
+    plus, judge = current.hypothesis.plus, context.judge
+    judge.begin_with(current)
+    hypothesis, contacts = plus(candidate.instance), context.bench.contacts
+    if not contacts and not find(candidate.instance.effect).structural:
+        most = judge.glance(current.hypothesis)
+        if judge.glance(hypothesis) > most:
+            smaller = (one for share in _SMALLER if (one := candidate.sized(share)) is not None)
+            hypothesis = next(
+                (h for one in smaller if judge.glance(h := plus(one)) < most), hypothesis
+            )
+    moved = candidate.moved
+    if moved is None or not moved.any() or is_structural(hypothesis):
+        return hypothesis
+    values = hypothesis.values(context.bench.scene)
+    values[: len(moved)] += moved
+    other = hypothesis.at(context.bench.scene, values)
+    return min((hypothesis, other), key=judge.glance)
+
+
+_SMALLER = (0.5, 0.25, 0.1)
+
+
+def events(context: Context, current: Judged, shares: Floats) -> Iterator[Candidate]:
+    """Effects that no regression sees, at the joints where something is left, each with those of
+    its stated values that leave least."""
+    model, hypothesis = context.bench.scene.model, current.hypothesis
+    taken = {(e.effect, e.target) for e in hypothesis.effects}
+    for name in effect_names():
+        effect = find(name)
+        if not effect.stated:
+            continue
+        for target in effect.targets(model):
+            dof = int(model.jnt_dofadr[index_of(model, "joint", target)])
+            here = EffectInstance(name, target, {})
+            if shares[dof] < _SHARE or (name, target) in taken or not context.allowed(here):
+                continue
+            courses = [one.absolute[one.usable, dof] for one in context.bench.samples]
+            for values in effect.places(model, target, courses):
+                every = [EffectInstance(name, target, dict(one)) for one in values]
+                best = _least(context, current, every)
+                if best is not None:
+                    yield Candidate(best, slow=effect.structural)
+
+
+_SHARE = 0.08
+"""Share of the residual at a joint from which on events are looked for there."""
+
+
+def _least(
+    context: Context, current: Judged, every: Sequence[EffectInstance]
+) -> EffectInstance | None:
+    """What leaves least, starts alone fitted, over all windows: an event may happen in few."""
+    best, least = None, np.inf
+    for one in every:
+        try:
+            cleaned_one = clean(context.bench.scene, one)
+            left = context.judge.quick_loss(current.hypothesis.plus(cleaned_one))
+        except OrbiSimError:  # a variant that cannot be is no candidate
+            continue
+        if left < least:
+            best, least = cleaned_one, left
+    return best
+
+
+def pairs(context: Context, screening: Screening) -> Iterator[Hypothesis]:
+    """Two effects at once: each may look small as long as the other is missing."""
+    for pair in screening.pairs[: context.settings.shortlist]:
+        one, other = (cleaned(context.bench, suspect) for suspect in pair)
+        if one is not None and other is not None:
+            yield Hypothesis((one, other))
+
+
+def exchanges(context: Context, current: Judged, index: int, fewer: Judged) -> Iterator[Hypothesis]:
+    """Others in the place of one effect: what is known to look the same, the declared parameter
+    that it changes, and what a screening without it ranks best.
+
+    Args:
+      fewer: the explanation without it.
+    """
+    model, own = context.bench.scene.model, current.hypothesis.effects[index]
+    near = [*find(own.effect).equivalents(model, own), *generalizations(context, own)]
+    seen = {(own.effect, own.target)}
+    for one in near:
+        if (one.effect, one.target) not in seen and context.allowed(one):
+            seen.add((one.effect, one.target))
+            yield fewer.hypothesis.plus(clean(context.bench.scene, one))
+    declared = [
+        t for t in context.tunables if (t.kind, t.target) == (SAME.get(own.effect), own.target)
+    ]
+    if declared:
+        yield fewer.hypothesis.tuned([*(t for t, _ in fewer.hypothesis.factors), *declared])
+    if len(current.hypothesis.effects) < 2 or is_structural(current.hypothesis):
+        return
+    for suspect in _screened(context, fewer)[:_FEW]:
+        instance = cleaned(context.bench, suspect)
+        if instance is not None and (instance.effect, instance.target) not in seen:
+            yield begin(
+                context, fewer, Candidate(instance, moved=suspect.moved, sized=suspect.sized)
+            )
+
+
+def merged(context: Context, current: Judged, one: int, other: int) -> Iterator[Hypothesis]:
+    """One effect in the place of two: what a payload does is found in parts, a force first, and
+    none of the parts gives way to it alone."""
+    effects = current.hypothesis.effects
+    fewer = context.judge.judge(current.hypothesis.without(other).without(one), 3, begin=current)
+    if fewer is None:
+        return
+    taken = {(e.effect, e.target) for e in effects}
+    bodies = _bodies(context.bench.scene.model, (effects[one], effects[other]))
+    loads = usual(context, bodies)
+    context.judge.begin_with(fewer)
+    first: dict[tuple[str, str], EffectInstance] = {}
+    left = {id(c): context.judge.glance(fewer.hypothesis.plus(c.instance)) for c in loads}
+    for candidate in sorted(loads, key=lambda c: left[id(c)]):
+        first.setdefault((candidate.instance.effect, candidate.instance.target), candidate.instance)
+    ranked = [e for s in _screened(context, fewer)[:_FEW] if (e := cleaned(context.bench, s))]
+    for instance in [*ranked, *list(first.values())[:_FEW]]:
+        if (instance.effect, instance.target) not in taken and context.allowed(instance):
+            yield fewer.hypothesis.plus(instance)
+
+
+def _screened(context: Context, fewer: Judged) -> Sequence[Suspect]:
+    """Suspects on top of a hypothesis, along its own motion."""
+    if context.bench.contacts:
+        return context.screen(fewer).suspects
+    intervals = linearize(context.bench.flow(fewer.hypothesis))
+    found = screen(
+        context.bench, fewer.hypothesis, intervals, context.settings.effects, context.columns
+    )
+    return found.tuned if fewer.hypothesis.factors else found.suspects
+
+
+def _bodies(model: mujoco.MjModel, parts: Sequence[EffectInstance]) -> list[EffectInstance]:
+    """Every effect of the inertia of the bodies that some effects act on."""
+    bodies: list[str] = []
+    for one in parts:
+        kind = find(one.effect).kind
+        if kind == "joint":
+            body = model.jnt_bodyid[index_of(model, "joint", one.target)]
+            bodies.append(names_of_kind(model, "body")[body])
+        elif kind == "body":
+            bodies.append(one.target)
+    names = [n for n in effect_names() if find(n).family == _INERTIA and find(n).kind == "body"]
+    both = itertools.product(names, dict.fromkeys(bodies))
+    return [EffectInstance(n, b, {}) for n, b in both if b in find(n).targets(model)]
+
+
+_INERTIA = "mass"
+
+
+def laws(context: Context, current: Judged) -> Iterator[Hypothesis]:
+    """A law without a name at a joint in the place of all effects there: what one smooth law does
+    as well as several named effects, or better than one, is not to be called by their names."""
+    scene, hypothesis = context.bench.scene, current.hypothesis
+    model = scene.model
+    places = [_joint(model, one) for one in hypothesis.effects]
+    for joint in dict.fromkeys(place for place in places if place is not None):
+        for law in UNNAMED:
+            effect = law()
+            if not effect.possible(model, joint):
+                continue
+            dof = int(model.jnt_dofadr[index_of(model, "joint", joint)])
+            q = np.concatenate([one.absolute[one.usable, dof] for one in context.bench.samples])
+            begun = [
+                dataclasses.replace(
+                    hypothesis,
+                    effects=(EffectInstance(law.name, joint, values),),
+                    frozen=frozenset(),
+                )
+                for values in effect.beginnings(q)
+            ]
+            context.judge.begin_with(current)
+            yield min(begun, key=context.judge.quick_loss)
+
+
+def _joint(model: mujoco.MjModel, instance: EffectInstance) -> str | None:
+    """The joint at which an effect acts; None if at none."""
+    kind = find(instance.effect).kind
+    if kind == "joint":
+        return instance.target
+    if kind == "actuator":
+        actuator = index_of(model, "actuator", instance.target)
+        if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT:
+            return names_of_kind(model, "joint")[model.actuator_trnid[actuator, 0]]
+    return None
+
+
+_FEW = 3
+"""Suspects of a screening that are tried in the place of an effect."""

@@ -1,0 +1,153 @@
+"""The search: every move is worth it, or is not made."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import orbisim
+from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
+from orbisim.diagnosis.conclusion import attribute, concluded
+from orbisim.diagnosis.context import begun
+from orbisim.diagnosis.deadline import NEVER, Deadline, TimeIsUpError
+from orbisim.diagnosis.proposals import events, exchanges, merged
+from orbisim.diagnosis.retune import Tunable, retuned
+from orbisim.diagnosis.samples import prepare_all
+from orbisim.diagnosis.search import Found, search
+from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.worth import prior, worth
+from orbisim.effects import EffectInstance, find
+from orbisim.testing import inject_effect
+
+ASSETS = Path(__file__).parents[2] / "mjcf_assets"
+FRICTION = EffectInstance("coulomb_friction", "shoulder", {"torque": 0.3})
+DAMPING = EffectInstance("viscous_damping", "elbow", {"coefficient": 0.08})
+BIAS = EffectInstance("torque_bias", "elbow", {"offset": 0.15})
+ALLOWED = ("coulomb_friction", "viscous_damping", "torque_bias", "joint_spring", "torque_gain")
+
+
+def bench_of(
+    arm: orbisim.Scene, *effects: EffectInstance, true: orbisim.Scene | None = None
+) -> Bench:
+    runs = inject_effect(true or arm, list(effects), duration=4.0, episodes=3, noise=1e-4, seed=4)
+    return make_bench(arm, prepare_all(runs, arm), 0.5)
+
+
+def names(hypothesis: Hypothesis) -> set[tuple[str, str]]:
+    return {(e.effect, e.target) for e in hypothesis.effects}
+
+
+def test_adds_what_is_missing_and_nothing_else(arm: orbisim.Scene) -> None:
+    found = search(bench_of(arm, FRICTION, DAMPING), Settings(effects=ALLOWED))
+    assert names(found.best.hypothesis) == names(Hypothesis((FRICTION, DAMPING)))
+    assert found.best.ratio < 1.1 and not found.law and not found.late
+    assert worth(found.context.bench, found.best, found.best).total == 0
+
+
+def test_a_right_scene_needs_nothing(arm: orbisim.Scene) -> None:
+    found = search(bench_of(arm), Settings(effects=ALLOWED))
+    assert found.best is found.declared and not found.tried
+
+
+def test_a_declared_parameter_that_is_a_little_off_is_no_effect(arm: orbisim.Scene) -> None:
+    gain = Tunable("gain", "elbow")
+    bench = bench_of(arm, true=retuned(arm, {gain: 1.04}))
+    found = search(bench, Settings(effects=ALLOWED))
+    assert not found.best.hypothesis.effects
+    assert dict(found.best.hypothesis.factors)[gain] == pytest.approx(1.04, abs=0.005)
+    after = concluded(found, NEVER)
+    assert after.hypothesis.factors and not after.evidence
+
+
+def test_a_needless_effect_is_dropped(arm: orbisim.Scene) -> None:
+    """On a machine with another effect besides; what is left is far above the noise."""
+    other = EffectInstance("cogging", "elbow", {"amplitude": 0.1, "periods": 3.0, "phase": 0.4})
+    context = begun(bench_of(arm, FRICTION, other), Settings(), lambda _: None)
+    idle = EffectInstance("armature", "shoulder", {"inertia": 1e-4})
+    declared = context.judge.judge(Hypothesis())
+    both = context.judge.judge(Hypothesis((FRICTION, idle)))
+    assert declared is not None and both is not None and both.ratio > 3
+    found = concluded(Found(context, declared, both), NEVER)
+    assert names(found.hypothesis) == {("coulomb_friction", "shoulder")}
+    assert "not sure" in found.rejected[0][1] and found.rejected[0][0].effect == "armature"
+
+
+def test_what_no_machine_has_is_impossible(arm: orbisim.Scene) -> None:
+    """Half a gram, five metres away."""
+    place = {"com_x": 5.0, "com_y": 0.0, "com_z": 0.0}
+    load = EffectInstance("payload", "forearm", {"mass": 5e-4, **place})
+    bench: Any = SimpleNamespace(scene=arm, samples=bench_of(arm).samples)
+    assert prior(bench, Hypothesis((load,))) == -np.inf
+    assert prior(bench, Hypothesis((FRICTION,))) > prior(bench, Hypothesis((FRICTION, BIAS)))
+
+
+def test_what_looks_the_same_is_proposed_in_its_place(arm: orbisim.Scene) -> None:
+    context = begun(bench_of(arm, DAMPING), Settings(), lambda _: None).with_tunables()
+    best = context.judge.judge(Hypothesis((DAMPING,)))
+    assert best is not None
+    fewer = dataclasses.replace(best, hypothesis=Hypothesis())
+    proposed = list(exchanges(context, best, 0, fewer))
+    tuned = [dict(one.factors) for one in proposed if not one.effects]
+    assert [list(factors) for factors in tuned] == [[Tunable("damping", "elbow")]]
+
+
+def test_a_payload_is_proposed_for_two_parts_of_it(arm: orbisim.Scene) -> None:
+    settings = Settings(effects=("payload", "armature"))
+    context = begun(bench_of(arm, DAMPING), settings, lambda _: None)
+    down = {"magnitude": 1.0, "x": 0.0, "y": 0.0, "z": -1.0}
+    parts = (
+        EffectInstance("constant_force", "upper_arm", down),
+        EffectInstance("armature", "shoulder", {"inertia": 0.005}),
+    )
+    both = context.judge.judge(Hypothesis(parts), 1)
+    assert both is not None
+    loads = {(e.effect, e.target) for h in merged(context, both, 0, 1) for e in h.effects}
+    assert ("payload", "upper_arm") in loads
+
+
+def test_events_are_tried_where_something_is_left(arm: orbisim.Scene) -> None:
+    """A stop where simulation likes it best, at the joint at which something is left."""
+    travel = np.linspace(-0.5, 1.5, 201)
+    absolute = np.stack([travel, 0 * travel, 0 * travel, 0 * travel], axis=1)
+    samples = SimpleNamespace(absolute=absolute, usable=np.ones(201, bool))
+    bench = SimpleNamespace(scene=arm, contacts=False, samples=[samples])
+
+    def quick_loss(hypothesis: Hypothesis) -> float:
+        return abs(hypothesis.effects[-1].values["position"] - 1.44)
+
+    context: Any = SimpleNamespace(
+        bench=bench, judge=SimpleNamespace(quick_loss=quick_loss),
+        allowed=lambda one: one.effect == "hard_stop",
+    )  # fmt: skip
+    current: Any = SimpleNamespace(hypothesis=Hypothesis())
+    found = [one.instance for one in events(context, current, np.array([0.9, 0.01]))]
+    assert [one.target for one in found] == ["shoulder"] * 2
+    assert found[0].values == pytest.approx({"position": 1.44, "side": 1.0})  # 3 % of the travel
+    assert found[1].values == pytest.approx({"position": -0.34, "side": -1.0})
+    current.hypothesis = Hypothesis((found[0],))
+    assert list(events(context, current, np.array([0.9, 0.01]))) == []
+
+
+def test_motion_that_begins_beyond_a_stop_shows_it_where_it_turns(arm: orbisim.Scene) -> None:
+    begins = np.array([0.9, 0.6, 0.2, 0.5, 0.7, 0.3])  # at 0.9, and never again
+    swings = np.array([0.0, 0.4, 0.71, 0.2, 0.69, 0.1])
+    upper, _ = find("hard_stop").places(arm.model, "elbow", [begins, swings])
+    assert {0.9, 0.71, 0.7} <= {round(one["position"], 9) for one in upper}
+
+
+def test_the_best_so_far_is_returned_when_the_time_is_up(arm: orbisim.Scene) -> None:
+    whole = bench_of(arm, FRICTION, DAMPING, BIAS)
+    search(whole, Settings(effects=("coulomb_friction",)))  # what is compiled once
+    bench = dataclasses.replace(whole, deadline=Deadline.after(2.0))
+    begin = time.process_time()
+    found = attribute(bench, Settings(), deadline=Deadline.after(2.5))
+    assert time.process_time() - begin < 4.0
+    assert found.cut_short
+    with pytest.raises(TimeIsUpError):
+        search(dataclasses.replace(whole, deadline=Deadline(0.0)), Settings())
