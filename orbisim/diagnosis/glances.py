@@ -6,16 +6,17 @@ import dataclasses
 import functools
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis, clean
 from orbisim.diagnosis.context import Context
+from orbisim.diagnosis.deadline import Deadline
 from orbisim.diagnosis.refine import Judged, is_structural
 from orbisim.diagnosis.screening import bounded_instance, cleaned
-from orbisim.diagnosis.suspects import Suspect
+from orbisim.diagnosis.suspects import Suspect, in_turns
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.scene import Scene
 
@@ -50,7 +51,8 @@ def shortlist(context: Context, current: Judged, suspects: Sequence[Suspect]) ->
     if not context.bench.contacts or is_structural(hypothesis):
         return possible[:most]
     more = usual(context, [one.instance for one in possible])
-    glances = _resized(context, hypothesis, [*varied(possible, 2)[:_GLANCES], *more])
+    both = in_turns(varied(possible, 2)[:_GLANCES], more, id)
+    glances = _resized(context, hypothesis, both)
     ranked = _tried(context, hypothesis, glances)
     first = varied(ranked, 1)[:most]
     if hypothesis.factors:  # each fit takes long
@@ -73,13 +75,16 @@ class _Glance(NamedTuple):
 def _resized(context: Context, hypothesis: Hypothesis, found: Sequence[Candidate]) -> list[_Glance]:
     """Best first, and the best as large as simulation wants them: chained through impacts,
     regressions overshoot."""
-    made = []
-    for one in found:
+
+    def glanced(one: Candidate) -> _Glance:
         left, better = context.judge.sized_glance(hypothesis.plus(one.instance))
-        made.append(_Glance(left, 1.0, better, one))
+        return _Glance(left, 1.0, better, one)
+
+    made = _in_time(context, found, glanced)
     for _ in range(_RESIZED):
         made.sort(key=lambda glance: glance.left)
-        made[:_FIRST] = [_again(context, hypothesis, glance) for glance in made[:_FIRST]]
+        again = _in_time(context, made[:_FIRST], lambda one: _again(context, hypothesis, one))
+        made[: len(again)] = again
     return sorted(made, key=lambda glance: glance.left)
 
 
@@ -104,7 +109,28 @@ def _tried(context: Context, hypothesis: Hypothesis, glances: Sequence[_Glance])
     def least(one: Candidate) -> float:
         return min(left[id(one)], context.judge.tried(hypothesis.plus(one.instance)))
 
-    return [few[i] for i in np.argsort([least(one) for one in few], kind="stable")]
+    tried = _in_time(context, few, least)
+    return [few[i] for i in np.argsort(tried, kind="stable")]
+
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+
+
+def _in_time(
+    context: Context, items: Sequence[_Item], work: Callable[[_Item], _Result]
+) -> list[_Result]:
+    """Works on items, the most promising first, for a share of the time that is left."""
+    until, done = Deadline.after(_OF_TIME * context.deadline.left), list[_Result]()
+    for item in items:
+        if until.passed and len(done) >= _LEAST:
+            break
+        done.append(work(item))
+    return done
+
+
+_OF_TIME = 0.15
+_LEAST = 8
 
 
 def usual(context: Context, possible: Sequence[EffectInstance]) -> list[Candidate]:

@@ -25,6 +25,7 @@ from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.effects.base import index_of, names_of_kind
 from orbisim.effects.unnamed import UNNAMED
 from orbisim.errors import OrbiSimError
+from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
 
@@ -124,33 +125,49 @@ def pairs(context: Context, screening: Screening) -> Iterator[Hypothesis]:
             yield Hypothesis((one, other))
 
 
-def exchanges(context: Context, current: Judged, index: int, fewer: Judged) -> Iterator[Hypothesis]:
+def exchanges(
+    context: Context,
+    current: Judged,
+    index: int,
+    fewer: Judged,
+    others: Sequence[EffectInstance] = (),
+) -> Iterator[Hypothesis]:
     """Others in the place of one effect: what is known to look the same, the declared parameter
-    that it changes, and what a screening without it ranks best.
+    that it changes, and what a screening without it ranks best. Where it is of those that are also
+    declared (a mass), declared parameters may be off instead, beside a simpler effect.
 
     Args:
-      fewer: the explanation without it.
+      fewer: the explanation without it. others: what did best beside it in its round.
     """
-    model, own = context.bench.scene.model, current.hypothesis.effects[index]
-    near = [*find(own.effect).equivalents(model, own), *generalizations(context, own)]
+    scene, own = context.bench.scene, current.hypothesis.effects[index]
+    every = [*find(own.effect).equivalents(scene.model, own), *generalizations(context, own)]
+    near = [clean(scene, one) for one in every if context.allowed(one)]
     seen = {(own.effect, own.target)}
     for one in near:
-        if (one.effect, one.target) not in seen and context.allowed(one):
+        if (one.effect, one.target) not in seen:
             seen.add((one.effect, one.target))
-            yield fewer.hypothesis.plus(clean(context.bench.scene, one))
-    declared = [
-        t for t in context.tunables if (t.kind, t.target) == (SAME.get(own.effect), own.target)
-    ]
+            yield fewer.hypothesis.plus(one)
+    retuned = not current.hypothesis.factors and bool(context.tunables)
+    if own.effect in SAME and retuned:
+        known = {(one.effect, one.target): one for one in reversed((*near, *others))}
+        simpler = [o for o in known.values() if _numbers(scene, o) < _numbers(scene, own)]
+        for one in simpler[: -_FEW - 1 : -1]:
+            yield fewer.hypothesis.plus(one).tuned(context.tunables)
+    same = (SAME.get(own.effect), own.target)
+    declared = [one for one in context.tunables if (one.kind, one.target) == same]
     if declared:
-        yield fewer.hypothesis.tuned([*(t for t, _ in fewer.hypothesis.factors), *declared])
+        yield fewer.hypothesis.tuned([*(one for one, _ in fewer.hypothesis.factors), *declared])
     if len(current.hypothesis.effects) < 2 or is_structural(current.hypothesis):
         return
     for suspect in _screened(context, fewer)[:_FEW]:
         instance = cleaned(context.bench, suspect)
         if instance is not None and (instance.effect, instance.target) not in seen:
-            yield begin(
-                context, fewer, Candidate(instance, moved=suspect.moved, sized=suspect.sized)
-            )
+            found = Candidate(instance, moved=suspect.moved, sized=suspect.sized)
+            yield begin(context, fewer, found)
+
+
+def _numbers(scene: Scene, one: EffectInstance) -> int:
+    return len(find(one.effect).free_parameters(scene.model, one.target))
 
 
 def merged(context: Context, current: Judged, one: int, other: int) -> Iterator[Hypothesis]:

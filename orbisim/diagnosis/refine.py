@@ -200,11 +200,6 @@ class Judge:
         left, size = self._glanced(hypothesis, some)
         return (np.inf if left is None else self._typical(self.fitted, left)), size
 
-    def glance_at_all(self, hypothesis: Hypothesis) -> float:
-        """As `glance`, over all windows with none left out; bad ones count by their logarithm."""
-        left, _ = self._glanced(hypothesis, None)
-        return np.inf if left is None else float(np.log1p(left).mean())
-
     def _glanced(self, hypothesis: Hypothesis, some: Bools | None) -> tuple[Floats | None, float]:
         """Mean square of some windows or all; None if that cannot be told; and the better size."""
         start, free = self._warm.get(id(self.fitted)), self._free.get(id(self.fitted))

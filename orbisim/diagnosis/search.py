@@ -423,7 +423,9 @@ def _exchanged(found: Found, number: int) -> Found:
         if fewer is None:
             continue
         context.say(f"looking for another effect instead of {place[0]} at {place[1]}")
-        others = _all(context, exchanges(context, best, index, fewer), best)
+        beside = sorted((t for t in found.tried if t.round == number), key=lambda t: -t.gain.total)
+        ranked = [t.last for t in beside if t.last is not None]
+        others = _all(context, exchanges(context, best, index, fewer, ranked), best)
         others += list(map(context.judge.closer, _best(context, best, others)))
         better = _winner(context, best, others)
         if better is not None and worth(context.bench, best, better).total > _EVEN:
