@@ -71,7 +71,7 @@ from orbisim.errors import InputError
     metavar="NAME",
     help="Consider only this effect of the catalogue (repeatable).",
 )
-@click.option("--most-effects", default=3, show_default=True, help="At most so many are added.")
+@click.option("--most-effects", default=12, show_default=True, help="At most so many are added.")
 @click.option(
     "--retune/--no-retune",
     default=True,
@@ -81,8 +81,8 @@ from orbisim.errors import InputError
     "--learn-rest",
     is_flag=True,
     help="Where no effect explains the residual, fit a neural residual force to what is left. It "
-    "is labelled as such, is never counted as an effect, and is kept only if it helps on held-out "
-    "data.",
+    "is labelled as such, is never counted as an effect, and is kept only if it helps on windows "
+    "that it was not trained on.",
 )
 @click.option(
     "--out",
@@ -95,7 +95,7 @@ from orbisim.errors import InputError
     "--patience",
     default=600.0,
     show_default=True,
-    help="Seconds after which no further effect is looked for.",
+    help="Seconds that it may take; it then ends with the best that it has.",
 )
 @map_option
 @seed_option

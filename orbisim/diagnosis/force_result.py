@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.confounds import standing
+from orbisim.diagnosis.deadline import NEVER, Deadline
 from orbisim.diagnosis.findings import effects_of, noise_of, suspected
 from orbisim.diagnosis.force import force_residual
 from orbisim.diagnosis.force_search import ForceAttribution, attribute_forces
@@ -40,6 +41,7 @@ def diagnose_forces(
     backend: str,
     notes: Sequence[str],
     say: Callable[[str], None],
+    deadline: Deadline = NEVER,
 ) -> Diagnosis:
     """As `orbisim.diagnose` with `residual="force"`; recordings are bounded and not thinned.
 
@@ -48,7 +50,9 @@ def diagnose_forces(
       InputError: there are too few usable samples.
     """
     samples, unseen = prepare_all(fit, scene), prepare_all(held, scene)
-    found = attribute_forces(scene, samples, settings, say)
+    found = attribute_forces(scene, samples, settings, say, deadline)
+    if deadline.passed:
+        notes = [*notes, "the search was ended as its time was up; more may be found"]
     say("checking on held-out data")
     fitted, kept = _Errors(scene, samples), _Errors(scene, unseen)
     return Diagnosis(

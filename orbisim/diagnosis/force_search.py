@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis
+from orbisim.diagnosis.deadline import NEVER, Deadline
 from orbisim.diagnosis.evidence import Gain
 from orbisim.diagnosis.fits import Fit
 from orbisim.diagnosis.force_data import (
@@ -86,9 +87,13 @@ class ForceAttribution:
 
 
 def attribute_forces(
-    scene: Scene, samples: Sequence[Samples], settings: Settings, say: Progress = lambda _: None
+    scene: Scene,
+    samples: Sequence[Samples],
+    settings: Settings,
+    say: Progress = lambda _: None,
+    deadline: Deadline = NEVER,
 ) -> ForceAttribution:
-    """Searches for the effects whose forces a scene lacks.
+    """Searches for the effects whose forces a scene lacks, with what it has at the deadline.
 
     Raises:
       InputError: there are too few usable samples.
@@ -99,7 +104,7 @@ def attribute_forces(
     if ratio <= settings.enough:
         return _nothing(data, ratio, ())
     say("what effects would give along the recordings")
-    chosen = _selected(data, settings, say)
+    chosen = _selected(data, settings, say, deadline)
     suspects = _suspects(chosen)
     known = [(one, worth) for one, worth in _instances(data, chosen) if one is not None]
     if not known:
@@ -134,7 +139,7 @@ _TOLD = 2.0
 """Standard deviations by which an effect's numbers must differ from nothing."""
 
 
-def _selected(data: ForceData, settings: Settings, say: Progress) -> Selected:
+def _selected(data: ForceData, settings: Settings, say: Progress, deadline: Deadline) -> Selected:
     """Effects, selected with weights that follow from what they leave."""
     found, columns = candidates(data, settings.effects)
     model, known = data.scene.model, extent(data.samples)
@@ -146,12 +151,14 @@ def _selected(data: ForceData, settings: Settings, say: Progress) -> Selected:
     for number in range(_ROUNDS):
         say(f"selecting effects, round {number + 1}")
         sigma = spread(data, left)
-        blocks = data_of(normals(data, columns, sigma), counts(data, left, sigma))
+        both = normals(data, columns, sigma), counts(data, left, sigma)
+        blocks = data_of(*both, deadline=deadline)
         chosen = select(blocks, groups_of(model, found, blocks.whole(), prior))
         before, left = left, data.force.copy()
         for group, x in zip(chosen.groups, chosen.coefficients, strict=True):
             left -= columns[:, :, list(group.index)] @ x
-        if np.all(np.abs(_size(left) / _size(before) - 1) < _SETTLED):
+        settled = np.all(np.abs(_size(left) / _size(before) - 1) < _SETTLED)
+        if settled or deadline.passed:
             break
     return chosen
 

@@ -56,7 +56,7 @@ def propose(
     for _ in range(_ROUNDS):
         size = np.maximum(data.count * share, 1.0)
         counts = Blocks(size, np.zeros(len(size), np.int64), np.ones(len(size)))
-        blocks = data_of(normals, counts)
+        blocks = data_of(normals, counts, deadline=bench.deadline)
         chosen = select(blocks, groups_of(model, found, blocks.whole(), prior), most)
         effects, before = _instances(bench, chosen), share
         share = independent_share(_courses(data.design, data.target, chosen, windows.length))

@@ -119,7 +119,8 @@ def diagnose(
         if residual == "force" or (residual is None and not learn_rest and _arm(loaded, fit)):
             engine = backend if isinstance(backend, str) else backend.name
             both = bounded(fit, notes), bounded(held, notes)
-            result = diagnose_forces(loaded, named, *both, settings, engine, notes, say)
+            limit = Deadline(start + (_SEARCH if residual else _FORCES) * settings.patience)
+            result = diagnose_forces(loaded, named, *both, settings, engine, notes, say, limit)
             if residual is None and len(result.effects) < loaded.model.nv:
                 result = None
         if result is None:
@@ -184,8 +185,9 @@ def _by_motion(
     return result
 
 
-_SEARCH, _FITS = 0.75, 0.95
-"""Shares of the patience until which a search goes on, and the final fits."""
+_FORCES, _SEARCH, _FITS = 0.35, 0.75, 0.95
+"""Shares of the patience until which a search of forces goes on that may be followed by one of the
+motion, a search, and the final fits."""
 
 
 def _elsewhere(found: Attribution) -> list[str]:

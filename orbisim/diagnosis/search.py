@@ -272,7 +272,7 @@ def _added(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judg
     own: list[Judged] = []
     for candidate in additions(context, current, screening, first):
         if any(done(context, one) for one in own) and (
-            candidate.slow or (len(own) >= _FEW and not contacts)
+            candidate.slow or len(own) >= (2 * _FEW if contacts else _FEW)
         ):
             break
         instance = candidate.instance

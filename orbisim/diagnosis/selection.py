@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.diagnosis.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.diagnosis.evidence import Blocks, Gain, gain, weights
 from orbisim.diagnosis.regress import Normal, fit, profiled
 from orbisim.effects import EffectInstance, find
@@ -129,12 +130,14 @@ class Data:
     Attributes:
       blocks: normal equations of each. folds: [B] number of the part that a block is left out with.
       counts: how their data count. weight: [B] by which they count in fits.
+      deadline: when a selection ends with what it has.
     """
 
     blocks: tuple[Normal, ...]
     folds: Ints
     counts: Blocks
     weight: Floats
+    deadline: Deadline = NEVER
 
     @functools.cached_property
     def stack(self) -> Stack:
@@ -161,13 +164,15 @@ class Data:
         return again
 
 
-def data_of(blocks: Sequence[Normal], counts: Blocks, folds: int = 10) -> Data:
+def data_of(
+    blocks: Sequence[Normal], counts: Blocks, folds: int = 10, deadline: Deadline = NEVER
+) -> Data:
     """Blocks as they come, those of a signal that are next to each other in the same fold."""
     number = np.zeros(len(blocks), np.int64)
     for signal in np.unique(counts.signal):
         own = np.flatnonzero(counts.signal == signal)
         number[own] = np.arange(len(own)) * min(folds, len(own)) // len(own)
-    data = Data(tuple(blocks), number, counts, np.ones(len(blocks)))
+    data = Data(tuple(blocks), number, counts, np.ones(len(blocks)), deadline)
     return data.reweighed(np.array([one.square / max(one.count, 1) for one in blocks]))
 
 
@@ -214,20 +219,26 @@ def select(data: Data, groups: Sequence[Group], most: int = 40) -> Selected:
     best: _Search | None = None
     for rarity in BEGINNINGS:
         search = _Search(data, groups)
-        search.begin(rarity)
-        search.remove()
-        while len(search.chosen) < most and search.add():
-            search.reweigh()
-            search.exchange()
+        try:
+            search.begin(rarity)
             search.remove()
+            while len(search.chosen) < most and search.add():
+                search.reweigh()
+                search.exchange()
+                search.remove()
+        except TimeIsUpError:
+            search.close()
         nearer = best is None or best.worth(search) > 0
         best = search if nearer else best
     assert best is not None
+    if data.deadline.passed:
+        best.close()
     return best.result()
 
 
 def predicted(data: Data, chosen: Sequence[Group]) -> Floats:
     """[B]: mean squared residual of each block, with coefficients fitted to the other folds."""
+    data.deadline.check()
     free = [i for group in chosen if not group.fixed for i in group.index]
     ones = [i for group in chosen if group.fixed for i in group.index]
     index, stack = np.array([*ones, *free], int), data.stack
@@ -278,7 +289,13 @@ class _Search:
         self.data, self.groups = data, groups
         self.whole = data.whole()
         self.chosen: list[Group] = []
-        self.before = self.now = predicted(data, [])
+        self.before = self.now = predicted(dataclasses.replace(data, deadline=NEVER), [])
+
+    def close(self) -> None:
+        """Ends with what is chosen by now: the time is up."""
+        self.data, self.groups = dataclasses.replace(self.data, deadline=NEVER), ()
+        self.chosen = self._possible(self.chosen)
+        self.now = predicted(self.data, self.chosen)
 
     def reweigh(self) -> None:
         """Blocks count by what is left of them now."""

@@ -212,8 +212,12 @@ def _frequency_grid(x: Floats, against: str) -> Floats:
     if spread <= 0:
         return np.zeros(0)
     lowest = 2 * np.pi / spread  # a whole period within the travel
-    resolution = 0.25 * min(lowest, 1.0)
+    resolution = max(0.25 * min(lowest, 1.0), lowest / _FINEST)
     return np.arange(max(lowest, resolution), max(60.0, 40 * lowest), resolution)
+
+
+_FINEST = 64.0
+"""Steps within what the travel resolves: a joint that hardly moves resolves next to nothing."""
 
 
 def _peaks(x: Floats, y: Floats, grid: Floats) -> Floats:
