@@ -386,7 +386,7 @@ class Hypothesis:
 
     def plus(self, instance: EffectInstance) -> Hypothesis:
         """With one effect more; a factor that means the same is dropped."""
-        same = SAME.get(instance.effect)
+        same = find(instance.effect).declared_as
         kept = tuple(
             (one, factor)
             for one, factor in self.factors
@@ -402,7 +402,7 @@ class Hypothesis:
 
     def tuned(self, chosen: Iterable[Tunable]) -> Hypothesis:
         """With these declared parameters free."""
-        taken = {(SAME.get(e.effect), e.target) for e in self.effects}
+        taken = {(find(e.effect).declared_as, e.target) for e in self.effects}
         known = dict(self.factors)
         factors = tuple(
             (one, known.get(one, 1.0)) for one in chosen if (one.kind, one.target) not in taken
@@ -463,16 +463,6 @@ class Hypothesis:
 
 _COARSE = 0.03
 """Relative step of differences by parameters that act in steps."""
-
-SAME = {
-    "torque_gain": "gain",
-    "viscous_damping": "damping",
-    "coulomb_friction": "frictionloss",
-    "armature": "armature",
-    "joint_spring": "stiffness",
-    "payload": "mass",
-}
-"""Declared parameters that an effect at the same target changes too."""
 
 
 def _with(

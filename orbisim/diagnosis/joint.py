@@ -39,7 +39,7 @@ def propose(
     flow = bench.flow(declared)
     view = MotionView(flow, bench.samples)
     view.missing_force = missing_force(intervals)
-    names = [n for n in effect_names() if (only is None or n in only) and n not in _STATED]
+    names = [n for n in effect_names() if (only is None or n in only) and not find(n).stated]
     found = list(candidates_of(view, bench, declared, flow, names))
     if not found:
         return ()
@@ -76,10 +76,6 @@ def _courses(design: Floats, target: Floats, chosen: Selected, length: int) -> l
         left -= design[:, :, list(group.index)] @ x
     course = left.reshape(len(left), length + 1, -1)
     return [course[w, :, c] for w in range(course.shape[0]) for c in range(course.shape[2])]
-
-
-_STATED = ("hard_stop",)
-"""Effects whose parameters are stated in advance: coefficients say nothing about them."""
 
 
 def _thinned(keep: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.bench import SAME, Hypothesis, clean
+from orbisim.diagnosis.bench import Hypothesis, clean
 from orbisim.diagnosis.context import Context
 from orbisim.diagnosis.glances import Candidate, generalizations, shortlist, usual
 from orbisim.diagnosis.linear import linearize
@@ -148,12 +148,13 @@ def exchanges(
             seen.add((one.effect, one.target))
             yield fewer.hypothesis.plus(one)
     retuned = not current.hypothesis.factors and bool(context.tunables)
-    if own.effect in SAME and retuned:
+    declared_as = find(own.effect).declared_as
+    if declared_as and retuned:
         known = {(one.effect, one.target): one for one in reversed((*near, *others))}
         simpler = [o for o in known.values() if _numbers(scene, o) < _numbers(scene, own)]
         for one in simpler[: -_FEW - 1 : -1]:
             yield fewer.hypothesis.plus(one).tuned(context.tunables)
-    same = (SAME.get(own.effect), own.target)
+    same = (declared_as, own.target)
     declared = [one for one in context.tunables if (one.kind, one.target) == same]
     if declared:
         yield fewer.hypothesis.tuned([*(one for one, _ in fewer.hypothesis.factors), *declared])

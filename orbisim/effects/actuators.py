@@ -47,6 +47,7 @@ class TorqueGain(ActuatorEffect):
 
     name = "torque_gain"
     phrase = "another gain"
+    declared_as = "gain"
     family = "drive"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:

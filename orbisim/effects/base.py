@@ -137,6 +137,8 @@ class Effect(abc.ABC):
       structural: whether `edit` changes the model's sizes (adds joints or actuator states).
       stated: whether a regression along the motion says nothing of it, so that it is tried at
         stated values (`places`).
+      declared_as: kind of the declared parameter at the same target that it changes too (a mass);
+        empty for none.
       needs: parts of MuJoCo's pipeline without which it does nothing (`<option><flag/>`).
       rarity: logarithm of the odds of the effect on a machine beside those of friction at a joint.
       family: what effects share that look alike as long as they are not fitted to the end, at the
@@ -150,6 +152,7 @@ class Effect(abc.ABC):
     measurement: ClassVar[bool] = False
     structural: ClassVar[bool] = False
     stated: ClassVar[bool] = False
+    declared_as: ClassVar[str] = ""
     needs: ClassVar[tuple[mujoco.mjtDisableBit, ...]] = ()
     rarity: ClassVar[float] = 0.0
     family: ClassVar[str] = ""

@@ -58,6 +58,7 @@ class Payload(BodyEffect):
 
     name = "payload"
     phrase = "a payload"
+    declared_as = "mass"
     family = "mass"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:

@@ -63,6 +63,7 @@ class CoulombFriction(JointEffect):
 
     name = "coulomb_friction"
     phrase = "Coulomb friction"
+    declared_as = "frictionloss"
     family = "friction"
     needs = (mujoco.mjtDisableBit.mjDSBL_CONSTRAINT, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
 
@@ -82,6 +83,7 @@ class ViscousDamping(JointEffect):
 
     name = "viscous_damping"
     phrase = "viscous damping"
+    declared_as = "damping"
     family = "friction"
     needs = (mujoco.mjtDisableBit.mjDSBL_DAMPER,)
 
@@ -124,6 +126,7 @@ class JointSpring(JointEffect):
     name = "joint_spring"
     rarity = -1.0
     phrase = "a joint spring"
+    declared_as = "stiffness"
     needs = (mujoco.mjtDisableBit.mjDSBL_SPRING,)
 
     def possible(self, model: mujoco.MjModel, target: str) -> bool:
@@ -159,6 +162,7 @@ class Armature(JointEffect):
 
     name = "armature"
     phrase = "reflected rotor inertia"
+    declared_as = "armature"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         unit = joint_unit(model, target, "kg*m^2", "kg")
