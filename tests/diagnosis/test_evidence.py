@@ -71,7 +71,7 @@ def test_the_scale_is_not_below_the_noise() -> None:
 
 
 def test_a_rare_event_is_no_reason_to_doubt_it() -> None:
-    """Three blocks of forty get much better, none worse; or three better and three as much worse."""
+    """Three blocks of forty get much better; or three better and three as much worse."""
     before = np.ones(40)
     before[:3] = 30.0
     assert gain(before, np.ones(40), blocks(40), prior=-8.0).sure > 0
