@@ -215,7 +215,12 @@ def _bodies(model: mujoco.MjModel, parts: Sequence[EffectInstance]) -> list[Effe
             bodies.append(one.target)
     names = [n for n in effect_names() if find(n).family == _INERTIA and find(n).kind == "body"]
     both = itertools.product(names, dict.fromkeys(bodies))
-    return [EffectInstance(n, b, {}) for n, b in both if b in find(n).targets(model)]
+    return [
+        EffectInstance(name, body, dict(values))
+        for name, body in both
+        if body in find(name).targets(model)
+        for values in find(name).trials(model, body)[:1]
+    ]
 
 
 _INERTIA = "mass"

@@ -460,7 +460,8 @@ def named(found: Found) -> Found:
     if context.bench.contacts or not effects or (len(effects) < 2 and best.ratio <= NEAR):
         return found
     context.say("laws without a name")
-    for judged in _all(context, laws(context, best), best):
+    better = _best(context, best, _all(context, laws(context, best), best))[:1]
+    for judged in better:
         gain = worth(context.bench, best, judged)
         if (gain.total if best.ratio <= NEAR else gain.sure) > 0:
             own = judged.hypothesis.effects[-1]

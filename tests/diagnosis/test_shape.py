@@ -1,33 +1,30 @@
-"""What the report says about the shape of what is left, and why candidates were not taken."""
+"""What the report says of explanations that were fitted and not taken."""
 
-import numpy as np
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
 import pytest
-from orbisim.diagnosis.paying import unpaid
 
 from orbisim.diagnosis.bench import Hypothesis
-from orbisim.diagnosis.fits import Fit
-from orbisim.diagnosis.refine import Judged
-from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.conclusion import rivals_of
+from orbisim.diagnosis.evidence import Gain
+from orbisim.diagnosis.search import Tried
+from orbisim.effects import EffectInstance
 
 
-def _judged(checked: list[float], cost: float) -> Judged:
-    zero = np.zeros(0)
-    fit = Fit(zero, zero, 1.0, 0.0, 1, zero, zero, zero, zero, zero)
-    return Judged(Hypothesis(), fit, np.array(checked), 1.0, 1.0, cost, fit, None)  # type: ignore[arg-type]
+def tried(name: str, gain: float, number: int, reason: str = "") -> Tried:
+    hypothesis = Hypothesis((EffectInstance(name, "elbow", {}),) if name else ())
+    judged: Any = SimpleNamespace(hypothesis=hypothesis, ratio=2.0)
+    return Tried(judged, number, Gain(gain, 1.0, -3.0), reason)
 
 
-@pytest.mark.parametrize(
-    ("checked", "cost", "reason"),
-    [
-        ([110.0, 90.0, 95.0, 108.0], 0.0, "no better"),
-        ([99.5, 99.4, 99.6, 99.5], 0.0, "0.51 %"),
-        ([150.0, 50.0, 30.0, 120.0], 0.0, "standard errors"),
-        ([10.0, 11.0, 9.0, 10.0], 95.0, "information criterion falls by 5, 12 are needed"),
-        ([10.0, 11.0, 9.0, 10.0], 0.0, None),
-    ],
-)
-def test_an_effect_that_does_not_pay_gets_a_reason(
-    checked: list[float], cost: float, reason: str | None
-) -> None:
-    found = unpaid(Settings(), _judged([100.0] * 4, 100.0), _judged(checked, cost))
-    assert (found is None) if reason is None else (found is not None and reason in found)
+def test_rivals_are_behind_the_best_of_their_round() -> None:
+    """By twice the logarithm of the odds; retuned parameters alone are no rival."""
+    first = tried("cogging", 50.0, 1), tried("armature", 20.0, 1, "it explains less than cogging")
+    found = rivals_of([*first, tried("", 60.0, 1), tried("backlash", 5.0, 2)])
+    behind = {one.instance.effect: one.delta_bic for one in found}
+    assert behind == pytest.approx({"cogging": 20.0, "armature": 80.0, "backlash": 0.0})
+    assert [one.reason for one in found] == ["", "it explains less than cogging", ""]
+    assert [one.round for one in found] == [1, 1, 2]
