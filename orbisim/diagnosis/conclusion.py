@@ -192,21 +192,19 @@ def _resized(context: Context, after: Judged) -> Judged:
 
 
 def rivals_of(tried: Sequence[Tried]) -> tuple[Rival, ...]:
-    """What a search has fitted, against the best of its round."""
-    best: dict[int, float] = {}
-    for one in tried:
-        best[one.round] = max(one.gain.total, best.get(one.round, one.gain.total))
-    return tuple(
-        Rival(
-            one.last,
-            2 * (best[one.round] - one.gain.total),
-            one.judged.ratio,
-            one.round,
-            one.reason,
-        )
-        for one in tried
-        if one.last is not None
-    )
+    """The best that each effect came to in each round, against the best of the round."""
+    most: dict[int, float] = {}
+    best: dict[tuple[int, str, str], Tried] = {}
+    for one in sorted(tried, key=lambda one: -one.gain.total):
+        most.setdefault(one.round, one.gain.total)
+        if one.last is not None:
+            best.setdefault((one.round, one.last.effect, one.last.target), one)
+    found = []
+    for one in best.values():
+        behind = 2 * (most[one.round] - one.gain.total)
+        assert one.last is not None
+        found.append(Rival(one.last, behind, one.judged.ratio, one.round, one.reason))
+    return tuple(found)
 
 
 _SIZES = (0.6, 0.75, 0.9, 1.1, 1.3, 1.5)

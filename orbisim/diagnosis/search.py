@@ -228,7 +228,8 @@ def _told(
 
 def _names(judged: Judged) -> str:
     effects = [f"{e.effect} at {e.target}" for e in judged.hypothesis.effects]
-    return " and ".join(effects) or "retuned parameters"
+    more = f" and {len(effects) - 2} more" if len(effects) > 2 else ""
+    return " and ".join(effects[:2]) + more or "retuned parameters"
 
 
 def _fit(

@@ -23,7 +23,8 @@ def tried(name: str, gain: float, number: int, reason: str = "") -> Tried:
 def test_rivals_are_behind_the_best_of_their_round() -> None:
     """By twice the logarithm of the odds; retuned parameters alone are no rival."""
     first = tried("cogging", 50.0, 1), tried("armature", 20.0, 1, "it explains less than cogging")
-    found = rivals_of([*first, tried("", 60.0, 1), tried("backlash", 5.0, 2)])
+    again = tried("armature", 10.0, 1, "it explains less")
+    found = rivals_of([again, *first, tried("", 60.0, 1), tried("backlash", 5.0, 2)])
     behind = {one.instance.effect: one.delta_bic for one in found}
     assert behind == pytest.approx({"cogging": 20.0, "armature": 80.0, "backlash": 0.0})
     assert [one.reason for one in found] == ["", "it explains less than cogging", ""]
