@@ -250,7 +250,8 @@ def _pruned(context: Context, judged: Judged) -> Judged:
     first = len(hypothesis.free(context.bench.scene))
     deviation = np.sqrt(np.maximum(np.diag(judged.fit.covariance)[first:], 1e-300))
     away = np.array([factor - 1 for _, factor in hypothesis.factors]) / deviation
-    pays = away**2 / 2 > retuning_costs(context.bench, judged)
+    costs = retuning_costs(context.bench, judged, float(max(judged.fit.count, 2)))
+    pays = away**2 / 2 > costs
     if pays.all():
         return judged
     kept = tuple(one for one, p in zip(hypothesis.factors, pays, strict=True) if p)

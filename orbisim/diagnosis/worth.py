@@ -61,21 +61,21 @@ def log_prior(bench: Bench, judged: Judged, data: float) -> float:
     """
     hypothesis = judged.hypothesis
     numbers = len(hypothesis.free(bench.scene)) + len(hypothesis.frozen)
-    return prior(bench, hypothesis) - 0.5 * numbers * float(np.log(data)) - float(
-        retuning_costs(bench, judged).sum()
-    )  # fmt: skip
+    effects = prior(bench, hypothesis) - 0.5 * numbers * float(np.log(data))
+    return effects - float(retuning_costs(bench, judged, data).sum())
 
 
-def retuning_costs(bench: Bench, judged: Judged) -> Floats:
+def retuning_costs(bench: Bench, judged: Judged, data: float) -> Floats:
     """[F]: by how much each retuned declared parameter lowers the log evidence: the prior at its
-    factor, times the width of what the data leave of it (Laplace)."""
+    factor, times the width of what the data leave of it (Laplace), which costs no more than any
+    other number."""
     hypothesis = judged.hypothesis
     if not hypothesis.factors:
         return np.zeros(0)
     first = len(hypothesis.free(bench.scene))
     factors = np.array([factor for _, factor in hypothesis.factors])
     deviation = np.sqrt(np.maximum(np.diag(judged.fit.covariance)[first:], 1e-300))
-    width = np.maximum(np.log(SPREAD / deviation), 0.0)
+    width = np.clip(np.log(SPREAD / deviation), 0.0, 0.5 * np.log(data))
     return np.asarray(width + ((factors - 1) / SPREAD) ** 2 / 2)
 
 
