@@ -159,7 +159,7 @@ def _by_motion(
         found = attribute(bench, settings, say, Deadline(start + _FITS * settings.patience))
     except TimeIsUpError:
         raise InputError(
-            f"patience: within {settings.patience:g} s not even the declared scene could be fitted; "
+            f"patience: not even the declared scene could be fitted in {settings.patience:g} s; "
             "give more, or fewer recordings"
         ) from None
     if found.cut_short:
