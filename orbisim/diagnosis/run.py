@@ -18,7 +18,7 @@ from orbisim.diagnosis.checks import coarse_timestep, disabled
 from orbisim.diagnosis.conclusion import Attribution, attribute
 from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.context import NEAR
-from orbisim.diagnosis.deadline import Deadline, TimeIsUpError
+from orbisim.diagnosis.deadline import Deadline
 from orbisim.diagnosis.findings import (
     alternatives_of,
     candidates_of,
@@ -155,13 +155,7 @@ def _by_motion(
     limit = Deadline(start + _SEARCH * settings.patience)
     bench = dataclasses.replace(bench, deadline=limit)
     unseen = _held_back(scene, bounded(thinned(held, window, notes), notes), window)
-    try:
-        found = attribute(bench, settings, say, Deadline(start + _FITS * settings.patience))
-    except TimeIsUpError:
-        raise InputError(
-            f"patience: not even the declared scene could be fitted in {settings.patience:g} s; "
-            "give more, or fewer recordings"
-        ) from None
+    found = attribute(bench, settings, say, Deadline(start + _FITS * settings.patience))
     if found.cut_short:
         notes.append(f"the search was ended after {settings.patience:g} s; more may be found")
     say("checking on held-out data")

@@ -16,7 +16,7 @@ import numpy as np
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
 from orbisim.diagnosis.context import NEAR, Context, Progress, begun
-from orbisim.diagnosis.deadline import TimeIsUpError
+from orbisim.diagnosis.deadline import NEVER, TimeIsUpError
 from orbisim.diagnosis.evidence import Gain
 from orbisim.diagnosis.joint import propose
 from orbisim.diagnosis.proposals import additions, begin, exchanges, laws, merged, pairs
@@ -88,14 +88,21 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
 
     Raises:
       FloatingPointError: the declared scene cannot be simulated along the recordings.
-      TimeIsUpError: not even the declared scene could be fitted in time.
     """
     context = begun(bench, settings, say)
     say("fitting the declared scene")
-    declared = context.judge.judge(Hypothesis())
+    late = False
+    try:
+        declared = context.judge.judge(Hypothesis())
+    except TimeIsUpError:  # as it is, then: there must be an answer
+        late = True
+        unlimited = begun(dataclasses.replace(bench, deadline=NEVER), settings, say)
+        declared = unlimited.judge.judge(Hypothesis(), 1)
     if declared is None:
         raise FloatingPointError("the scene cannot be simulated along the recordings")
-    found = Found(context, declared, declared)
+    found = Found(context, declared, declared, late=late)
+    if late:
+        return found
     if quiet(settings, declared):
         return found
     try:

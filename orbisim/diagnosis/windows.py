@@ -73,7 +73,8 @@ def cut_windows(
             firsts.append(begin)
             begin += length
         left = stop - begin
-        if firsts and left > length // 2 and stop - length > firsts[-1]:
+        last = firsts[-1] if firsts else -1
+        if left > length // 2 and stop - length >= start and stop - length > last:
             firsts.append(stop - length)
     first = np.array(firsts, np.int64)
     return Windows(first, length, recording[first] if len(first) else first)

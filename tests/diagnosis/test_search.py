@@ -162,5 +162,5 @@ def test_the_best_so_far_is_returned_when_the_time_is_up(arm: orbisim.Scene) -> 
     found = attribute(dataclasses.replace(whole, deadline=soon), Settings(retune=False))
     assert found.cut_short and found.before.ratio > 10
     assert found.bench.deadline is NEVER
-    with pytest.raises(TimeIsUpError):
-        search(dataclasses.replace(whole, deadline=Deadline(0.0)), Settings())
+    none = search(dataclasses.replace(whole, deadline=Deadline(0.0)), Settings())
+    assert none.late and none.best is none.declared
