@@ -18,7 +18,9 @@ from orbisim.scene.hidden import hidden_joints
 Floats = npt.NDArray[np.float64]
 
 _NORM_ERROR = 0.02
+"""A quaternion whose norm is further from one is no orientation."""
 _NORM_NOTE = 1e-3
+"""One that is further from one than this is scaled, with a note."""
 
 
 class Assembly:

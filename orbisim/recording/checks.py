@@ -18,8 +18,11 @@ Floats = npt.NDArray[np.float64]
 
 _DEGREES = 180.0 / np.pi
 _MARGIN = 0.05
+"""Of a joint's range by which sensors may leave it."""
 _MOST = 0.5
+"""Relative misfit of a convention that may be right."""
 _CHUNKS = 200
+"""Stretches of a recording over which velocities are compared with positions."""
 
 
 def suspicions(bound: Bound) -> list[Suspicion]:

@@ -16,7 +16,9 @@ Bools = npt.NDArray[np.bool_]
 Ints = npt.NDArray[np.int64]
 
 _APART, _TALL = 4, 0.25
+"""Rows between two events; share of the highest evidence that an event has at least."""
 _JUMP_GAIN, _STRAY_GAIN = 6.0, 12.0
+"""Log likelihood that each jump and each stray measurement must bring."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -16,9 +16,13 @@ from orbisim.recording.joints import Joint, Kind, joints
 Floats = npt.NDArray[np.float64]
 
 _ITERATIONS = 40
+"""Steps of Levenberg and Marquardt, at most."""
 _STARTS = 12
+"""Random postures from which other solutions are looked for."""
 _RANK = 1e-6
+"""Smaller singular values, as a share of the largest, leave a direction undetermined."""
 _ROWS = 5
+"""Moments of a recording at which it is looked whether joints are determined."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -34,9 +34,13 @@ _LEVELS = 10.0 ** np.arange(-10.5, 9.6, 1.0)
 _NEARBY = 10.0 ** np.arange(-6.0, 0.1, 1.0)
 _SMOOTHER = 10.0 ** np.arange(0.0, -3.1, -1.0)
 _BOUNDARY = 4.0
+"""Time constants around a jump within which the likeliest model is taken, not the smoother one."""
 _FITTED_BLOCKS = 16
+"""Of a long series at most so many are fitted; the others take what these found."""
 _SERIES = 2048
+"""Series (blocks times channels) that are filtered at once, which bounds memory."""
 _ROUNDS = 8
+"""Of events and fits in turn, at most."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

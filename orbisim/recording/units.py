@@ -74,6 +74,7 @@ _WORD = 3
 """Letters from which on a spelling may differ in case (RPM, Deg): shorter ones are symbols, where
 m and M are a thousandth and a million."""
 _LONGEST = 40
+"""Letters of a unit."""
 _SIGNS = str.maketrans({
     "\u00b5": "u", "\u03bc": "u", "\u2212": "-", "\u207b": "-",  # micro, mu, minus
     "·": "*", "⋅": "*", "°": "deg", "²": "2", "³": "3", "¹": "1",

@@ -23,10 +23,15 @@ from orbisim.scene.hidden import hidden_joints
 Floats = npt.NDArray[np.float64]
 
 _ROUNDS = 20
+"""In which springs come to rest at the start, at most."""
 _EPS = 1e-6
+"""Step of finite differences: rad, m, and these per second."""
 _MODEL_ERROR = 0.02
+"""Share of the motion by which the scene itself may be wrong, in each step."""
 _PLAY = 0.05
+"""rad or m: standard deviation of where a joint that is not recorded is at the start."""
 _GATE = 5.0
+"""Standard deviations; a larger surprise moves the state as this one would."""
 
 
 Begin = Callable[[mujoco.MjModel, mujoco.MjData], None]
