@@ -22,7 +22,7 @@ Floats = npt.NDArray[np.float64]
 
 _ORDERS = range(2, 10)
 _CONVERGED = 0.9
-"""An order of differences that leaves more than this share of the one before has left the motion behind."""
+"""An order of differences that leaves more than this share of the one before removes no motion."""
 _STRETCHES, _STRETCH = 32, 4096
 """Pieces of a long signal that are looked at, and their samples."""
 _CLIP = 4.0
