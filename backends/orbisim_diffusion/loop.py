@@ -151,7 +151,8 @@ class Loop:
                 raise ValueError(f"{strange[0]} is not finite")
             self._take(tensors, notes)
         except (OSError, SafetensorError, LookupError, ValueError, RuntimeError) as error:
-            raise InputError(f"{path}: damaged; delete it to start afresh ({error})") from None
+            said = " ".join(str(error).split())[:300]  # torch's messages have lines
+            raise InputError(f"{path}: damaged; delete it to start afresh ({said})") from None
 
     def _take(self, tensors: dict[str, Tensor], notes: dict[str, Any]) -> None:
         def part(prefix: str) -> dict[str, Tensor]:

@@ -50,5 +50,6 @@ def load_progress(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]] | No
             if tensor.dtype != torch.float32 or not torch.isfinite(tensor).all():
                 raise ValueError(f"{name} is not finite numbers in float32")
     except (OSError, SafetensorError, ValueError, RuntimeError) as error:
-        raise InputError(f"{path}: damaged; delete it to start afresh ({error})") from None
+        said = " ".join(str(error).split())[:300]
+        raise InputError(f"{path}: damaged; delete it to start afresh ({said})") from None
     return tensors, notes

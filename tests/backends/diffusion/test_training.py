@@ -83,10 +83,12 @@ def test_a_training_that_was_stopped_goes_on(tmp_path: Path) -> None:
         ({**content, moment: content[moment].T.contiguous()}, notes),
         ({n: t for n, t in content.items() if n != moment}, notes),
         ({**content, moment: content[moment] * torch.nan}, notes),
+        ({n.replace("weight", "weigh4"): t for n, t in content.items()}, notes),
     ):
         save_file(changed, tmp_path / "c", metadata={"notes": json.dumps(said)})
-        with pytest.raises(InputError):
+        with pytest.raises(InputError) as caught:
             run(tmp_path / "c", 9)
+        assert "\n" not in str(caught.value)
     (tmp_path / "b").write_bytes(b"nonsense")
     with pytest.raises(InputError, match="damaged"):
         run(tmp_path / "b", 8)
