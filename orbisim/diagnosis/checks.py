@@ -13,9 +13,13 @@ from orbisim.effects import effect_names, find
 from orbisim.scene import Scene
 
 
-def coarse_timestep(bench: Bench) -> str | None:
+def coarse_timestep(bench: Bench, residual: float) -> str | None:
     """A note if free runs of the declared scene with half its timestep differ by what matters: what
-    is left is then partly the integrator's, and no effect accounts for it."""
+    is left is then partly the integrator's, and no effect accounts for it.
+
+    Args:
+      residual: of the declared scene, over the noise.
+    """
     shooter = bench.shooter(_some(bench))
     still = np.zeros((len(shooter), 2 * shooter.nv))
     variant, finer = Variant(bench.scene), copy.copy(shooter)
@@ -23,7 +27,7 @@ def coarse_timestep(bench: Bench) -> str | None:
     runs = [one.scaled(one.simulate(variant, still)) for one in (shooter, finer)]
     apart = np.sqrt(np.mean((runs[1] - runs[0]) ** 2, axis=1))
     ratio = float(np.median(apart))  # windows with impacts differ in any case
-    if not ratio > _SHOWS:
+    if not ratio > max(_SHOWS, _PART * residual):
         return None
     step = float(bench.scene.model.opt.timestep)
     return (
@@ -35,6 +39,8 @@ def coarse_timestep(bench: Bench) -> str | None:
 
 _SHOWS = 1.0
 """Difference over noise, root mean square in a typical window, from which on it matters."""
+_PART = 0.3
+"""... and share of the residual."""
 _MOST = 24
 
 

@@ -150,7 +150,6 @@ def _by_motion(
     """Explains the error of free runs over windows."""
     samples = prepare_all(bounded(thinned(fit, window, notes), notes), scene)
     bench = make_bench(scene, samples, window)
-    early = coarse_timestep(bench)
     notes += [note for note in (disabled(scene),) if note is not None]
     limit = Deadline(start + _SEARCH * settings.patience)
     bench = dataclasses.replace(bench, deadline=limit)
@@ -161,8 +160,8 @@ def _by_motion(
     say("checking on held-out data")
     unseen = unseen.whole(found.bench.noise)
     notes += _elsewhere(found)
-    if early is not None and found.before.ratio > NEAR:
-        notes.append(early)
+    coarse = coarse_timestep(found.bench, found.before.ratio) if found.before.ratio > NEAR else None
+    notes += [] if coarse is None else [coarse]
     if found.rugged and found.after is not found.before:
         notes.append(
             "impacts make the cost rugged: intervals of effects on contacts do not contain that; "
