@@ -38,20 +38,30 @@ def test_an_episode(monkeypatch: pytest.MonkeyPatch) -> None:
     assert episode.success and episode.steps == 301
     parts = [f"bottle_{part.name}" for part in made.instance("train", 5).parts]
     assert [name.decode() for name in episode.arrays["entities/names"]] == ["robot", *parts]
+    leave_release_out(monkeypatch)
+    assert not made.episode("train", 5).success
+
+
+def leave_release_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The hand begins with the second motion: it pulls without having turned or pressed."""
     plan = module.Operator.plan
 
-    def only_lift(self: module.Operator, bottle: Mechanism) -> object:
-        [operation] = bottle.operations
-        return plan(
-            self,
-            dataclasses.replace(
-                bottle,
-                operations=(dataclasses.replace(operation, motions=operation.motions[1:]),),
-            ),
-        )
+    def second_on(self: module.Operator, mechanism: Mechanism) -> object:
+        first, *others = mechanism.operations
+        if len(first.motions) > 1:
+            first = dataclasses.replace(first, motions=first.motions[1:])
+            return plan(self, dataclasses.replace(mechanism, operations=(first, *others)))
+        return plan(self, dataclasses.replace(mechanism, operations=tuple(others)))
 
-    monkeypatch.setattr(module.Operator, "plan", only_lift)
-    assert not made.episode("train", 5).success
+    monkeypatch.setattr(module.Operator, "plan", second_on)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", [name for name in MECHANISMS if name != "lamp"])
+def test_nothing_opens_that_was_not_released(family: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    leave_release_out(monkeypatch)
+    made = task(family)
+    assert not any(made.episode("train", 5 + i).success for i in range(3))
 
 
 def test_poses_and_instances_are_drawn() -> None:
