@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -156,11 +157,13 @@ class DiffusionRenderer(Renderer):
         self.check_mode(mode)
         frame = self._frame(camera, height, width)
         state = state.numpy()
-        with torch.no_grad(), mixed(self._device):
+        with torch.no_grad():
             qpos = torch.as_tensor(state.qpos, dtype=torch.float32, device=self._device)
             view = self._view(qpos, frame)
-            latents = self._latents(qpos, view, state, frame).float()
-            images = resized(self.painter.decode(latents).float(), height, width)
+            latents = self._latents(qpos, view, state, frame)
+            with mixed(self._device):
+                images = self.painter.decode(latents)
+            images = resized(images.float(), height, width)
         return to_bytes(images).cpu().numpy(), self._remembered(state, latents, view)
 
     def latents(
@@ -235,7 +238,9 @@ class DiffusionRenderer(Renderer):
                 *self.painter.history(frames, len(worlds), maps),
                 *(maps[worlds], tokens[worlds], there[worlds]),
             )
-            made = self.painter.paint(given, noise[worlds], self._steps)
+            # half precision is for the network alone: poses and rays need all their digits
+            with nullcontext() if torch.is_grad_enabled() else mixed(self._device):
+                made = self.painter.paint(given, noise[worlds], self._steps).float()
             found += zip(worlds, made, strict=True)
         return torch.stack([latent for _, latent in sorted(found, key=lambda pair: pair[0])])
 

@@ -183,3 +183,16 @@ def test_a_damaged_checkpoint_is_refused(folder: Path, tmp_path: Path) -> None:
         (tmp_path / "manifest.json").write_text(json.dumps({**manifest, entry: value}))
         with pytest.raises(InputError, match=says):
             painter(tmp_path)
+
+
+def test_half_precision_is_for_the_network_alone(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a GPU: poses and rays keep single precision, and the image hardly changes."""
+    state = make_backend("mujoco", arm()).reset(1)
+    moved = state.replace(qpos=state.qpos + 0.1)
+    exact = painter(folder).render(moved, camera="wrist", height=32, width=32)
+    half = torch.autocast("cpu", torch.bfloat16)
+    monkeypatch.setattr("orbisim_diffusion.renderer.mixed", lambda _: half)
+    found = painter(folder).render(moved, camera="wrist", height=32, width=32)
+    assert 0 < np.abs(found.astype(int) - exact).max() < 30
