@@ -26,7 +26,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import torch
-from orbisim_policies.baselines import Baseline, train_baseline
 from orbisim_policies.checkpoint import load_policy
 from orbisim_policies.evaluate import in_mujoco, starts_of, summary
 from orbisim_policies.network import NetworkConfig
@@ -161,6 +160,9 @@ def train(condition: str, seed: int, options: argparse.Namespace) -> dict[str, A
     problem = Balance(scene, condition == "randomised")
     with tempfile.TemporaryDirectory() as folder:
         job = Run(Path(folder) / "p", steps=options.steps, seed=seed, check=0, nthread=1)
+        # here, so that the tool says what it does where Stable-Baselines3 is missing
+        from orbisim_policies.baselines import Baseline, train_baseline
+
         config = Baseline("ppo", batch=16, window=128, network=NetworkConfig((64, 64)))
         train_baseline(problem, config, job)
         policy = load_policy(Path(folder) / "p", problem)

@@ -299,7 +299,8 @@ def _added(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judg
 
 
 def _best(context: Context, current: Judged, fitted: Sequence[Judged]) -> list[Judged]:
-    """The few that are worth most."""
+    """The few with an effect that are worth most."""
+    fitted = [one for one in fitted if one.hypothesis.effects]
     if not fitted:
         return []
     known = gains(context.bench, current, fitted)

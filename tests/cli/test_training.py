@@ -53,7 +53,7 @@ def test_a_bad_model_is_warned_of_and_time_is_kept(
 ) -> None:
     out = tmp_path / "out"
     arguments = ["train", "dynamics", str(episodes), "--out", str(out), "--time-limit", "0.1"]
-    stages = ["--set", "train.stages=1x1x8", "--set", "train.rate=1e-9"]
+    stages = ["--set", "train.stages=1x1x8", "--set", "train.rate=10"]
     assert run([*arguments, *stages, *TOY]) == 0
     assert "worse than if everything went on at constant velocity" in capsys.readouterr().err
     manifest = json.loads((out / "manifest.json").read_text())

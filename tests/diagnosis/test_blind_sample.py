@@ -200,7 +200,7 @@ def test_trials_of_some_scenes_may_come_first(tmp_path: Path) -> None:
 
 def settings(trials: Path, out: Path, **more: Any) -> Namespace:
     every = {"sample": False, "only": [], "first": [], "limit": 0, "again": False, "workers": 2,
-             "timeout": 300.0, "peer_timeout": 20.0, "time_limit": 0.0,
+             "timeout": 300.0, "peer_timeout": 20.0, "time_limit": 0.0, "patience": None,
              "tools": ["diagnose", "peer"]}  # fmt: skip
     return Namespace(trials=str(trials), out=str(out), **(every | more))
 

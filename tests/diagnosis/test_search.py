@@ -18,7 +18,7 @@ from orbisim.diagnosis.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.diagnosis.proposals import events, exchanges, merged
 from orbisim.diagnosis.retune import Tunable, retuned
 from orbisim.diagnosis.samples import prepare_all
-from orbisim.diagnosis.search import Found, search
+from orbisim.diagnosis.search import Found, _best, search
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.worth import prior, worth
 from orbisim.effects import EffectInstance, find
@@ -62,6 +62,16 @@ def test_a_declared_parameter_that_is_a_little_off_is_no_effect(arm: orbisim.Sce
     assert dict(found.best.hypothesis.factors)[gain] == pytest.approx(1.04, abs=0.005)
     after = concluded(found, NEVER)
     assert after.hypothesis.factors and not after.evidence
+
+
+def test_the_scene_as_declared_is_no_start_for_other_effects(arm: orbisim.Scene) -> None:
+    """It is among the fitted where an effect was removed."""
+    context = begun(bench_of(arm, FRICTION), Settings(), lambda _: None)
+    declared = context.judge.judge(Hypothesis())
+    one = context.judge.judge(Hypothesis((FRICTION,)))
+    assert declared is not None and one is not None
+    assert _best(context, declared, [declared, one]) == [one]
+    assert _best(context, one, [declared]) == []
 
 
 def test_a_needless_effect_is_dropped(arm: orbisim.Scene) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 import multiprocessing
 import os
 import re
@@ -69,7 +70,8 @@ def calls() -> dict[tuple[str, str], set[str]]:
     found: dict[tuple[str, str], set[str]] = {}
     for tool, *words in commands():
         command = words[0] if words and tool.endswith(("blind_trials.py", "rig_trials.py")) else ""
-        used = {word.split("=")[0] for word in words if word.startswith("--")}
+        own = itertools.takewhile(lambda word: word != "--", words)  # another command follows
+        used = {word.split("=")[0] for word in own if word.startswith("--")}
         found.setdefault((tool, command), set()).update(used)
     return found
 

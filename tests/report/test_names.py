@@ -57,7 +57,7 @@ def test_diagnosis(recordings: list[Path], tmp_path: Path, residual: str) -> Non
         recordings[:2],
         recordings[2:],
         residual=residual,  # type: ignore[arg-type]
-        settings=Settings(effects=("coulomb_friction",), retune=False, patience=1.0),
+        settings=Settings(effects=("coulomb_friction",), retune=False),
         progress=False,
     )
     found.save(tmp_path)

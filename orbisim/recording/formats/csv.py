@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -69,7 +70,8 @@ def _read(path: Path, layout: _Layout, wanted: list[str]) -> Mapping[str, Array]
     import pyarrow
     import pyarrow.csv
 
-    if twice := [name for name in wanted if layout.headers.count(name) > 1]:
+    count = Counter(layout.headers)
+    if twice := [name for name in wanted if count[name] > 1]:
         raise RecordingError(str(path), f"{twice[0]!r} stands in two columns; rename one of them")
     timeless = [name for name in wanted if not labels.is_time(labels.parse(name).name)]
     options = pyarrow.csv.ConvertOptions(

@@ -125,7 +125,7 @@ def test_a_time_limit_ends_with_the_whole_schedule(tmp_path: Path) -> None:
     assert lines[-1]["ratio"] > 0.8
     manifest = json.loads((tmp_path / "manifest.json").read_text())
     assert manifest["training"]["finished"]
-    assert manifest["training"]["seconds"] >= 2.0
+    assert manifest["training"]["seconds"] >= 1.8  # a tenth is kept for measuring it
 
 
 @pytest.mark.parametrize("name", sorted(PRESETS))
