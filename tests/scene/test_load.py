@@ -38,7 +38,7 @@ def test_marks_without_end_take_no_time(tmp_path: Path, mark: str) -> None:
 
 STRINGS = {
     "keyframes": ("<mujoco><size nkey='2000000000'/><worldbody/></mujoco>", "took|memory"),
-    "user data": ("<mujoco><size nuser_body='2000000000'/>" + BODY + "</mujoco>", "memory"),
+    "user data": ("<mujoco><size nuser_body='2000000000'/>" + BODY + "</mujoco>", "took|memory"),
     "replicas": (
         "<mujoco><worldbody><replicate count='1000000000'><geom size='1'/></replicate></worldbody>"
         "</mujoco>",
