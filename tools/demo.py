@@ -12,6 +12,7 @@ import numpy as np
 
 from orbisim import make_renderer
 from orbisim.cli.main import run
+from orbisim.errors import MissingDependencyError
 from orbisim.report.video import difference
 from orbisim.state import State
 from orbisim.tasks.registry import make
@@ -39,11 +40,15 @@ def main() -> int:
     print()
     if status:
         return status
-    strip(OUT / "vision.png")
+    try:
+        strip(OUT / "vision.png")
+        shown = f"{(OUT / 'vision.png').resolve()} (MuJoCo, diffusion, difference)"
+    except MissingDependencyError as error:  # PyTorch is large; the rest goes without
+        shown = f"no images by the diffusion renderer: {error}"
     print(f"Done in {time.monotonic() - started:.0f} s. Open in a browser:")
     for name in (*(scene.partition(":")[2] for scene in SCENES), "diagnosis"):
         print(f"  {(OUT / name / 'report.html').resolve()}")
-    print(f"  {(OUT / 'vision.png').resolve()} (MuJoCo, diffusion, difference)")
+    print(f"  {shown}")
     return 0
 
 
