@@ -39,10 +39,10 @@ def shard_of(text: str) -> tuple[int, int]:
 
 
 def generate(args: argparse.Namespace) -> int:
+    from processes import read_lines
     from rigs.instruments import ARTEFACTS
     from rigs.machines import MACHINES
     from rigs.making import Wish, make, name_of
-    from rigs.running import read_lines
 
     unknown = sorted(set(args.machines) - set(MACHINES))
     if unknown:

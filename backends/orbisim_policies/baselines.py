@@ -15,6 +15,7 @@ import torch
 from orbisim.errors import InputError, MissingDependencyError
 from orbisim.files.locking import claimed
 from orbisim.files.writing import make_folder
+from orbisim.vector.stable_baselines import AlikeWorlds
 from orbisim.version import VERSION
 from orbisim_policies.checkpoint import save_policy
 from orbisim_policies.evaluate import in_mujoco, starts_of, summary
@@ -35,7 +36,6 @@ from orbisim_policies.true import TrueWorlds
 try:
     from stable_baselines3 import PPO, SAC
     from stable_baselines3.common.callbacks import BaseCallback
-    from stable_baselines3.common.vec_env import VecEnv
 except ImportError as error:
     raise MissingDependencyError("orbisim_policies.baselines", "sb3", str(error)) from None
 
@@ -59,7 +59,7 @@ class Baseline:
     curiosity: float = 0.05
 
 
-class ProblemVecEnv(VecEnv):
+class ProblemVecEnv(AlikeWorlds):
     """A problem's episodes in C MuJoCo, as Stable-Baselines3 sees them.
 
     A world that diverges, or whose reward is not finite, begins anew; the others go on. Its last
@@ -140,20 +140,6 @@ class ProblemVecEnv(VecEnv):
         """An attribute of each world: one for all."""
         value = None if attr_name == "render_mode" else getattr(self, attr_name)
         return [value for _ in self._get_indices(indices)]
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refused: worlds have no attributes of their own."""
-        raise InputError(f"worlds have no attribute {attr_name!r} of their own to set")
-
-    def env_method(
-        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
-    ) -> list[Any]:
-        """Refused: worlds have no methods of their own."""
-        raise InputError(f"worlds have no method {method_name!r} of their own to call")
-
-    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """Whether worlds are wrapped one by one: never."""
-        return [False for _ in self._get_indices(indices)]
 
     def _begin(self, worlds: npt.NDArray[np.int64]) -> None:
         index = self._rng.integers(len(self.starts), size=len(worlds))

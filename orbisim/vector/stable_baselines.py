@@ -22,7 +22,25 @@ _ATTRIBUTES = {"render_mode": None}
 """What a world has of the attributes that Stable-Baselines3 asks for."""
 
 
-class StableBaselinesVecEnv(VecEnv):
+class AlikeWorlds(VecEnv):
+    """Worlds that are stepped together and have nothing of their own to get, set or call."""
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refused: worlds have no attributes of their own."""
+        raise InputError(f"worlds have no attribute {attr_name!r} of their own to set")
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Refused: worlds have no methods of their own."""
+        raise InputError(f"worlds have no method {method_name!r} of their own to call")
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """Whether worlds are wrapped one by one: never."""
+        return [False for _ in self._get_indices(indices)]
+
+
+class StableBaselinesVecEnv(AlikeWorlds):
     """Many worlds as Stable-Baselines3 sees them.
 
     Observations are float32, a `Dict` by dm_control's names (`MultiInputPolicy`) or one `Box` if
@@ -87,20 +105,6 @@ class StableBaselinesVecEnv(VecEnv):
         if attr_name not in _ATTRIBUTES:
             value = getattr(self.environment, attr_name)
         return [value for _ in self._get_indices(indices)]
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refused: worlds have no attributes of their own."""
-        raise InputError(f"worlds have no attribute {attr_name!r} of their own to set")
-
-    def env_method(
-        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
-    ) -> list[Any]:
-        """Refused: worlds have no methods of their own."""
-        raise InputError(f"worlds have no method {method_name!r} of their own to call")
-
-    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """Whether worlds are wrapped one by one: never."""
-        return [False for _ in self._get_indices(indices)]
 
     def _observed(self, observation: dict[str, npt.NDArray[Any]]) -> Any:
         rows = {

@@ -160,11 +160,11 @@ def test_what_crashes_or_takes_too_long_is_recorded(trials: Path, tmp_path: Path
     asked = settings(tmp_path / "trials", tmp_path / "results.jsonl", tools=["diagnose"])
     running = tool("blind.running")
     assert running.run_all(asked) == 0
-    (entry,) = running.read_lines(tmp_path / "results.jsonl")
+    (entry,) = tool("processes").read_lines(tmp_path / "results.jsonl")
     assert "RecordingError" in entry["failure"]
     asked = settings(trials, tmp_path / "late.jsonl", only=["s00"], tools=["diagnose"], timeout=0.1)
     assert running.run_all(asked) == 0
-    (entry,) = running.read_lines(tmp_path / "late.jsonl")
+    (entry,) = tool("processes").read_lines(tmp_path / "late.jsonl")
     assert entry["failure"] == "took more than 0.1 s"
     assert [job.trial for job in running.jobs_of(asked)] == []
     asked.again = True
@@ -230,7 +230,7 @@ def test_the_peer_fits_what_it_knows(trials: Path, tmp_path: Path) -> None:
     results = tmp_path / "results.jsonl"
     asked = settings(trials, results, only=["s05"], tools=["peer"], peer_timeout=5.0)
     tool("blind.running").run_all(asked)
-    (entry,) = tool("blind.running").read_lines(results)
+    (entry,) = tool("processes").read_lines(results)
     assert entry["failure"] is None
     assert entry["report"]["verdict"] in ("fitted", "stopped")
     assert set(entry["report"]["values"]) == {

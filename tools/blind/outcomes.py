@@ -7,8 +7,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+from processes import read_lines
+
 from blind import matching
-from blind.running import read_lines
 from orbisim import load_scene
 
 

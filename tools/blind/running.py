@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-import subprocess
 import sys
 import time
 import traceback
@@ -16,6 +15,8 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from queue import Queue
 from typing import Any
+
+from processes import answer_of, read_lines
 
 ENTRY = Path(__file__).resolve().parent.parent / "blind_trials.py"
 
@@ -79,21 +80,6 @@ def _scene_of(folder: Path) -> str:
     return text.partition('model="')[2].partition('"')[0]
 
 
-def read_lines(path: Path) -> list[dict[str, Any]]:
-    """Entries of a file of JSON lines; the last one of a trial and tool counts; none without file.
-
-    A line that a killed run left unfinished is passed over.
-    """
-    found: dict[tuple[str, str], dict[str, Any]] = {}
-    for line in path.read_text().splitlines() if path.exists() else ():
-        try:
-            entry = json.loads(line)
-        except ValueError:
-            continue
-        found[entry["trial"], entry["tool"]] = entry
-    return list(found.values())
-
-
 def run_all(args: argparse.Namespace) -> int:
     """Does all jobs that are asked for; appends to the file of results."""
     jobs, out = jobs_of(args), Path(args.out)
@@ -153,21 +139,14 @@ def _on_core(folder: Path, job: Job, core: int, until: float) -> dict[str, Any] 
     if limit <= 0:
         return None
     try:
-        done = subprocess.run(
-            _command(folder, job, core), capture_output=True, text=True, timeout=limit, check=False
-        )
-    except subprocess.TimeoutExpired:
+        answer = answer_of(_command(folder, job, core), limit)
+        entry |= {"report": answer.get("report"), "failure": answer.get("failure")}
+    except TimeoutError as error:
         if time.perf_counter() >= until:
             return None
-        entry["failure"] = f"took more than {limit:g} s"
-    except OSError as error:  # this machine could not start it
-        entry["failure"] = repr(error)
-    else:
-        try:
-            answer = json.loads(done.stdout.strip().splitlines()[-1])
-            entry |= {"report": answer.get("report"), "failure": answer.get("failure")}
-        except (IndexError, ValueError):
-            entry["failure"] = f"exit status {done.returncode}: {done.stderr.strip()[-2000:]}"
+        entry["failure"] = str(error)
+    except (OSError, ValueError) as error:  # this machine could not start it, or it crashed
+        entry["failure"] = str(error)
     return entry | {"seconds": round(time.perf_counter() - started, 2)}
 
 

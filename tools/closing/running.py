@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
-import signal
-import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
+
+from processes import answer_of
 
 ENTRY = Path(__file__).resolve().parent.parent / "closing_the_loop.py"
 
@@ -78,24 +77,11 @@ def _result(job: Job, data: Path, out: Path, until: float) -> dict[str, Any] | N
     if limit <= 0:
         return None
     command = [sys.executable, str(ENTRY), str(data), str(out), "--set", job.name]
-    process = subprocess.Popen(
-        [*command, "--only", job.tool, "--patience", str(job.patience)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-        start_new_session=True,
-    )
     try:
-        stdout, stderr = process.communicate(timeout=limit)
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)  # what it has started, too
-        process.communicate()
+        return answer_of([*command, "--only", job.tool, "--patience", str(job.patience)], limit)
+    except TimeoutError:
         if limit < job.limit:
             return None
         return {"failure": f"no answer after {limit:.0f} s", "seconds": limit}
-    try:
-        result: dict[str, Any] = json.loads(stdout.strip().splitlines()[-1])
-        return result
-    except (IndexError, ValueError):
-        return {"failure": f"exit status {process.returncode}: {stderr.strip()[-1500:]}"}
+    except ValueError as error:
+        return {"failure": str(error)}

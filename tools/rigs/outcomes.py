@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rigs.running import read_lines
+from processes import read_lines
 
 VISIBLE = 2.0
 """Times the noise from which on a law must be found; below it, silence is right, too."""

@@ -8,14 +8,13 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-import os
-import signal
-import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
+
+from processes import answer_of, read_lines
 
 ENTRY = Path(__file__).resolve().parent.parent / "rig_trials.py"
 
@@ -31,21 +30,6 @@ class Job:
     tool: str
     seconds: float
     words: tuple[str, ...] = ()
-
-
-def read_lines(path: Path) -> list[dict[str, Any]]:
-    """Entries of a file of JSON lines; the last one of a trial and tool counts; none without file.
-
-    A line that a killed run left unfinished is passed over.
-    """
-    found: dict[tuple[str, str], dict[str, Any]] = {}
-    for line in path.read_text().splitlines() if path.exists() else ():
-        try:
-            entry = json.loads(line)
-        except ValueError:
-            continue
-        found[entry["trial"], entry["tool"]] = entry
-    return list(found.values())
 
 
 def jobs_of(args: argparse.Namespace) -> list[Job]:
@@ -121,24 +105,9 @@ def entry_of(folder: Path, job: Job, until: float) -> dict[str, Any] | None:
     if limit > until - started:
         return None
     command = [sys.executable, str(ENTRY), "one", str(folder), "--tool", job.tool]
-    process = subprocess.Popen(
-        [*command, "--seconds", str(job.seconds), *job.words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-        start_new_session=True,
-    )
     try:
-        stdout, stderr = process.communicate(timeout=limit)
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)  # what it has started, too
-        process.communicate()
-        entry["failure"] = f"took more than {limit:g} s"
-    else:
-        try:
-            answer = json.loads(stdout.strip().splitlines()[-1])
-            entry |= {"report": answer["report"], "failure": answer["failure"]}
-        except (IndexError, ValueError, KeyError):
-            entry["failure"] = f"exit status {process.returncode}: {stderr.strip()[-1500:]}"
+        answer = answer_of([*command, "--seconds", str(job.seconds), *job.words], limit)
+        entry |= {"report": answer["report"], "failure": answer["failure"]}
+    except (TimeoutError, ValueError) as error:
+        entry["failure"] = str(error)
     return entry | {"seconds": round(time.perf_counter() - started, 1)}

@@ -17,12 +17,13 @@ TOOLS = Path(__file__).resolve().parents[3] / "tools"
 sys.path.insert(0, str(TOOLS))
 
 import rig_trials  # noqa: E402  (needs the path above)
+from processes import read_lines  # noqa: E402
 from rigs import instruments, running, scoring, stability  # noqa: E402
 from rigs.excitation import motion  # noqa: E402
 from rigs.machines import MACHINES  # noqa: E402
 from rigs.making import Wish, make, name_of  # noqa: E402
 from rigs.outcomes import Outcome  # noqa: E402
-from rigs.running import Job, jobs_of, read_lines  # noqa: E402
+from rigs.running import Job, jobs_of  # noqa: E402
 from rigs.truth import Run, Stepping, Truth  # noqa: E402
 
 

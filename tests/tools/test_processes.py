@@ -1,0 +1,48 @@
+"""Answers of other processes, and what is left of lines."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+from processes import answer_of, read_lines
+
+
+def python(code: str) -> list[str]:
+    return [sys.executable, "-c", code]
+
+
+def test_the_last_line_is_the_answer() -> None:
+    said = "import json, os; print('first'); n = os.environ['OMP_NUM_THREADS']"
+    said += "; print(json.dumps({'n': n}))"
+    assert answer_of(python(said), 30.0) == {"n": "1"}
+
+
+@pytest.mark.parametrize("code", ["raise SystemExit('lost')", "print(3); raise SystemExit('lost')"])
+def test_without_an_answer_the_complaint_is_told(code: str) -> None:
+    with pytest.raises(ValueError, match="exit status 1: lost"):
+        answer_of(python(code), 30.0)
+
+
+def test_what_takes_too_long_is_ended_with_what_it_started(tmp_path: Path) -> None:
+    mark = tmp_path / "mark"
+    late = f"import time, pathlib; time.sleep(3); pathlib.Path({str(mark)!r}).touch()"
+    started = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {late!r}])"
+    with pytest.raises(TimeoutError, match="more than 1 s"):
+        answer_of(python(started), 1.0)
+    with pytest.raises(TimeoutError):
+        answer_of(python("import time; time.sleep(9)"), 3.5)
+    assert not mark.exists()
+
+
+def test_unfinished_lines_are_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "lines.jsonl"
+    assert read_lines(path) == []
+    one, two = (json.dumps({"trial": "a", "tool": "x", "n": n}) for n in (1, 2))
+    path.write_text(f"{one}\n{two}\n{one[:9]}")
+    assert read_lines(path) == [{"trial": "a", "tool": "x", "n": 2}]

@@ -1,0 +1,59 @@
+"""Work in processes of their own, and JSON lines that a killed run may leave unfinished."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+
+def answer_of(command: Sequence[str], limit: float) -> dict[str, Any]:
+    """The JSON object on the last line that a command prints; with one thread.
+
+    Args:
+      limit: s; what takes longer is ended, with all that it has started.
+
+    Raises:
+      TimeoutError: it took longer.
+      ValueError: it printed no such object; its exit status and the end of what it complained of.
+    """
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        start_new_session=True,
+    )
+    try:
+        stdout, stderr = process.communicate(timeout=limit)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+        raise TimeoutError(f"took more than {limit:g} s") from None
+    try:
+        answer = json.loads(stdout.strip().splitlines()[-1])
+    except (IndexError, ValueError):
+        answer = None
+    if not isinstance(answer, dict):
+        raise ValueError(f"exit status {process.returncode}: {stderr.strip()[-2000:]}")
+    return answer
+
+
+def read_lines(path: Path) -> list[dict[str, Any]]:
+    """Entries of a file of JSON lines; the last one of a trial and tool counts; none without file.
+
+    A line that a killed run left unfinished is passed over.
+    """
+    found: dict[tuple[str, str], dict[str, Any]] = {}
+    for line in path.read_text().splitlines() if path.exists() else ():
+        try:
+            entry = json.loads(line)
+        except ValueError:
+            continue
+        found[entry["trial"], entry["tool"]] = entry
+    return list(found.values())
