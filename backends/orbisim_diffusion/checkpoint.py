@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from orbisim.errors import InputError
 from orbisim.files.reading import read_json, size_of
 from orbisim.files.writing import make_folder, write_json, writing
 from orbisim_diffusion.autoencoder import Autoencoder
-from orbisim_diffusion.config import AutoencoderConfig, Config, DenoiserConfig
+from orbisim_diffusion.config import Config
 from orbisim_diffusion.denoiser import Denoiser
 from orbisim_diffusion.scope import Scope, check_scope
 
@@ -226,18 +225,5 @@ def digest(path: Path) -> str:
     return found.hexdigest()
 
 
-def card_lines(manifest: dict[str, Any]) -> list[str]:
-    """What a checkpoint is, in a few lines."""
-    sizes = ", ".join(f"{n} {count:,}" for n, count in manifest["parameters"].items())
-    return [f"configuration {manifest['config']['name']}", f"parameters: {sizes}"] + [
-        f"{name}: {json.dumps(value)}" for name, value in manifest.get("metrics", {}).items()
-    ]
-
-
 def _stored(tensor: Tensor) -> Tensor:
     return tensor.detach().half().cpu().contiguous()
-
-
-def parts_of(config: Config) -> tuple[AutoencoderConfig, DenoiserConfig]:
-    """The configurations of the networks."""
-    return config.autoencoder, config.denoiser
