@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import torch
+from orbisim_world_model.watch import OutsideTrainingWarning
 from torch import Tensor
 
 from orbisim import cameras
@@ -37,10 +38,6 @@ LATENTS, TIMES, VIEWS = "diffusion_latents", "diffusion_times", "diffusion_views
 _WIDEST = 4.0
 """Largest ratio of an image's sides."""
 _SAME_VIEW = 1e-4
-
-
-class OutsideTrainingWarning(UserWarning):
-    """A scene lies outside what a checkpoint was trained to show."""
 
 
 class Frame(NamedTuple):

@@ -101,9 +101,7 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
     if declared is None:
         raise FloatingPointError("the scene cannot be simulated along the recordings")
     found = Found(context, declared, declared, late=late)
-    if late:
-        return found
-    if quiet(settings, declared):
+    if late or quiet(settings, declared):
         return found
     try:
         found = dataclasses.replace(found, context=context.with_tunables())
@@ -113,10 +111,9 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
             later = _round(found, number)
             if later.late:
                 return later
-            if later.best is found.best:
-                found = later
+            settled, found = later.best is found.best, later
+            if settled:
                 return named(found)
-            found = later
     except TimeIsUpError:
         return dataclasses.replace(found, late=True)
     return found
