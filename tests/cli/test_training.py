@@ -48,14 +48,20 @@ def test_a_training_leaves_a_checkpoint_card_and_curves(checkpoint: Path) -> Non
     assert not list(checkpoint.glob("*.p*kl")) and not list(checkpoint.glob("*.pt"))
 
 
-def test_a_bad_model_is_warned_of_and_time_is_kept(
+def test_a_bad_model_is_warned_of(
     episodes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    arguments = ["train", "dynamics", str(episodes), "--out", str(out), "--time-limit", "0.1"]
-    stages = ["--set", "train.stages=1x1x8", "--set", "train.rate=10"]
-    assert run([*arguments, *stages, *TOY]) == 0
+    # A step of this rate throws the weights far off, and nothing after it brings them back.
+    stages = ["--set", "train.stages=1x1x8", "--set", "train.rate=10", "--steps", "2"]
+    assert run(["train", "dynamics", str(episodes), "--out", str(out), *stages, *TOY]) == 0
     assert "worse than if everything went on at constant velocity" in capsys.readouterr().err
+
+
+def test_a_training_keeps_its_time(episodes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    limit = ["--time-limit", "0.1", "--set", "train.stages=1x1x8"]
+    assert run(["train", "dynamics", str(episodes), "--out", str(out), *limit, *TOY]) == 0
     manifest = json.loads((out / "manifest.json").read_text())
     assert list(manifest["metrics"]["model"]) == ["10"]
     assert manifest["metrics"]["horizons_left_out"] == [50, 100]
