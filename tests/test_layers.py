@@ -37,11 +37,13 @@ LAYERS = (
     # Recording
     {"recording"},
     {"effects"},
+    {"motion"},
     # what takes the five nouns and gives a result
     {"freerun"},
     {"scores"},
     {"replay", "compare", "tasks", "view"},
     {"diagnosis", "identification", "vector"},
+    {"fleet"},
     # what shows results
     {"report", "testing"},
     {"cli"},

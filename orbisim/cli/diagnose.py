@@ -144,7 +144,7 @@ def command(
         seed=seed,
     )
     if fleet is not None and out is not None:
-        from orbisim.diagnosis.fleet import Options, diagnose_fleet
+        from orbisim.fleet import Options, diagnose_fleet
 
         chosen = Options(window, residual, backend, settings, mapping)
         _print_fleet(

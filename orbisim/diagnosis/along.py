@@ -12,11 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, start_size
-from orbisim.diagnosis.linear import IntervalMap, linearize
 from orbisim.diagnosis.refine import Judged
-from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.shooting import Shooter
 from orbisim.diagnosis.windows import Windows
+from orbisim.motion.linear import IntervalMap, linearize
+from orbisim.motion.samples import Samples
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

@@ -9,17 +9,17 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.deadline import NEVER, Deadline
 from orbisim.diagnosis.fits import Unknown
-from orbisim.diagnosis.linear import IntervalMap, Intervals, linearize
-from orbisim.diagnosis.measurement import Measurement, measurement_of
 from orbisim.diagnosis.noise import estimate_noise
 from orbisim.diagnosis.retune import REACH, SPREAD, Tunable, retuned
-from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.shooting import Shooter, Variant
 from orbisim.diagnosis.windows import Windows, cut_windows, runs_of
 from orbisim.effects import EffectInstance, add_effects, find
+from orbisim.effects.measurement import Measurement, measurement_of
 from orbisim.errors import InputError
+from orbisim.host.deadline import NEVER, Deadline
+from orbisim.motion.linear import IntervalMap, Intervals, linearize
+from orbisim.motion.samples import Samples
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]

@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.along import along, tame
 from orbisim.diagnosis.bench import Bench
-from orbisim.diagnosis.deadline import Deadline
-from orbisim.diagnosis.linear import Intervals, linearize
 from orbisim.diagnosis.nuisance import factor_columns
 from orbisim.diagnosis.refine import Judge, Judged, is_structural
 from orbisim.diagnosis.retune import Tunable, tunables
@@ -19,6 +17,8 @@ from orbisim.diagnosis.screening import missing_force, screen
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.suspects import Screening, merged
 from orbisim.effects import EffectInstance, find
+from orbisim.host.deadline import Deadline
+from orbisim.motion.linear import Intervals, linearize
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str], None]

@@ -12,7 +12,6 @@ from orbisim.backend import Backend
 from orbisim.diagnosis.bench import Bench, Hypothesis, Noise
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.confidence import confidence
-from orbisim.diagnosis.confounds import advice, standing
 from orbisim.diagnosis.evidence import Gain, probabilities
 from orbisim.diagnosis.fits import Fit
 from orbisim.diagnosis.found import (
@@ -29,6 +28,7 @@ from orbisim.diagnosis.search import enough
 from orbisim.diagnosis.sensing import Sensed
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import find
+from orbisim.effects.confounds import advice, standing
 from orbisim.recording import Recording
 from orbisim.recording.joints import joints
 from orbisim.scene import Scene

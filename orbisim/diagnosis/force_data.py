@@ -11,14 +11,14 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.evidence import Blocks, independent_share
-from orbisim.diagnosis.force import force_residual
-from orbisim.diagnosis.linear import IntervalMap
 from orbisim.diagnosis.regress import Normal, normal_of
-from orbisim.diagnosis.samples import Samples
-from orbisim.diagnosis.view import MotionView
 from orbisim.effects import effect_names, find
 from orbisim.effects.screening import Candidate
 from orbisim.errors import InputError
+from orbisim.motion.force import force_residual
+from orbisim.motion.linear import IntervalMap
+from orbisim.motion.regressors import MotionView
+from orbisim.motion.samples import Samples
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
@@ -120,7 +120,7 @@ def candidates(data: ForceData, only: Sequence[str] | None) -> tuple[list[Candid
     found = [
         candidate
         for name in effect_names()
-        if (only is None or name in only) and _offered(name)
+        if (only is None or name in only) and find(name).adds_force()
         for target in find(name).targets(data.scene.model)
         for candidate in find(name).screen(view, target)
         if not candidate.fixed and all(column.kind == "force" for column in candidate.columns)
@@ -130,13 +130,6 @@ def candidates(data: ForceData, only: Sequence[str] | None) -> tuple[list[Candid
     for c, values in enumerate(flat):
         columns[ends, :, c] = np.nan_to_num(values)
     return found, columns
-
-
-def _offered(name: str) -> bool:
-    effect = find(name)
-    if effect.measurement or effect.structural or name in ("hard_stop", "joint_coupling"):
-        return False
-    return effect.kind in ("joint", "body", "world") or name == "torque_bias"
 
 
 def spread(data: ForceData, force: Floats) -> Floats:

@@ -10,15 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis
-from orbisim.diagnosis.confounds import standing
-from orbisim.diagnosis.deadline import NEVER, Deadline
 from orbisim.diagnosis.findings import effects_of, noise_of, suspected
-from orbisim.diagnosis.force import force_residual
 from orbisim.diagnosis.force_search import ForceAttribution, attribute_forces
 from orbisim.diagnosis.found import Alternative, Verdict
 from orbisim.diagnosis.result import Diagnosis
-from orbisim.diagnosis.samples import Samples, prepare_all
 from orbisim.diagnosis.settings import Settings
+from orbisim.effects.confounds import standing
+from orbisim.host.deadline import NEVER, Deadline
+from orbisim.motion.force import force_residual
+from orbisim.motion.samples import Samples, prepare_all
 from orbisim.recording import Recording
 from orbisim.recording.joints import Joint, joints
 from orbisim.scene import Scene

@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis
-from orbisim.diagnosis.deadline import NEVER, Deadline
 from orbisim.diagnosis.evidence import Gain
 from orbisim.diagnosis.fits import Fit
 from orbisim.diagnosis.force_data import (
@@ -29,13 +28,14 @@ from orbisim.diagnosis.force_data import (
     spread,
 )
 from orbisim.diagnosis.found import Rival
-from orbisim.diagnosis.samples import Samples, extent
 from orbisim.diagnosis.screening import bounded_instance
 from orbisim.diagnosis.selection import Group, Selected, data_of, groups_of, select
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.screening import Candidate
 from orbisim.errors import OrbiSimError
+from orbisim.host.deadline import NEVER, Deadline
+from orbisim.motion.samples import Samples, extent
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]

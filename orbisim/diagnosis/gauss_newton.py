@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.fits import Fit, Hints, Unknown
-from orbisim.diagnosis.hidden import Layout
 from orbisim.diagnosis.shooting import Shooter, Variant
 from orbisim.errors import OrbiSimError
+from orbisim.motion.hidden import Layout
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]

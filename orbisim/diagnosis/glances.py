@@ -13,11 +13,11 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis, clean
 from orbisim.diagnosis.context import Context
-from orbisim.diagnosis.deadline import Deadline
 from orbisim.diagnosis.refine import Judged, is_structural
 from orbisim.diagnosis.screening import bounded_instance, cleaned
 from orbisim.diagnosis.suspects import Suspect, in_turns
 from orbisim.effects import EffectInstance, effect_names, find
+from orbisim.host.deadline import Deadline
 from orbisim.scene import Scene
 
 

@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench
-from orbisim.diagnosis.linear import Intervals
 from orbisim.diagnosis.regress import Normal, WeightedData, projected, stacked
 from orbisim.diagnosis.windows import Windows
 from orbisim.effects.screening import Column
+from orbisim.motion.linear import Intervals
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

@@ -1,7 +1,7 @@
 """Measurement noise, told apart from the motion by the model.
 
 A sampled signal with fast content looks noisy to any differentiator. Along the linear system of
-`orbisim.diagnosis.linear` the motion is predictable but for the missing force; with a missing force
+`orbisim.motion.linear` the motion is predictable but for the missing force; with a missing force
 of arbitrary slow course in every joint, what is left over is the noise.
 """
 
@@ -12,9 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.linear import Intervals
-from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.windows import Windows
+from orbisim.motion.linear import Intervals
+from orbisim.motion.samples import Samples
 
 Floats = npt.NDArray[np.float64]
 

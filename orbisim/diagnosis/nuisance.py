@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
-from orbisim.diagnosis.linear import IntervalMap
 from orbisim.diagnosis.regress import Normal, fit, profiled
 from orbisim.diagnosis.retune import Tunable, retuned
 from orbisim.effects import find
 from orbisim.effects.screening import Column
+from orbisim.motion.linear import IntervalMap
 
 Floats = npt.NDArray[np.float64]
 

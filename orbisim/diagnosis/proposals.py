@@ -17,7 +17,6 @@ import numpy.typing as npt
 from orbisim.diagnosis.bench import Hypothesis, clean
 from orbisim.diagnosis.context import Context
 from orbisim.diagnosis.glances import Candidate, generalizations, shortlist, usual
-from orbisim.diagnosis.linear import linearize
 from orbisim.diagnosis.refine import Judged, is_structural
 from orbisim.diagnosis.screening import cleaned, screen
 from orbisim.diagnosis.suspects import Screening, Suspect
@@ -25,6 +24,7 @@ from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.effects.base import index_of, names_of_kind
 from orbisim.effects.unnamed import UNNAMED
 from orbisim.errors import OrbiSimError
+from orbisim.motion.linear import linearize
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]

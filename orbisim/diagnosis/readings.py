@@ -16,12 +16,12 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
-from orbisim.diagnosis.force import Hooked
-from orbisim.diagnosis.hidden import Layout, carried_along
-from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.shooting import Shooter
 from orbisim.diagnosis.windows import Windows
 from orbisim.effects.base import AXES
+from orbisim.motion.force import Hooked
+from orbisim.motion.hidden import Layout, carried_along
+from orbisim.motion.samples import Samples
 from orbisim.recording import estimate_motion
 from orbisim.recording.sensors import Sensor, reads_state, sensors
 from orbisim.scene import Scene

@@ -12,13 +12,13 @@ import numpy.typing as npt
 from orbisim.diagnosis.bench import Bench, Hypothesis
 from orbisim.diagnosis.fits import Fit, Hints
 from orbisim.diagnosis.gauss_newton import gauss_newton, start_derivatives
-from orbisim.diagnosis.linear import Intervals, linearize
 from orbisim.diagnosis.one_run import Own, glanced, own_slopes
 from orbisim.diagnosis.retune import Tunable
 from orbisim.diagnosis.shooting import Shooter, Variant
 from orbisim.diagnosis.windows import Windows
 from orbisim.effects import find
 from orbisim.errors import OrbiSimError
+from orbisim.motion.linear import Intervals, linearize
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]

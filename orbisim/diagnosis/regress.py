@@ -1,7 +1,7 @@
 """Linear regression of measured deviations on columns, window by window.
 
 In each window the deviation at its start is free (its columns are projected out), and columns
-respond through the linear system of `orbisim.diagnosis.linear`. What is kept are inner products,
+respond through the linear system of `orbisim.motion.linear`. What is kept are inner products,
 with every datum weighted by its noise.
 """
 
@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.linear import Intervals
-from orbisim.diagnosis.samples import Samples
 from orbisim.diagnosis.windows import Windows, chosen
 from orbisim.effects.screening import Column
+from orbisim.motion.linear import Intervals
+from orbisim.motion.samples import Samples
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

@@ -1,6 +1,6 @@
 """How windows respond to a missing force: quadratic in the force, in linear approximation.
 
-Along the linear system of `orbisim.diagnosis.linear`, the weighted squared residual of a window,
+Along the linear system of `orbisim.motion.linear`, the weighted squared residual of a window,
 its free start projected out, is
 
     square - 2 moment . f + f . gram f
@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
-from orbisim.diagnosis.linear import Intervals
 from orbisim.diagnosis.regress import normal_of, without_start
 from orbisim.diagnosis.windows import Windows, chosen
+from orbisim.motion.linear import Intervals
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

@@ -17,7 +17,6 @@ from orbisim.backend import Backend
 from orbisim.diagnosis.along import along
 from orbisim.diagnosis.bench import Bench, Hypothesis
 from orbisim.diagnosis.conclusion import Attribution
-from orbisim.diagnosis.linear import Intervals, linearize
 from orbisim.diagnosis.refine import Judge
 from orbisim.diagnosis.regress import fit, normal_equations, total
 from orbisim.diagnosis.response import affordable, responses
@@ -27,6 +26,7 @@ from orbisim.diagnosis.screening import missing_force
 from orbisim.effects import find
 from orbisim.effects.residual_network import Network, with_rest
 from orbisim.effects.screening import Column
+from orbisim.motion.linear import Intervals, linearize
 from orbisim.recording import Recording
 from orbisim.recording.joints import Joint, joints
 from orbisim.scene import Scene

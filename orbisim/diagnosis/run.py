@@ -18,7 +18,6 @@ from orbisim.diagnosis.checks import coarse_timestep, disabled
 from orbisim.diagnosis.conclusion import Attribution, attribute
 from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.context import NEAR
-from orbisim.diagnosis.deadline import Deadline
 from orbisim.diagnosis.findings import (
     alternatives_of,
     candidates_of,
@@ -36,19 +35,20 @@ from orbisim.diagnosis.force_result import diagnose_forces
 from orbisim.diagnosis.refine import Judged
 from orbisim.diagnosis.rest import learn_rest as learn
 from orbisim.diagnosis.result import Diagnosis
-from orbisim.diagnosis.samples import Samples, prepare_all
 from orbisim.diagnosis.scoring import score
 from orbisim.diagnosis.sensing import Sensed, sense
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.split import bounded, split
-from orbisim.diagnosis.suspicious import refuse
-from orbisim.diagnosis.thinning import thinned, usual_window
 from orbisim.effects import add_effects, find
 from orbisim.errors import InputError
+from orbisim.host.deadline import Deadline
 from orbisim.host.engine_log import engine_warnings, ignore
 from orbisim.host.progress import status
+from orbisim.motion.samples import Samples, prepare_all
 from orbisim.recording import Recording
 from orbisim.recording.actuators import actuators
+from orbisim.recording.split import bounded, split
+from orbisim.recording.suspicious import refuse
+from orbisim.recording.thinning import thinned, usual_window
 from orbisim.scene import Scene, load_scene
 
 Source = Recording | str | Path

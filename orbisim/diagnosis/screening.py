@@ -11,15 +11,15 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, Hypothesis, clean, completed
-from orbisim.diagnosis.linear import IntervalMap, Intervals
 from orbisim.diagnosis.nuisance import Apart, levelled, own_columns
 from orbisim.diagnosis.regress import Normal, fit, normal_equations, profiled, total
 from orbisim.diagnosis.retune import SPREAD
 from orbisim.diagnosis.suspects import Screening, Suspect, in_turns, key_of
-from orbisim.diagnosis.view import MotionView
 from orbisim.effects import EffectInstance, add_effects, effect_names, find
 from orbisim.effects.screening import Candidate, Column, Solve
 from orbisim.errors import OrbiSimError
+from orbisim.motion.linear import IntervalMap, Intervals
+from orbisim.motion.regressors import MotionView
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]

@@ -18,11 +18,11 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.diagnosis.evidence import Blocks, Gain, gain, weights
 from orbisim.diagnosis.regress import Normal, fit, profiled
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.screening import Candidate
+from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

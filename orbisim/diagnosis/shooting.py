@@ -11,15 +11,15 @@ import mujoco.batch
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.deadline import NEVER, Deadline
-from orbisim.diagnosis.hidden import Layout, carried_along
-from orbisim.diagnosis.linear import Intervals
-from orbisim.diagnosis.measurement import TRUE, Measurement
-from orbisim.diagnosis.samples import Samples, substeps
 from orbisim.diagnosis.windows import Windows, chosen
 from orbisim.effects.carry import hooks_of
+from orbisim.effects.measurement import TRUE, Measurement
 from orbisim.effects.stepping import step_batch
 from orbisim.host.cpus import usable_cpus
+from orbisim.host.deadline import NEVER, Deadline
+from orbisim.motion.hidden import Layout, carried_along
+from orbisim.motion.linear import Intervals
+from orbisim.motion.samples import Samples, substeps
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]

@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.linear import Intervals
 from orbisim.effects import EffectInstance
+from orbisim.motion.linear import Intervals
 
 Floats = npt.NDArray[np.float64]
 

@@ -13,9 +13,9 @@ from orbisim.diagnosis.evidence import Blocks, Gain, gain, independent_share
 from orbisim.diagnosis.fits import Fit
 from orbisim.diagnosis.refine import Judged
 from orbisim.diagnosis.retune import SPREAD
-from orbisim.diagnosis.samples import extent
 from orbisim.diagnosis.selection import EFFECT
 from orbisim.effects import find
+from orbisim.motion.samples import extent
 
 Floats = npt.NDArray[np.float64]
 

@@ -89,6 +89,10 @@ class TorqueBias(ActuatorEffect):
     def equivalents(self, model: mujoco.MjModel, instance: EffectInstance) -> list[EffectInstance]:
         return same_offsets(model, instance)
 
+    def adds_force(self) -> bool:
+        """Of actuators' effects this one alone: a force is recorded with its offset."""
+        return True
+
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         index = index_of(view.model, "actuator", target)
         force = _force(view, index, np.ones(len(view.time)))

@@ -141,6 +141,7 @@ class Effect(abc.ABC):
         empty for none.
       needs: parts of MuJoCo's pipeline without which it does nothing (`<option><flag/>`).
       rarity: logarithm of the odds of the effect on a machine beside those of friction at a joint.
+      measured_as: what an effect of the measurement changes of a signal; empty for the others.
       family: what effects share that look alike as long as they are not fitted to the end, at the
         same target; empty for none.
     """
@@ -155,6 +156,7 @@ class Effect(abc.ABC):
     declared_as: ClassVar[str] = ""
     needs: ClassVar[tuple[mujoco.mjtDisableBit, ...]] = ()
     rarity: ClassVar[float] = 0.0
+    measured_as: ClassVar[Literal["", "offset", "scale", "delay", "clock"]] = ""
     family: ClassVar[str] = ""
 
     @abc.abstractmethod
@@ -234,6 +236,13 @@ class Effect(abc.ABC):
           special: the other. values: of this effect, for what the other does not have.
         """
         return []
+
+    def adds_force(self) -> bool:
+        """Whether inverse dynamics shows it where the forces at all joints are recorded: a force
+        beside these, which follows from the motion."""
+        if self.measurement or self.structural or self.stated:
+            return False
+        return self.kind in ("joint", "body", "world")
 
     def resolution(self, model: mujoco.MjModel, name: str) -> float:
         """Step below which a parameter has no effect (delays act in timesteps); 0 for none."""

@@ -514,6 +514,10 @@ class JointCoupling(JointEffect):
         found = super().targets(model)
         return found if len(found) > 1 else ()
 
+    def adds_force(self) -> bool:
+        """It follows from what drives another joint, not from the motion alone."""
+        return False
+
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         force = joint_unit(model, target, "N*m", "N")
         return (Parameter("coefficient", f"{force} per unit", -_LARGE, _LARGE, 0.1),)

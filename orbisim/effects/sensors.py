@@ -84,6 +84,7 @@ class SensorBias(MeasurementEffect):
     """
 
     name = "sensor_bias"
+    measured_as = "offset"
     phrase = "a sensor offset"
 
     def equivalents(self, model: mujoco.MjModel, instance: EffectInstance) -> list[EffectInstance]:
@@ -106,6 +107,7 @@ class SensorScale(MeasurementEffect):
     """
 
     name = "sensor_scale"
+    measured_as = "scale"
     phrase = "a wrong sensor scale"
 
     def targets(self, model: mujoco.MjModel) -> tuple[str, ...]:
@@ -136,6 +138,7 @@ class SensorDelay(MeasurementEffect):
     """The sensor is late: measured(t) = true(t - delay)."""
 
     name = "sensor_delay"
+    measured_as = "delay"
     phrase = "a sensor delay"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
@@ -153,6 +156,7 @@ class ClockSkew(Effect):
     """The recording's clock is fast: recorded time = factor * true time."""
 
     name = "clock_skew"
+    measured_as = "clock"
     kind = "recording"
     phrase = "a skewed clock"
     native = False

@@ -12,15 +12,15 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
-from orbisim.diagnosis.confounds import advice
-from orbisim.diagnosis.force import ForceResidual, force_residual
 from orbisim.diagnosis.result import Diagnosis
-from orbisim.diagnosis.samples import Samples, prepare_all
 from orbisim.diagnosis.scoring import score
 from orbisim.diagnosis.wording import number
 from orbisim.effects import find
+from orbisim.effects.confounds import advice
 from orbisim.effects.measured import correct
 from orbisim.files.writing import write_text
+from orbisim.motion.force import ForceResidual, force_residual
+from orbisim.motion.samples import Samples, prepare_all
 from orbisim.recording import Recording, bind
 from orbisim.report import held_out, shape
 from orbisim.report.notes import merged

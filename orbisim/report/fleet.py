@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from orbisim.diagnosis.fleet import ROBOTS, Fleet
-from orbisim.diagnosis.fleet_table import RULE, Cell
 from orbisim.files.writing import write_text
+from orbisim.fleet.run import ROBOTS, Fleet
+from orbisim.fleet.table import RULE, Cell
 from orbisim.report.page import number, render_page
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
-from orbisim.diagnosis.hidden import Layout
+from orbisim.motion.hidden import Layout
 from orbisim.recording import Bound
 from orbisim.replay import Replay
 from orbisim.report import figures

@@ -9,8 +9,8 @@ from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
 from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.refine import Judge
 from orbisim.diagnosis.retune import Tunable
-from orbisim.diagnosis.samples import prepare_all
 from orbisim.effects import EffectInstance
+from orbisim.motion.samples import prepare_all
 from orbisim.testing import inject_effect
 
 

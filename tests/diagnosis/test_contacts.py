@@ -15,10 +15,10 @@ from orbisim.diagnosis.fits import Unknown
 from orbisim.diagnosis.gauss_newton import gauss_newton
 from orbisim.diagnosis.refine import Judge, Judged
 from orbisim.diagnosis.retune import Tunable, retuned
-from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.shooting import Variant
 from orbisim.effects import EffectInstance, add_effects, find
 from orbisim.errors import SceneError
+from orbisim.motion.samples import prepare_all
 from orbisim.testing import inject_effect
 
 HAMMER = """

@@ -7,9 +7,9 @@ import pytest
 import orbisim
 from orbisim.diagnosis.bench import make_bench
 from orbisim.diagnosis.joint import propose
-from orbisim.diagnosis.samples import prepare_all
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.base import Extent, reach
+from orbisim.motion.samples import prepare_all
 from orbisim.testing import inject_effect
 
 

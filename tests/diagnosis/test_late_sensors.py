@@ -12,10 +12,10 @@ from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench, wrongly_lost
 from orbisim.diagnosis.fits import Hints
 from orbisim.diagnosis.gauss_newton import Problem
 from orbisim.diagnosis.refine import Judge
-from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.shooting import Shooter, Variant
 from orbisim.diagnosis.windows import Windows
 from orbisim.effects import EffectInstance
+from orbisim.motion.samples import prepare_all
 from orbisim.testing import inject_effect
 
 LATE = EffectInstance("sensor_delay", "shoulder", {"delay": 0.08})

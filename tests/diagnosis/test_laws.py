@@ -10,11 +10,11 @@ from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
 from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.context import begun
 from orbisim.diagnosis.refine import Judged
-from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.search import Found, named
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
 from orbisim.effects.unnamed import OneSidedLaw
+from orbisim.motion.samples import prepare_all
 from orbisim.testing import inject_effect
 
 SPRING = EffectInstance("joint_spring", "elbow", {"stiffness": 0.3, "rest_position": 0.0})

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from orbisim.diagnosis.linear import Intervals
 from orbisim.diagnosis.suspects import Screening, Suspect, merged
 from orbisim.effects import EffectInstance
+from orbisim.motion.linear import Intervals
 
 
 def screening(*names: str) -> Screening:

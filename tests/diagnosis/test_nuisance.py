@@ -7,13 +7,13 @@ import pytest
 
 import orbisim
 from orbisim.diagnosis.bench import Hypothesis, make_bench
-from orbisim.diagnosis.linear import linearize
 from orbisim.diagnosis.nuisance import OwnColumns, levelled, own_columns
 from orbisim.diagnosis.regress import Normal, fit, normal_of
-from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.screening import screen
-from orbisim.diagnosis.view import _peaks
 from orbisim.effects import EffectInstance
+from orbisim.motion.linear import linearize
+from orbisim.motion.regressors import _peaks
+from orbisim.motion.samples import prepare_all
 from orbisim.testing import inject_effect
 
 DAMPING = EffectInstance("viscous_damping", "elbow", {"coefficient": 0.05})

@@ -14,15 +14,15 @@ from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
 from orbisim.diagnosis.conclusion import concluded
 from orbisim.diagnosis.confidence import confidence
 from orbisim.diagnosis.context import Context, begun
-from orbisim.diagnosis.deadline import NEVER
 from orbisim.diagnosis.fits import Fit
 from orbisim.diagnosis.glances import Candidate
 from orbisim.diagnosis.proposals import begin
 from orbisim.diagnosis.run import bad_windows
-from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.search import Found
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
+from orbisim.host.deadline import NEVER
+from orbisim.motion.samples import prepare_all
 from orbisim.testing import inject_effect
 
 BIAS = EffectInstance("torque_bias", "elbow", {"offset": 0.2})

@@ -13,13 +13,13 @@ from orbisim.diagnosis.along import tame
 from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
 from orbisim.diagnosis.fits import Hints
 from orbisim.diagnosis.gauss_newton import Problem
-from orbisim.diagnosis.measurement import Measurement
 from orbisim.diagnosis.refine import Judge
-from orbisim.diagnosis.samples import prepare_all
 from orbisim.diagnosis.search import quiet
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.shooting import Variant
 from orbisim.effects import EffectInstance
+from orbisim.effects.measurement import Measurement
+from orbisim.motion.samples import prepare_all
 from orbisim.recording import bind
 from orbisim.testing import inject_effect
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import orbisim
-from orbisim.diagnosis.fleet import Fleet
-from orbisim.diagnosis.fleet_table import RULE, Robot, rows_of
+from orbisim.fleet.run import Fleet
+from orbisim.fleet.table import RULE, Robot, rows_of
 from orbisim.report.fleet import write_report
 
 SCENE = Path(__file__).parents[2] / "mjcf_assets" / "arm2" / "scene.xml"

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 from scipy.signal import butter, sosfiltfilt
 
-from orbisim.diagnosis.force import Hooked
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.measured import correct
+from orbisim.motion.force import Hooked
 from orbisim.recording import Recording
 from orbisim.recording.initial import Velocities
 from orbisim.replay import Replay, replay

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.samples import Samples, substeps
+from orbisim.motion.samples import Samples, substeps
 from orbisim.recording.joints import joints
 from orbisim.recording.zero_order_hold import Held
 

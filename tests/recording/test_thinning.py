@@ -2,13 +2,9 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from orbisim.diagnosis.samples import substeps
-from orbisim.diagnosis.split import bounded
-from orbisim.diagnosis.thinning import MOST_SAMPLES, thinned, usual_window
 from orbisim.recording import Recording
+from orbisim.recording.thinning import MOST_SAMPLES, thinned, usual_window
 
 TIME = np.arange(0, 4, 1e-3)
 
@@ -54,29 +50,3 @@ def test_slow_recordings_stay_as_they_are() -> None:
     one = Recording(TIME, {"qpos/a": TIME})
     assert thinned([one], MOST_SAMPLES * 1e-3, notes)[0] is one
     assert not notes
-
-
-def test_of_ten_million_rows_a_search_sees_stretches_from_beginning_to_end() -> None:
-    time = 1e-3 * np.arange(10_000_000)
-    notes: list[str] = []
-    pieces = bounded([Recording(time, {"qpos/a": time})], notes)
-    assert sum(map(len, pieces)) <= 60_000
-    assert pieces[0].time[0] == 0.0
-    assert pieces[-1].time[-1] == pytest.approx(time[-1])
-    assert max(np.diff([one.time[0] for one in pieces])) < 2 * time[-1] / len(pieces)
-    assert "of 10000000 rows" in notes[0]
-
-
-@given(st.floats(1e-4, 0.1), st.floats(1e-4, 0.02))
-def test_no_timestep_is_longer_than_declared_by_more_than_a_little(
-    duration: float, timestep: float
-) -> None:
-    count = int(substeps(duration, timestep))
-    assert duration / count <= 1.0501 * timestep
-    assert count == 1 or duration / (count - 1) > 1.0499 * timestep
-
-
-@pytest.mark.parametrize("clock", [0.97, 1.0, 1.0 + 1e-9, 1.014, 1.04])
-def test_a_clock_that_is_a_little_off_costs_no_timestep(clock: float) -> None:
-    """Five timesteps of 2 ms between samples."""
-    np.testing.assert_array_equal(substeps(np.full(3, 0.01 * clock), 0.002), 5)

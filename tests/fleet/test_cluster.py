@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from orbisim.diagnosis.fleet_ray import in_memory, spread
 from orbisim.errors import MissingDependencyError
+from orbisim.fleet.cluster import in_memory, spread
 
 
 def attempt(scene: str, recordings: list[int], folder: Path, options: str) -> str:

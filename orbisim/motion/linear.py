@@ -21,12 +21,12 @@ import mujoco.batch
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.deadline import NEVER, Deadline
-from orbisim.diagnosis.hidden import Layout, carried_along
-from orbisim.diagnosis.samples import Samples, substeps
 from orbisim.effects.carry import hooks_of
 from orbisim.effects.stepping import step_batch
 from orbisim.host.cpus import usable_cpus
+from orbisim.host.deadline import NEVER, Deadline
+from orbisim.motion.hidden import Layout, carried_along
+from orbisim.motion.samples import Samples, substeps
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]

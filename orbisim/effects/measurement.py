@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.effects import EffectInstance
-from orbisim.effects.base import names_of_kind
+from orbisim.effects.base import EffectInstance, names_of_kind
+from orbisim.effects.catalogue import find
 from orbisim.recording.joints import Kind, joints
 
 Floats = npt.NDArray[np.float64]
@@ -110,22 +110,20 @@ def measurement_of(model: mujoco.MjModel, effects: Iterable[EffectInstance]) -> 
     nv, clock, changed = model.nv, 1.0, False
     bias, scale, delay = np.zeros(2 * nv), np.ones(2 * nv), np.zeros(2 * nv)
     places = dict(zip(names_of_kind(model, "joint"), joints(model), strict=True))
-    for effect in effects:
-        if effect.effect == "clock_skew":
-            clock *= effect.values["factor"]
-            continue
-        if effect.effect not in ("sensor_bias", "sensor_scale", "sensor_delay"):
-            continue
-        joint = places.get(effect.target)
-        if joint is None:
+    for one in effects:
+        changes = find(one.effect).measured_as
+        if changes == "clock":
+            clock *= one.values["factor"]
+        joint = places.get(one.target)
+        if joint is None or changes in ("", "clock"):
             continue
         changed = True
         width = 3 if joint.kind == Kind.FREE else 1
         q = np.arange(joint.v.start, joint.v.start + width)
-        if effect.effect == "sensor_bias":
-            bias[q] += effect.values["offset"]
-        elif effect.effect == "sensor_scale":
-            scale[[*q, *(nv + q)]] *= effect.values["factor"]
+        if changes == "offset":
+            bias[q] += one.values["offset"]
+        elif changes == "scale":
+            scale[[*q, *(nv + q)]] *= one.values["factor"]
         else:
-            delay[[*q, *(nv + q)]] += effect.values["delay"]
+            delay[[*q, *(nv + q)]] += one.values["delay"]
     return Measurement(clock, bias, scale, delay) if changed else Measurement(clock)

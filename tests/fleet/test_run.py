@@ -12,9 +12,10 @@ import pytest
 
 import orbisim
 from orbisim.cli.main import run
-from orbisim.diagnosis import Settings, fleet
-from orbisim.diagnosis.fleet import Options, diagnose_fleet
+from orbisim.diagnosis import Settings
 from orbisim.effects import EffectInstance
+from orbisim.fleet import run as fleet
+from orbisim.fleet.run import Options, diagnose_fleet
 from orbisim.testing import inject_effect
 
 SCENE = Path(__file__).parents[2] / "mjcf_assets" / "arm2" / "scene.xml"

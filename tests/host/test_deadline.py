@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from orbisim.diagnosis.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.errors import OrbiSimError
+from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 
 
 def test_it_passes() -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.force import force_residual
-from orbisim.diagnosis.samples import prepare
 from orbisim.effects import EffectInstance, add_effects
+from orbisim.motion.force import force_residual
+from orbisim.motion.samples import prepare
 from orbisim.testing import inject_effect
 
 ARM = Path(__file__).parents[2] / "mjcf_assets" / "arm2" / "scene.xml"

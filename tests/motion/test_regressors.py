@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orbisim.diagnosis.view import _frequency_grid
+from orbisim.motion.regressors import _frequency_grid
 
 
 @pytest.mark.parametrize("travel", [1e-13, 1e-3, 0.1, 2.0, 40.0])

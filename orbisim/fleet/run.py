@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 from orbisim import plugins
-from orbisim.diagnosis.fleet_ray import spread
-from orbisim.diagnosis.fleet_table import Robot, Row, csv_text, rows_of
 from orbisim.diagnosis.run import diagnose
 from orbisim.diagnosis.settings import Settings
 from orbisim.errors import InputError, OrbiSimError
 from orbisim.files.reading import read_json
 from orbisim.files.writing import make_folder, write_json, write_text
+from orbisim.fleet.cluster import spread
+from orbisim.fleet.table import Robot, Row, csv_text, rows_of
 from orbisim.host.cpus import usable_cpus
 from orbisim.host.progress import track
 from orbisim.recording import Recording, load_recordings

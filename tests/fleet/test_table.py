@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import orbisim
-from orbisim.diagnosis.fleet_table import Robot, Row, csv_text, rows_of
+from orbisim.fleet.table import Robot, Row, csv_text, rows_of
 
 
 def robot(name: str, *effects: tuple[str, str, float, float], left: float = 1.1) -> Robot:

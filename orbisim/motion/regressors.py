@@ -10,9 +10,10 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.linear import IntervalMap
-from orbisim.diagnosis.samples import Samples
 from orbisim.effects.screening import BodyMotion
+from orbisim.motion.hidden import first_order
+from orbisim.motion.linear import IntervalMap
+from orbisim.motion.samples import Samples
 from orbisim.recording.zero_order_hold import Held
 
 Floats = npt.NDArray[np.float64]
@@ -110,12 +111,7 @@ class MotionView:
         """[M]: the control after a first-order filter, exact for a held control."""
         per_row = []
         for one in self.samples:
-            u, out = one.ctrl[:, control], np.empty(len(one))
-            decay = np.exp(-np.diff(one.time) / time_constant)
-            out[0] = u[0]
-            for k in range(len(u) - 1):
-                out[k + 1] = u[k] + (out[k] - u[k]) * decay[k]
-            per_row.append(out)
+            per_row.append(first_order(one.time, one.ctrl[:, control], time_constant))
         return self._at_ends(per_row)
 
     def delayed_control(self, control: int, delay: float) -> Floats:

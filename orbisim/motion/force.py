@@ -16,10 +16,10 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.hidden import Layout, carried_along
-from orbisim.diagnosis.samples import Samples
 from orbisim.effects.carry import hooks_of
 from orbisim.effects.running import ACCELERATION_STAGE, HookRunner
+from orbisim.motion.hidden import Layout, carried_along
+from orbisim.motion.samples import Samples
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]

@@ -1,0 +1,53 @@
+"""How true states appear in a recording, against what recordings are distorted by."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import orbisim
+from orbisim.effects import EffectInstance
+from orbisim.effects.measured import distort
+from orbisim.effects.measurement import TRUE, measurement_of
+from orbisim.recording import Recording
+
+SCENE = """
+<mujoco><worldbody><body>
+  <joint name="a" type="hinge"/><geom size="0.1"/>
+</body></worldbody></mujoco>
+"""
+TIME = np.linspace(0, 2, 201)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        [EffectInstance("sensor_bias", "a", {"offset": 0.1})],
+        [EffectInstance("sensor_scale", "a", {"factor": 1.2})],
+        [EffectInstance("sensor_delay", "a", {"delay": 0.035})],
+        [
+            EffectInstance("sensor_bias", "a", {"offset": -0.2}),
+            EffectInstance("sensor_scale", "a", {"factor": 0.9}),
+            EffectInstance("sensor_delay", "a", {"delay": 0.02}),
+        ],
+    ],
+    ids=["bias", "scale", "delay", "all"],
+)
+def test_it_is_what_a_distorted_recording_has(effects: list[EffectInstance]) -> None:
+    scene = orbisim.load_scene(SCENE)
+    truth = Recording(TIME, {"qpos/a": np.sin(3 * TIME), "qvel/a": 3 * np.cos(3 * TIME)})
+    states = np.stack([truth["qpos/a"], truth["qvel/a"]], axis=1)[None]
+    seen = measurement_of(scene.model, effects).of(np.zeros_like(states), states, TIME[None])[0]
+    expected = distort(truth, effects, scene)
+    rows = np.searchsorted(TIME, expected.time - 1e-9)
+    np.testing.assert_allclose(seen[rows, 0], expected["qpos/a"].ravel(), atol=1e-5)
+    np.testing.assert_allclose(seen[rows, 1], expected["qvel/a"].ravel(), atol=2e-3)
+
+
+def test_a_clock_is_read_apart() -> None:
+    scene = orbisim.load_scene(SCENE)
+    fast = measurement_of(scene.model, [EffectInstance("clock_skew", "recording", {"factor": 1.1})])
+    assert fast.clock == 1.1 and not fast
+    assert not TRUE and TRUE.clock == 1.0
+    friction = EffectInstance("coulomb_friction", "a", {"torque": 1.0})
+    assert not measurement_of(scene.model, [friction])
