@@ -20,6 +20,7 @@ from orbisim.errors import InputError
 from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.linear import IntervalMap, Intervals, linearize
 from orbisim.motion.samples import Samples
+from orbisim.recording import Recording, bind
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
@@ -139,15 +140,35 @@ _TOO_SHORT = (
 
 def touches(scene: Scene, samples: Sequence[Samples]) -> bool:
     """Whether bodies touch somewhere along the recordings."""
+    return any(_touch(scene, one.qpos[one.usable]) for one in samples)
+
+
+def _touch(scene: Scene, qpos: Floats) -> bool:
+    """Whether bodies touch at some of the positions [T, nq]."""
     model, data = scene.model, mujoco.MjData(scene.model)
-    for one in samples:
-        rows = np.flatnonzero(one.usable)
-        for row in rows[:: max(1, len(rows) // 200)]:
-            data.qpos[:] = one.qpos[row]
-            mujoco.mj_fwdPosition(model, data)
-            if data.ncon:
-                return True
+    for row in qpos[:: max(1, len(qpos) // 200)]:
+        data.qpos[:] = row
+        mujoco.mj_fwdPosition(model, data)
+        if data.ncon:
+            return True
     return False
+
+
+def windows_enough(scene: Scene, recordings: Sequence[Recording], window: float) -> int:
+    """How many windows of so many s recordings should hold: as many as a search looks at, and half
+    as many again, to choose from; fewer where bodies touch."""
+    some = [bind(recordings[i], scene).qpos for i in range(0, len(recordings), _LOOKED_AT)]
+    positions = np.concatenate(some)
+    if not _touch(scene, positions[np.isfinite(positions).all(axis=1)]):
+        return _WINDOWS
+    step = float(np.median(np.diff(recordings[0].time)))
+    budget = _budget(scene, True) or 0
+    return min(_WINDOWS, int(np.ceil(1.5 * budget * step / window)))
+
+
+_LOOKED_AT = 8
+_WINDOWS = 144
+"""Two thirds of them are fitted, 96 at most."""
 
 
 def _budget(scene: Scene, contacts: bool) -> int | None:

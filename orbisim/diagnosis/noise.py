@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+import scipy.linalg
 
 from orbisim.diagnosis.windows import Windows
 from orbisim.motion.linear import Intervals
@@ -21,7 +22,7 @@ Floats = npt.NDArray[np.float64]
 _KNOT = 4
 _ROUNDS = 3
 _MAX_WINDOWS = 24
-_BRACE = 1e-6
+_BRACE = 1e-10
 
 
 def estimate_noise(
@@ -106,8 +107,9 @@ def _round(design: Floats, target: Floats, seen: npt.NDArray[np.bool_], sigma: F
         values = (np.where(seen[w], target[w], 0.0) * weight).ravel()
         scale = np.linalg.norm(matrix, axis=0)
         matrix = matrix / np.where(scale > 0, scale, 1.0)
-        braced = np.concatenate([matrix, _BRACE * np.eye(matrix.shape[1])])
-        u = np.linalg.qr(braced)[0][: len(matrix)]
+        gram = matrix.T @ matrix + _BRACE * np.eye(matrix.shape[1])
+        upper = np.linalg.cholesky(gram).T
+        u = scipy.linalg.solve_triangular(upper, matrix.T, trans="T", check_finite=False).T
         left = (values - u @ (u.T @ values)).reshape(seen[w].shape)
         leverage = (u**2).sum(axis=1).reshape(seen[w].shape)
         squares[w] = (left**2).sum(axis=0)

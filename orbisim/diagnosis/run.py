@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from orbisim.backend import Backend
-from orbisim.diagnosis.bench import Bench, make_bench, touches
+from orbisim.diagnosis.bench import Bench, make_bench, touches, windows_enough
 from orbisim.diagnosis.checks import coarse_timestep, disabled
 from orbisim.diagnosis.conclusion import Attribution, attribute
 from orbisim.diagnosis.consistency import inconsistency
@@ -46,7 +46,7 @@ from orbisim.host.progress import status
 from orbisim.motion.samples import Samples, prepare_all
 from orbisim.recording import Recording
 from orbisim.recording.actuators import actuators
-from orbisim.recording.split import bounded, split
+from orbisim.recording.split import bounded, some_of, split
 from orbisim.recording.suspicious import refuse
 from orbisim.recording.thinning import thinned, usual_window
 from orbisim.scene import Scene, load_scene
@@ -148,6 +148,9 @@ def _by_motion(
     start: float,
 ) -> Diagnosis:
     """Explains the error of free runs over windows."""
+    enough = windows_enough(scene, fit, window)
+    fit = some_of(fit, window, enough, notes)
+    held = some_of(held, window, enough, notes)
     samples = prepare_all(bounded(thinned(fit, window, notes), notes), scene)
     bench = make_bench(scene, samples, window)
     notes += [note for note in (disabled(scene),) if note is not None]

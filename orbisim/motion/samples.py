@@ -100,7 +100,7 @@ def prepare(recording: Recording, scene: Scene) -> Samples:
     """
     bound = bind(recording, scene)
     motion = estimate_motion(bound)
-    first = starts(bound, "smoothed")
+    first = starts(bound, "smoothed", motion)
     qpos = np.where(np.isfinite(motion.qpos), motion.qpos, first.qpos)
     (qpos, qvel), qacc = _with_spin(bound, qpos, first.qvel), np.nan_to_num(motion.qacc)
     usable = np.isfinite(qpos).all(axis=1) & np.isfinite(qvel).all(axis=1)

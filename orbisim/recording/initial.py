@@ -14,7 +14,7 @@ import numpy.typing as npt
 from orbisim.recording.actuators import actuators
 from orbisim.recording.bound import Bound
 from orbisim.recording.joints import joints
-from orbisim.recording.motion import estimate_motion
+from orbisim.recording.motion import Motion, estimate_motion
 from orbisim.recording.unread import carry_unread
 from orbisim.recording.zero_order_hold import Held
 
@@ -44,13 +44,16 @@ class Starts:
         return np.asarray(known)
 
 
-def starts(bound: Bound, velocities: Velocities = "recorded") -> Starts:
+def starts(
+    bound: Bound, velocities: Velocities = "recorded", motion: Motion | None = None
+) -> Starts:
     """The state at every row.
 
     Args:
       bound: the recording in the scene's order.
       velocities: `recorded` uses recorded velocities where there are any; `smoothed` estimates all
         of them from the positions.
+      motion: of all joints, where it has been estimated already.
     """
     recorded = bound.qvel if velocities == "recorded" else np.full_like(bound.qvel, np.nan)
     lacking = [
@@ -58,7 +61,7 @@ def starts(bound: Bound, velocities: Velocities = "recorded") -> Starts:
         for j in joints(bound.model)
         if not (np.isfinite(recorded[:, j.v]).all() and np.isfinite(bound.qpos[:, j.q]).all())
     ]
-    motion = estimate_motion(bound, {j.id for j in lacking})
+    motion = motion or estimate_motion(bound, {j.id for j in lacking})
     early = motion.qvel - 0.5 * _stagger(bound.model) * np.nan_to_num(motion.qacc)
     estimated = [j.label for j in lacking if not np.isfinite(recorded[:, j.v]).any()]
     notes = [f"velocities of {', '.join(map(repr, estimated))} are estimated from the positions"]

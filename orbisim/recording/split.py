@@ -45,6 +45,28 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Record
     return fit, held
 
 
+def some_of(
+    recordings: Sequence[Recording], window: float, windows: int, notes: list[str]
+) -> list[Recording]:
+    """Of many short recordings so many, spread evenly, as hold so many windows: no search looks at
+    more, and each takes time to smooth.
+
+    Args:
+      window: duration, s. notes: gets a line if any are left out.
+    """
+    every = list(recordings)
+    held = [max(1, int((one.time[-1] - one.time[0]) / window)) for one in every]
+    count = max(_FEWEST, int(np.ceil(len(every) * windows / sum(held))))
+    if count >= len(every):
+        return every
+    notes.append(f"of {len(every)} recordings, {count} are used, spread evenly over them")
+    return [every[i] for i in np.linspace(0, len(every) - 1, count).round().astype(int)]
+
+
+_FEWEST = 12
+"""Recordings that are never too many."""
+
+
 def bounded(recordings: Sequence[Recording], notes: list[str]) -> list[Recording]:
     """At most so many rows in all: stretches spread evenly over long recordings."""
     total = sum(len(one) for one in recordings)
