@@ -98,13 +98,18 @@ def _lower(found: Noise, samples: Sequence[Samples]) -> Noise:
 
 
 def make_bench(
-    scene: Scene, samples: Sequence[Samples], window: float, check: float = 0.3
+    scene: Scene,
+    samples: Sequence[Samples],
+    window: float,
+    check: float = 0.3,
+    noise: Noise | None = None,
 ) -> Bench:
     """Cuts recordings into windows.
 
     Args:
       scene: as declared. samples: recordings that parameters and choices may see.
       window: duration of a window, s. check: share of the windows that choices are checked on.
+      noise: standard deviations of positions and velocities, where they are known already.
 
     Raises:
       InputError: the recordings are too short for a window.
@@ -121,12 +126,12 @@ def make_bench(
     if not len(windows):
         raise InputError(_TOO_SHORT)
     if contacts:
-        noise = _lower(estimate_noise(samples, intervals, windows), samples)
+        first = noise or _lower(estimate_noise(samples, intervals, windows), samples)
         windows = _without_lost(
-            _predictable(scene, samples, intervals, noise, windows.length), intervals
+            _predictable(scene, samples, intervals, first, windows.length), intervals
         )
     held = _every_third(windows, len(samples), check)
-    noise = _lower(estimate_noise(samples, intervals, windows.some(~held)), samples)
+    noise = noise or _lower(estimate_noise(samples, intervals, windows.some(~held)), samples)
     return Bench(
         scene, tuple(samples), tuple(kept), intervals, windows, ~held, held, noise, contacts
     )

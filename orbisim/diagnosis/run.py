@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from orbisim.backend import Backend
-from orbisim.diagnosis.bench import Bench, make_bench, touches, windows_enough
+from orbisim.diagnosis.bench import Bench, Noise, make_bench, touches, windows_enough
 from orbisim.diagnosis.checks import coarse_timestep, disabled
 from orbisim.diagnosis.conclusion import Attribution, attribute
 from orbisim.diagnosis.consistency import inconsistency
@@ -156,7 +156,7 @@ def _by_motion(
     notes += [note for note in (disabled(scene),) if note is not None]
     limit = Deadline(start + _SEARCH * settings.patience)
     bench = dataclasses.replace(bench, deadline=limit)
-    unseen = _held_back(scene, bounded(thinned(held, window, notes), notes), window)
+    unseen = _held_back(scene, bounded(thinned(held, window, notes), notes), window, bench.noise)
     found = attribute(bench, settings, say, Deadline(start + _FITS * settings.patience))
     if found.cut_short:
         notes.append(f"the search was ended after {settings.patience:g} s; more may be found")
@@ -275,10 +275,10 @@ def _nothing(text: str) -> None:
     """Says nothing."""
 
 
-def _held_back(scene: Scene, held: Sequence[Recording], window: float) -> Bench:
+def _held_back(scene: Scene, held: Sequence[Recording], window: float, noise: Noise) -> Bench:
     """The held-out data, looked at before a long search: it may be too short to judge by."""
     try:
-        return make_bench(scene, prepare_all(held, scene), window)
+        return make_bench(scene, prepare_all(held, scene), window, noise=noise)
     except InputError as error:
         sources = ", ".join(one.source for one in held)
         raise InputError(f"held-out data ({sources}): {error}") from None
