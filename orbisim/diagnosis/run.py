@@ -116,18 +116,22 @@ def diagnose(
     ):
         say("reading the recordings")
         result: Diagnosis | None = None
+        forces: Diagnosis | None = None
         if residual == "force" or (residual is None and not learn_rest and _arm(loaded, fit)):
             engine = backend if isinstance(backend, str) else backend.name
             both = bounded(fit, notes), bounded(held, notes)
             limit = Deadline(start + (_SEARCH if residual else _FORCES) * settings.patience)
-            result = diagnose_forces(loaded, named, *both, settings, engine, notes, say, limit)
-            if residual is None and len(result.effects) < loaded.model.nv:
-                result = None
+            forces = diagnose_forces(loaded, named, *both, settings, engine, notes, say, limit)
+            if residual == "force" or len(forces.effects) >= loaded.model.nv:
+                result = forces
         if result is None:
             chosen = usual_window(fit) if window is None else window
             result = _by_motion(
                 loaded, named, fit, held, settings, chosen, backend, learn_rest, notes, say, start
             )
+            if forces is not None and forces.effects and not result.effects:
+                told = "free runs show no effect surely: the forces are explained instead"
+                result = dataclasses.replace(forces, notes=(*forces.notes, told))
         if out is not None:
             say("writing the report")
             result.save(out)

@@ -149,6 +149,13 @@ class Data:
             np.array([float(max(one.count, 1)) for one in self.blocks]),
         )
 
+    @functools.cached_property
+    def others(self) -> tuple[Floats, Floats]:
+        """[F, C, C] and [F, C]: gram and moment of all blocks but those of each fold, weighed."""
+        weight = self.weight[:, None] * (self.folds[:, None] != np.arange(self.folds.max() + 1))
+        gram = weight.T @ self.stack.gram.reshape(len(weight), -1)
+        return gram.reshape(-1, *self.stack.gram.shape[1:]), weight.T @ self.stack.moment
+
     def whole(self) -> Normal:
         """All blocks, weighed."""
         stack, weight = self.stack, self.weight
@@ -245,20 +252,21 @@ def predicted(data: Data, chosen: Sequence[Group]) -> Floats:
     gram = stack.gram[:, index[:, None], index]
     moment, x = stack.moment[:, index], np.ones((len(stack.square), len(index)))
     if free:
-        x[:, len(ones) :] = _by_fold(data, gram, moment, len(ones))[data.folds]
-    left = stack.square - 2 * (x * moment).sum(axis=1) + np.einsum("bi,bij,bj->b", x, gram, x)
+        x[:, len(ones) :] = _by_fold(data, index, len(ones))[data.folds]
+    square = (x[:, None, :] @ gram @ x[:, :, None])[:, 0, 0]
+    left = stack.square - 2 * (x * moment).sum(axis=1) + square
     return np.asarray(np.maximum(left, 0.0) / stack.data)
 
 
-def _by_fold(data: Data, gram: Floats, moment: Floats, ones: int) -> Floats:
+def _by_fold(data: Data, index: Ints, ones: int) -> Floats:
     """[F, P]: coefficients of the free columns, fitted to all folds but one each.
 
     Args:
-      gram: [B, C, C]. moment: [B, C]. ones: number of columns whose coefficients are ones.
+      index: of the columns, first those whose coefficients are ones. ones: their number.
     """
-    weight = data.weight[:, None] * (data.folds[:, None] != np.arange(data.folds.max() + 1))
-    inner = np.einsum("bf,bij->fij", weight, gram)
-    wanted = np.einsum("bf,bi->fi", weight, moment) - inner[:, :, :ones].sum(axis=2)
+    gram, moment = data.others
+    inner = gram[:, index[:, None], index]
+    wanted = moment[:, index] - inner[:, :, :ones].sum(axis=2)
     inner, wanted = inner[:, ones:, ones:], wanted[:, ones:]
     scale = np.sqrt(np.maximum(np.einsum("fii->fi", inner), 1e-300))
     inner = inner / (scale[:, :, None] * scale[:, None, :]) + _RIDGE * np.eye(inner.shape[1])
