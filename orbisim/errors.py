@@ -75,18 +75,34 @@ class UnknownNameError(InputError, LookupError):
 
 
 class MissingDependencyError(OrbiSimError, ImportError):
-    """An optional dependency is not installed."""
+    """An optional dependency is not installed.
 
-    def __init__(self, what: str, extra: str, cause: str = "") -> None:
-        self.what, self.extra, self.cause = what, extra, cause
+    Args:
+      what: cannot be used. extra: of OrbiSim, that installs what is missing.
+      cause: what is missing.
+      command: that installs it, where no extra does.
+    """
+
+    def __init__(self, what: str, extra: str, cause: str = "", command: str = "") -> None:
+        self.what, self.extra, self.cause, self.command = what, extra, cause, command
         because = f" ({cause})" if cause else ""
-        super().__init__(
-            f"{what} needs packages that are not installed{because}; "
-            f"run: pip install 'orbisim[{extra}]'"
-        )
+        command = command or f"pip install 'orbisim[{extra}]'"
+        super().__init__(f"packages for {what} are not installed{because}; run: {command}")
 
     def __reduce__(self) -> tuple[object, ...]:
-        return (type(self), (self.what, self.extra, self.cause))
+        return (type(self), (self.what, self.extra, self.cause, self.command))
+
+
+def missing_module(what: str, error: ImportError, extra: str) -> MissingDependencyError:
+    """What to do about a module that cannot be imported.
+
+    Args:
+      what: cannot be used. extra: of OrbiSim, that installs it.
+    """
+    if (error.name or "").partition(".")[0] == "dm_control":  # see pyproject.toml
+        command = "pip install --no-deps 'dm-control>=1.0.50,<2'"
+        return MissingDependencyError(what, extra, "no module 'dm_control'", command)
+    return MissingDependencyError(what, extra, f"no module {error.name or str(error)!r}")
 
 
 class RenderingUnavailableError(OrbiSimError):

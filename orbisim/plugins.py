@@ -18,7 +18,7 @@ import functools
 from importlib import metadata
 from typing import Any
 
-from orbisim.errors import MissingDependencyError, UnknownNameError
+from orbisim.errors import MissingDependencyError, UnknownNameError, missing_module
 
 EXTRAS = {
     "warp": "warp",
@@ -66,8 +66,10 @@ def load(group: str, name: str, kind: str) -> Any:
         raise UnknownNameError(kind, name, entries)
     try:
         return entries[name].load()
-    except ImportError as error:
-        missing = error.name or str(error)
+    except MissingDependencyError as error:
+        extra = EXTRAS.get(name, error.extra)
         raise MissingDependencyError(
-            f"{kind} {name!r}", EXTRAS.get(name, "all"), f"no module {missing!r}"
+            f"{kind} {name!r}", extra, error.cause, error.command
         ) from error
+    except ImportError as error:
+        raise missing_module(f"{kind} {name!r}", error, EXTRAS.get(name, "all")) from error

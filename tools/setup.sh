@@ -89,7 +89,8 @@ install_gl
 [ "$what" = test ] && install_browser
 if [ "$(cat "$stamp" 2>/dev/null)" != "$(fingerprint)" ]; then
   say "installing Python packages ($lock) ..."
-  "$venv/bin/python" -m pip install -qq --disable-pip-version-check -r "$lock"
+  # --no-deps: the lock holds everything; what it leaves out on purpose must not be asked for
+  "$venv/bin/python" -m pip install -qq --disable-pip-version-check --no-deps -r "$lock"
   "$venv/bin/python" -m pip install -qq --disable-pip-version-check --no-deps --no-build-isolation -e .
   fingerprint > "$stamp"
 fi

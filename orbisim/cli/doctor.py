@@ -290,6 +290,7 @@ def _reader(suffix: str) -> str:
 
     reader = reader_of_suffix(suffix)
     if suffix not in _DOCUMENTS:
+        _needs(f"reader {suffix!r}", suffix.removeprefix("."))
         return f"reader of {reader.format} loads"
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, f"trial{suffix}")
@@ -298,7 +299,27 @@ def _reader(suffix: str) -> str:
     return f"reads {reader.format}"
 
 
+_WITH = {
+    "usdc": ("pxr", "usd"),
+    "usdz": ("pxr", "usd"),
+    "bag": ("rosbags", "logs"),
+    "db3": ("rosbags", "logs"),
+    "metadata.yaml": ("rosbags", "logs"),
+    "mcap": ("mcap", "logs"),
+}
+"""Modules, and the extras that install them, of readers that import them when they read a file."""
+
+
+def _needs(what: str, name: str) -> None:
+    from orbisim.errors import MissingDependencyError
+
+    module, extra = _WITH.get(name, ("", ""))
+    if module and importlib.util.find_spec(module) is None:
+        raise MissingDependencyError(what, extra, f"no module {module!r}")
+
+
 def _log(group: str, name: str) -> str:
     from orbisim import plugins
 
+    _needs(f"reader of logs {name!r}", name)
     return f"{plugins.load(group, name, 'reader of logs').__name__} loads"

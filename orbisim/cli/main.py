@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 import click
 
-from orbisim.errors import OrbiSimError, UnknownNameError
+from orbisim.errors import OrbiSimError, UnknownNameError, missing_module
 
 COMMANDS = {
     "info": "read a scene and print its static descriptors",
@@ -90,6 +90,10 @@ def run(arguments: list[str]) -> int:
     except Exception as error:
         if os.environ.get("ORBISIM_DEBUG"):
             raise
+        if isinstance(error, ModuleNotFoundError) and error.name == "dm_control":
+            lacking = missing_module("this command", error, "all")
+            _complain(str(lacking))
+            return lacking.exit_status
         where = f"{type(error).__name__}: {error}"
         _complain(f"a fault in OrbiSim: {where} (set ORBISIM_DEBUG=1 for the traceback)")
         return 1

@@ -7,6 +7,8 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from orbisim.errors import missing_module
+
 
 def lazy(
     package: str, homes: Mapping[str, str], modules: Sequence[str] = ()
@@ -21,12 +23,20 @@ def lazy(
 
     def getattribute(name: str) -> Any:
         if name in homes:
-            value = getattr(importlib.import_module(homes[name]), name)
+            value = getattr(imported(homes[name]), name)
             setattr(sys.modules[package], name, value)
             return value
         if name in modules:
-            return importlib.import_module(f"{package}.{name}")
+            return imported(f"{package}.{name}")
         raise AttributeError(f"module {package!r} has no attribute {name!r}")
+
+    def imported(module: str) -> Any:
+        try:
+            return importlib.import_module(module)
+        except ModuleNotFoundError as error:
+            if error.name != "dm_control":
+                raise
+            raise missing_module(module, error, "all") from error
 
     def directory() -> list[str]:
         return sorted({*vars(sys.modules[package]), *homes, *modules})

@@ -303,7 +303,7 @@ def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     told = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
-    assert "the viewer needs packages" in json.loads(told.stdout)
+    assert "packages for the viewer are not installed" in json.loads(told.stdout)
 
 
 def test_importing_the_package_loads_nothing() -> None:
