@@ -19,7 +19,8 @@ REPOSITORY = CORE.parent
 
 LAYERS = (
     # what needs nothing of ours
-    {"errors", "version", "host"},
+    {"errors", "version"},
+    {"host"},
     {"plugins", "files"},
     # Scene
     {"scene"},
