@@ -44,8 +44,26 @@ def additions(
         taken = {(one.effect, one.target) for one in hypothesis.effects}
         yield from (Candidate(e) for e in first if (e.effect, e.target) not in taken)
     suspects = screening.tuned if hypothesis.factors else screening.suspects
-    yield from shortlist(context, current, suspects)
+    listed = shortlist(context, current, suspects)
+    yield from listed
+    yield from unranked(context, suspects, listed)
     yield from events(context, current, screening.shares)
+
+
+def unranked(
+    context: Context, suspects: Sequence[Suspect], listed: Sequence[Candidate]
+) -> Iterator[Candidate]:
+    """The best suspects of effects whose rank says little and that are not on the list."""
+    there = {(one.instance.effect, one.instance.target) for one in listed}
+    kept = (
+        s
+        for s in suspects
+        if find(s.instance.effect).unranked and (s.instance.effect, s.instance.target) not in there
+    )
+    for suspect in itertools.islice(kept, _FEW):
+        instance = cleaned(context.bench, suspect)
+        if instance is not None and context.allowed(instance):
+            yield Candidate(instance, moved=suspect.moved, sized=suspect.sized)
 
 
 def begin(context: Context, current: Judged, candidate: Candidate) -> Hypothesis:

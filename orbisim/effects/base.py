@@ -137,6 +137,8 @@ class Effect(abc.ABC):
       structural: whether `edit` changes the model's sizes (adds joints or actuator states).
       stated: whether a regression along the motion says nothing of it, so that it is tried at
         stated values (`places`).
+      unranked: whether a regression finds it but says little of what it explains, so that a search
+        fits it whatever its rank.
       declared_as: kind of the declared parameter at the same target that it changes too (a mass);
         empty for none.
       needs: parts of MuJoCo's pipeline without which it does nothing (`<option><flag/>`).
@@ -153,6 +155,7 @@ class Effect(abc.ABC):
     measurement: ClassVar[bool] = False
     structural: ClassVar[bool] = False
     stated: ClassVar[bool] = False
+    unranked: ClassVar[bool] = False
     declared_as: ClassVar[str] = ""
     needs: ClassVar[tuple[mujoco.mjtDisableBit, ...]] = ()
     rarity: ClassVar[float] = 0.0

@@ -25,6 +25,7 @@ _BUILT_IN: tuple[type[Effect], ...] = (
     joints.JointFlexibility,
     joints.HardStop,
     joints.JointCoupling,
+    *mechanisms.MECHANISMS,
     actuators.TorqueGain,
     actuators.TorqueBias,
     actuators.TorqueSaturation,
@@ -54,9 +55,7 @@ _BUILT_IN: tuple[type[Effect], ...] = (
 )
 
 _registered: dict[str, Effect] = {cls.name: cls() for cls in _BUILT_IN}
-_not_sought: dict[str, Effect] = {
-    cls.name: cls() for cls in (*unnamed.UNNAMED, *mechanisms.MECHANISMS)
-}
+_not_sought: dict[str, Effect] = {cls.name: cls() for cls in unnamed.UNNAMED}
 
 
 def effect_names() -> tuple[str, ...]:

@@ -88,6 +88,8 @@ class MotionRegressors(Protocol):
     """[M, nv]: of contacts, limits and dry friction."""
     velocity_noise: Floats
     """[nv] standard deviation of the reference velocities."""
+    missing_force: Floats | None
+    """[N, nv] generalized force that is missing over each interval, where it is known."""
 
     def moment(self, actuator: int) -> Floats:
         """[M, nv]: generalized force for a unit actuator force."""

@@ -18,6 +18,7 @@ _TASKS: dict[str, str | type[Task]] = {
     "push_cubes": "orbisim.tasks.push_cubes:PushCubes",
     "pick_and_place": "orbisim.tasks.pick_and_place:PickAndPlace",
     "ball": "orbisim.tasks.ball:Ball",
+    "drape": "orbisim.tasks.drape:Drape",
     "stack": "orbisim.tasks.stack:Stack",
     "toss": "orbisim.tasks.toss:Toss",
 }

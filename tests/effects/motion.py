@@ -39,6 +39,8 @@ class Motion:
     def velocity_noise(self) -> np.ndarray:
         return np.full(self.model.nv, 1e-9)
 
+    missing_force = None
+
     def moment(self, actuator: int) -> np.ndarray:
         found = np.zeros((len(self.data), self.model.nv))
         for row, data in zip(found, self.data, strict=True):

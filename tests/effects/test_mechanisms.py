@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -11,6 +12,8 @@ from orbisim import Scene, load_scene, make_backend
 from orbisim.effects import EffectInstance, add_effects, effect_names, find
 from orbisim.effects.mechanisms import MECHANISMS
 from orbisim.errors import InputError, UnknownNameError
+
+from .motion import offered, random_motion
 
 GATE = """
 <mujoco>
@@ -96,10 +99,54 @@ def test_detents_draw_to_their_places() -> None:
         assert engine.step(state, np.zeros(2), 4000).qpos[0, 0] == pytest.approx(place, abs=0.01)
 
 
-@pytest.mark.parametrize("effect", [one.name for one in MECHANISMS])
-def test_no_diagnosis_looks_for_them(effect: str) -> None:
-    assert effect not in effect_names()
-    assert find(effect).name == effect
+def test_a_diagnosis_looks_for_them() -> None:
+    assert {one.name for one in MECHANISMS} <= set(effect_names())
+
+
+class _Pulled:
+    """A leaf that is pulled at all times; it moves where the handle is turned, or it is open."""
+
+    def __init__(self) -> None:
+        self.model = mujoco.MjModel.from_xml_string(GATE.partition("<actuator>")[0] + "</mujoco>")
+        turned = np.tile(np.repeat([0.0, 0.7, 0.0], 100), 2)
+        play = 0.02 * np.sin(np.arange(100))
+        q = np.tile(np.concatenate([play, np.linspace(0, 1, 100), np.ones(100)]), 2)
+        v = np.tile(np.repeat([0.0, 1.0, 0.0], 100), 2)
+        n = len(q)
+        self.qpos = np.tile(np.stack([q, turned], axis=1), (2, 1))
+        self.qvel = np.tile(np.stack([v, np.zeros(n)], axis=1), (2, 1))
+        self.time = np.concatenate([0.01 * np.arange(n), 0.01 * np.arange(n) + 0.01])
+        self.velocity_noise = np.full(2, 1e-3)
+        self.missing_force = np.zeros((n, 2))
+        self.missing_force[(np.abs(q) < 0.5) & (turned == 0), 0] = -2.0
+
+
+def test_a_latch_is_seen_where_a_pulled_joint_stands() -> None:
+    view: Any = _Pulled()
+    latch = find("latch")
+    catch, lock = latch.screen(view, "hinge")
+    values = catch.solve(np.ones(1))
+    assert not catch.options and values is not None
+    assert values["force"] == pytest.approx(2.0)
+    assert abs(values["position"]) < 0.01 and 0.015 < values["width"] < 0.03
+    released = lock.solve(np.ones(1))
+    assert lock.options == {"other": "handle", "side": "above"} and released is not None
+    assert 0.0 < released["threshold"] < 0.7 and released["force"] > 2.0
+    assert latch.screen(view, "handle") == []
+
+
+def test_waves_are_clicks_without_a_motor_and_cogging_with_one() -> None:
+    free = random_motion(
+        mujoco.MjModel.from_xml_string(GATE.partition("<actuator>")[0] + "</mujoco>")
+    )
+    driven = random_motion(mujoco.MjModel.from_xml_string(GATE))
+    assert find("cogging").screen(free, "hinge") == [] == find("detent").screen(driven, "hinge")
+    (clicks,) = find("detent").screen(free, "hinge")
+    values = clicks.solve(np.array([0.2, -0.1]))
+    assert values is not None
+    q = free.qpos[:, 0]
+    expected = -values["amplitude"] * np.sin(2 * np.pi / values["pitch"] * (q - values["position"]))
+    np.testing.assert_allclose(offered(clicks, [0.2, -0.1])[:, 0], expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(

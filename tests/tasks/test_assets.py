@@ -8,7 +8,7 @@ from orbisim.errors import InputError
 from orbisim.tasks import assets
 
 
-@pytest.mark.parametrize("name", ["push", "push_cubes", "pick_and_place", "ball", "toss"])
+@pytest.mark.parametrize("name", ["push", "push_cubes", "pick_and_place", "ball", "toss", "drape"])
 def test_each_compiles(name: str) -> None:
     assert assets.scene(assets.spec(name), "label").model.nv > 0
 

@@ -38,6 +38,7 @@ def identical(truth: EffectInstance, model: mujoco.MjModel) -> list[EffectInstan
       about its axis, if nothing else depends on that angle.
     - At a position servo of an upright hinge that carries the whole mechanism, an offset of the
       encoder is one of the motor.
+    - Detents are cogging: a motor's or a gear's where there is an actuator, a knob's where not.
     - In a scene with one joint and one control, a delay of the one is a delay of the other.
     """
     return [one for rule in _RULES for one in rule(truth, model)]
@@ -155,7 +156,20 @@ def _late(one: EffectInstance, model: mujoco.MjModel) -> Iterator[EffectInstance
         yield EffectInstance("sensor_delay", joints[0], {"delay": one.values["delay"]})
 
 
-_RULES = (_lift, _drag, _offset, _mass, _tilt, _turned, _servoed, _late)
+def _wave(one: EffectInstance, model: mujoco.MjModel) -> Iterator[EffectInstance]:
+    """A sin(n q + phase) = -A sin(n (q - position)), n = 2 pi / pitch."""
+    if one.effect == "cogging":
+        n, phase = one.values["periods"], one.values["phase"]
+        place = {"pitch": 2 * np.pi / n, "position": (np.pi - phase) / n}
+        yield EffectInstance("detent", one.target, {"amplitude": one.values["amplitude"], **place})
+    if one.effect == "detent":
+        n = 2 * np.pi / one.values["pitch"]
+        phase = float(np.angle(np.exp(1j * (np.pi - n * one.values["position"]))))
+        wave = {"amplitude": one.values["amplitude"], "periods": n, "phase": phase}
+        yield EffectInstance("cogging", one.target, wave)
+
+
+_RULES = (_lift, _drag, _offset, _mass, _tilt, _turned, _servoed, _late, _wave)
 
 
 def vector_of(one: EffectInstance) -> Floats:
