@@ -11,6 +11,7 @@ from torch.nn.functional import group_norm, scaled_dot_product_attention
 _GROUP = 8
 """Channels that a group normalisation takes together."""
 _FREQUENCIES = 64
+"""Random Fourier features of a noise level; the buffer `waves` of checkpoints has this length."""
 
 
 class Norm(nn.GroupNorm):

@@ -22,7 +22,7 @@ HEATMAP_CHANNELS = 8
 TOKEN_FEATURES = 27
 """Of each geom: type 8, size 3, colour 3, position 3, orientation 6, on the image 2, depth 1, kind
 1."""
-_TYPES = 8
+_TYPES = 8  # of MuJoCo's geoms that are drawn: plane to mesh
 _ORIGIN = (0.5, 0.0, 0.0)
 """Middle of the tasks' tables, m: positions are seen from there, in units of half a metre."""
 _HEAT = 0.03

@@ -27,7 +27,7 @@ _SCALAR = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _COLOUR, _SIZE, _STEP = 0.1, 0.15, 0.05
 """What counts as one unit of unlikeness: of a colour, of a size (relative), of a place (m)."""
-_BATCH = 64
+_BATCH = 64  # images at once, so that memory does not grow with a video's length
 
 Floats = npt.NDArray[np.float64]
 

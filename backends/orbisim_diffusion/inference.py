@@ -33,7 +33,9 @@ _THRESHOLD = -0.85
 _HEIGHT, _FARTHEST = 0.025, 3.0
 """Where a cell looks: at this height above the table, m, and not farther than so many depths."""
 _ORIGIN = (0.5, 0.0, 0.1)
+# hand's position and orientation, sine and cosine of joints
 _ROBOT = 3 + 6 + 2 * JOINTS
+# whether one is there, position, orientation, size, colour
 _OBJECT = 1 + 3 + 6 + 3 + 3
 
 

@@ -15,6 +15,7 @@ from orbisim_diffusion.config import PATCH, Config
 from orbisim_diffusion.denoiser import Condition, Denoiser
 
 MOST_STEPS = 1000
+"""Of a sampler: a few do, and a slip of the keyboard should not keep a machine busy for days."""
 
 
 class Painter:

@@ -28,6 +28,7 @@ _SCENES = ("scene.xml", "scene.urdf", "scene.usd", "scene.usda", "scene.usdz")
 _RECORDINGS = ("recording.npz", "recording.csv", "recording.parquet")
 _IMAGES = (".png", ".jpg", ".jpeg")
 _MOST_FRAMES = 100_000
+"""Of a video, whose frames are held in memory: an hour at 30 frames/s."""
 
 
 def read_own(folder: Path, size: int) -> Arrays:

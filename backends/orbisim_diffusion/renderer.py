@@ -38,6 +38,7 @@ LATENTS, TIMES, VIEWS = "diffusion_latents", "diffusion_times", "diffusion_views
 _WIDEST = 4.0
 """Largest ratio of an image's sides."""
 _SAME_VIEW = 1e-4
+"""Largest difference of a camera's numbers (m, units) that is rounding and not a motion."""
 
 
 class Frame(NamedTuple):

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 Hit = tuple[Tensor, Tensor, Tensor]
-_TINY = 1e-9
+_TINY = 1e-9  # keeps rays that never meet a surface from dividing by zero
 _ENDLESS = 1e3
 """Half size, m, of a plane that MuJoCo calls infinite (its renderer ends somewhere, too)."""
 

@@ -29,6 +29,7 @@ from orbisim_diffusion.training import Run, encoded
 
 TRAIN = TrainConfig(batch=256, rate=1e-3, warmup=200)
 _SAME_VIEW = 1e-3
+"""m, and of matrices' entries: cameras of collections that stand still differ by rounding only."""
 _NOISE = 0.1
 """Largest noise on latents in training: images that a model made are not quite true ones."""
 

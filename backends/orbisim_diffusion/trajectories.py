@@ -24,7 +24,7 @@ from orbisim_diffusion.model import Painter
 from orbisim_diffusion.store import Store
 from orbisim_diffusion.symmetry import rotation_error
 
-_BATCH = 512
+_BATCH = 512  # images at once, so that memory does not grow with the number of videos
 
 
 @torch.no_grad()  # type: ignore[untyped-decorator]

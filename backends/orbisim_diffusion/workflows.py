@@ -18,7 +18,7 @@ from orbisim_diffusion.store import Store
 Workflow = Literal["GT-first", "GT-state", "Recon-first", "Recon-all"]
 """GT-first and GT-state begin with a true image (their states differ: predicted or true);
 Recon-first with an image made from the first state; Recon-all uses no images as context."""
-_DECODE = 128
+_DECODE = 128  # images at once, so that memory does not grow with the number of videos
 
 
 @torch.no_grad()  # type: ignore[untyped-decorator]

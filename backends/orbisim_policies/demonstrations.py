@@ -17,7 +17,7 @@ from orbisim_policies.true import TrueWorlds
 
 SLOWEST = 0.3
 """m/s: slower pushes of `task:push` do not end within an episode of 64 steps."""
-_AT_ONCE = 256
+_AT_ONCE = 256  # worlds side by side: more make no thread busier and take memory
 
 
 @dataclasses.dataclass(frozen=True)

@@ -20,7 +20,7 @@ Act = Callable[[torch.Tensor], torch.Tensor]
 
 _NORMAL = 1.959963984540054
 """Quantile of a 95 % interval."""
-_AT_ONCE = 256
+_AT_ONCE = 256  # worlds side by side: more make no thread busier and take memory
 
 
 def starts_of(problem: Problem, episodes: int, seed: int, purpose: str = "evaluation") -> Starts:

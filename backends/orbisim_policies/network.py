@@ -13,6 +13,7 @@ from orbisim.errors import InputError
 
 ACTIVATIONS: dict[str, Any] = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
 _MOST = 4096
+"""Units of a layer that a manifest may ask for: far beyond what has been trained."""
 
 
 @dataclasses.dataclass(frozen=True)

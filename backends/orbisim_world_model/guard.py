@@ -27,7 +27,7 @@ _PAST = 0.1
 _BEYOND, _SLACK, _TINY = 2.0, 0.05, 1e-3
 """Times the largest speed in training, share of a range, and SI units, beyond which a state lies
 outside the training data: a density thins out, it has no edge."""
-_GRAVITY = 9.81
+_GRAVITY = 9.81  # m/s^2, MuJoCo's default, of checkpoints that were trained with no other
 
 
 class Notice(NamedTuple):

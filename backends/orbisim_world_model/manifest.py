@@ -21,9 +21,11 @@ from orbisim_world_model.plain import checked
 SCHEMA = "orbisim.dynamics/1"
 MANIFEST = "manifest.json"
 MOST_ROBOTS = 100
+"""Of one checkpoint; the largest training had some ten."""
 _MOST = {"width": 8192, "layers": 128, "heads": 128, "expansion": 64}
 """Of a network's sizes: far beyond what has been trained (width 144, 4 layers)."""
 _MOST_CONTROLS = 10_000
+"""Widths of inputs: far beyond any robot's actuators."""
 _MOST_RANGE = 1e12
 """Of a range, in its own unit: squares of what is in proportion are still far from infinite."""
 

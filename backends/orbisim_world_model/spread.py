@@ -19,7 +19,7 @@ from orbisim_world_model.layout import Layout
 from orbisim_world_model.network.inputs import Inputs, Sizes
 from orbisim_world_model.rotation import conjugate, geodesic_distance, logarithm, multiply
 
-WIDTH = 48
+WIDTH = 48  # of the hidden layers, unless a checkpoint says otherwise
 UNITS = (1e-3, 0.0174532925)
 """What variances are measured in: 1 mm and 1 degree, in SI units."""
 _FLOOR = 1e-3

@@ -34,12 +34,16 @@ PERSISTS = 5
 """Steps after one another in which an engine must be at fault."""
 
 _DRAWS = 4
+"""Moved copies in which C MuJoCo takes each step: each costs as much as the step itself."""
 _ROUNDING = 1e-6
 """Of positions (m, rad) and relative of velocities: ten roundings of float32 on the way to a
 contact's distance."""
 _PART = 0.3
+"""Of the largest change of velocity in a tree that may be missed: solvers that stop early do."""
 _BANDS = 30.0
+"""Times C MuJoCo's own band, known from `_DRAWS` copies only, that an engine may miss."""
 _STILL = 1e-3
+"""Of C MuJoCo's change of velocity, up to which an engine is said to stand still."""
 _SMALLEST = 1e-6
 """Changes of velocity (rad/s, m/s) below this are not compared."""
 

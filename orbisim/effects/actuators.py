@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from orbisim.effects.base import (
+    LARGE,
     Effect,
     EffectInstance,
     Extent,
@@ -21,7 +22,6 @@ from orbisim.effects.screening import Candidate, Column, Floats, MotionRegressor
 from orbisim.effects.servo_offsets import same_offsets
 from orbisim.errors import InputError
 
-_LARGE = 1e6
 _AFFINE = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 
 
@@ -79,7 +79,7 @@ class TorqueBias(ActuatorEffect):
     phrase = "an offset in the output"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (Parameter("offset", actuator_unit(model, target), -_LARGE, _LARGE, 0.1),)
+        return (Parameter("offset", actuator_unit(model, target), -LARGE, LARGE, 0.1),)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         actuator = spec_element(spec, "actuator", instance.target)
@@ -107,7 +107,7 @@ class TorqueSaturation(ActuatorEffect):
     family = "drive"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (Parameter("limit", actuator_unit(model, target), 1e-9, _LARGE, 1.0),)
+        return (Parameter("limit", actuator_unit(model, target), 1e-9, LARGE, 1.0),)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         actuator = spec_element(spec, "actuator", instance.target)
@@ -226,7 +226,7 @@ class Deadband(ActuatorEffect):
     native = False
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (Parameter("width", "control", 0.0, _LARGE, 0.1),)
+        return (Parameter("width", "control", 0.0, LARGE, 0.1),)
 
     def stepwise(self, instance: EffectInstance, name: str) -> bool:
         return instance.options.get("kind") == "gate"

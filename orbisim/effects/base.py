@@ -26,6 +26,10 @@ Values = Mapping[str, float]
 AXES = ("x", "y", "z")
 """Components of a vector, as parameters and options name them."""
 
+LARGE = 1e6
+"""Bound, in SI units, of what has no bound by nature: far beyond any machine, and still a number
+with which the engine's step stays finite."""
+
 TargetKind = Literal["joint", "actuator", "body", "geom", "sensor", "world", "recording"]
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from orbisim.effects.base import (
     AXES,
     BODY_MOTION,
+    LARGE,
     Effect,
     EffectInstance,
     Extent,
@@ -36,8 +37,8 @@ from orbisim.effects.screening import (
 )
 from orbisim.effects.servo_offsets import same_offsets
 
-_LARGE = 1e6
 _INSIDE = -2.0
+"""Log odds of a load on a body that others hang on, beside one at an end."""
 _BEYOND = 1.5
 """Something fixed to a body may stick out of it by half its reach."""
 
@@ -63,7 +64,7 @@ class Payload(BodyEffect):
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         reach = [Parameter(f"com_{axis}", "m", -10.0, 10.0, 0.1) for axis in AXES]
-        return (Parameter("mass", "kg", -_LARGE, _LARGE, 0.2), *reach)
+        return (Parameter("mass", "kg", -LARGE, LARGE, 0.2), *reach)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         body = spec_element(spec, "body", instance.target)
@@ -155,6 +156,7 @@ def _places(model: mujoco.MjModel, target: str) -> list[np.ndarray]:
 
 
 _MOST_PLACES = 6
+"""Each is a suspect of its own; places of further geoms are close to one of these."""
 _SHARES = (0.1, 0.3)
 
 
@@ -217,7 +219,7 @@ class Buoyancy(BodyEffect):
     family = "force"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (Parameter("displaced_mass", "kg", 0.0, _LARGE, 0.1),)
+        return (Parameter("displaced_mass", "kg", 0.0, LARGE, 0.1),)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         body = spec_element(spec, "body", instance.target)
@@ -255,8 +257,8 @@ class ConstantForce(BodyEffect):
         return same_offsets(model, instance)
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        parts = [Parameter(axis, "N", -_LARGE, _LARGE, 1.0) for axis in AXES]
-        return (Parameter("magnitude", "N", 0.0, 2 * _LARGE, 1.0), *parts)
+        parts = [Parameter(axis, "N", -LARGE, LARGE, 1.0) for axis in AXES]
+        return (Parameter("magnitude", "N", 0.0, 2 * LARGE, 1.0), *parts)
 
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _ConstantForce(model, instance)
@@ -304,7 +306,7 @@ class PeriodicDisturbance(Effect):
         joint = target in names_of_kind(model, "joint")
         unit = joint_unit(model, target, "N*m", "N") if joint else "N"
         return (
-            Parameter("amplitude", unit, 0.0, _LARGE, 0.1),
+            Parameter("amplitude", unit, 0.0, LARGE, 0.1),
             Parameter("frequency", "Hz", 1e-3, 1e4, 2.0),
             Parameter("phase", "rad", -10.0, 10.0, 0.0),
         )
@@ -368,7 +370,7 @@ class LinearDrag(BodyEffect):
     native = False
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (Parameter("coefficient", "N*s/m", 0.0, _LARGE, 0.05),)
+        return (Parameter("coefficient", "N*s/m", 0.0, LARGE, 0.05),)
 
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Drag(model, instance, power=0)
@@ -389,7 +391,7 @@ class QuadraticDrag(BodyEffect):
     native = False
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (Parameter("coefficient", "N*s^2/m^2", 0.0, _LARGE, 0.01),)
+        return (Parameter("coefficient", "N*s^2/m^2", 0.0, LARGE, 0.01),)
 
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Drag(model, instance, power=1)
@@ -416,7 +418,7 @@ class Magnus(BodyEffect):
         return bool(free and super().possible(model, target))
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (Parameter("coefficient", "kg", -_LARGE, _LARGE, 1e-3),)
+        return (Parameter("coefficient", "kg", -LARGE, LARGE, 1e-3),)
 
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Magnus(model, instance)

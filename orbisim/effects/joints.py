@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from orbisim.effects.base import (
+    LARGE,
     Effect,
     EffectInstance,
     Extent,
@@ -35,7 +36,6 @@ from orbisim.effects.screening import (
 from orbisim.errors import InputError
 from orbisim.scene.hidden import hide_joint
 
-_LARGE = 1e6
 _FALLS = (0.01, 0.6)
 """Where friction may fall from static to Coulomb, in units of the joint's typical velocity: far
 below it is Coulomb friction, far above it Coulomb friction with less damping."""
@@ -69,7 +69,7 @@ class CoulombFriction(JointEffect):
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         unit = joint_unit(model, target, "N*m", "N")
-        return (Parameter("torque", unit, 0.0, _LARGE, 0.1),)
+        return (Parameter("torque", unit, 0.0, LARGE, 0.1),)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         spec_element(spec, "joint", instance.target).frictionloss += instance.values["torque"]
@@ -89,7 +89,7 @@ class ViscousDamping(JointEffect):
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         unit = joint_unit(model, target, "N*m*s/rad", "N*s/m")
-        return (Parameter("coefficient", unit, -_LARGE, _LARGE, 0.1),)
+        return (Parameter("coefficient", unit, -LARGE, LARGE, 0.1),)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         joint = spec_element(spec, "joint", instance.target)
@@ -109,7 +109,7 @@ class QuadraticDamping(JointEffect):
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         unit = joint_unit(model, target, "N*m*s^2/rad^2", "N*s^2/m^2")
-        return (Parameter("coefficient", unit, 0.0, _LARGE, 0.05),)
+        return (Parameter("coefficient", unit, 0.0, LARGE, 0.05),)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         joint = spec_element(spec, "joint", instance.target)
@@ -137,7 +137,7 @@ class JointSpring(JointEffect):
         stiffness = joint_unit(model, target, "N*m/rad", "N/m")
         position = joint_unit(model, target, "rad", "m")
         return (
-            Parameter("stiffness", stiffness, -_LARGE, _LARGE, 1.0),
+            Parameter("stiffness", stiffness, -LARGE, LARGE, 1.0),
             Parameter("rest_position", position, -100.0, 100.0, 0.1),
         )
 
@@ -166,7 +166,7 @@ class Armature(JointEffect):
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         unit = joint_unit(model, target, "kg*m^2", "kg")
-        return (Parameter("inertia", unit, 0.0, _LARGE, 0.01),)
+        return (Parameter("inertia", unit, 0.0, LARGE, 0.01),)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         spec_element(spec, "joint", instance.target).armature += instance.values["inertia"]
@@ -191,7 +191,7 @@ class Cogging(JointEffect):
         unit = joint_unit(model, target, "N*m", "N")
         per = joint_unit(model, target, "1/turn", "1/(2*pi*m)")
         return (
-            Parameter("amplitude", unit, 0.0, _LARGE, 0.1),
+            Parameter("amplitude", unit, 0.0, LARGE, 0.1),
             Parameter("periods", per, 0.5, 1000.0, 6.0),
             Parameter("phase", "rad", -10.0, 10.0, 0.0),
         )
@@ -309,6 +309,7 @@ def _turns(every: Sequence[Floats], apart: float) -> list[float]:
 
 
 _ENDS = 4
+"""Each is tried with all depths: the farthest are those where a stop can be."""
 _DEPTHS = (0.0, 0.003, 0.01, 0.03, 0.08)
 """How far motion may press into a stop, in units of the travel."""
 
@@ -397,8 +398,8 @@ class StribeckFriction(JointEffect):
         unit = joint_unit(model, target, "N*m", "N")
         speed = joint_unit(model, target, "rad/s", "m/s")
         return (
-            Parameter("coulomb", unit, 0.0, _LARGE, 0.1),
-            Parameter("static", unit, 0.0, _LARGE, 0.2),
+            Parameter("coulomb", unit, 0.0, LARGE, 0.1),
+            Parameter("static", unit, 0.0, LARGE, 0.2),
             Parameter("velocity", speed, 1e-4, 100.0, 0.1),
         )
 
@@ -523,7 +524,7 @@ class JointCoupling(JointEffect):
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         force = joint_unit(model, target, "N*m", "N")
-        return (Parameter("coefficient", f"{force} per unit", -_LARGE, _LARGE, 0.1),)
+        return (Parameter("coefficient", f"{force} per unit", -LARGE, LARGE, 0.1),)
 
     def units(self, model: mujoco.MjModel, instance: EffectInstance) -> Mapping[str, str]:
         """Of the coefficient: this joint's force by what the other joint has."""
@@ -694,3 +695,4 @@ def _second_joint(spec: mujoco.MjSpec, joint: Any, name: str) -> Any:
 
 
 _MOTOR_ARMATURE = 1e-3
+"""kg m^2 (kg) of a motor that is declared without: a degree of freedom needs some inertia."""

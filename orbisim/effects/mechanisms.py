@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.effects.base import (
+    LARGE,
     EffectInstance,
     Hook,
     Parameter,
@@ -29,7 +30,6 @@ from orbisim.errors import InputError, UnknownNameError
 
 Bools = npt.NDArray[np.bool_]
 
-_LARGE = 1e6
 SIDES = {"above": 1.0, "below": -1.0}
 """Option `side` of a latch: where the other joint must be to release it."""
 
@@ -53,7 +53,7 @@ class Latch(JointEffect):
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         unit, way = joint_unit(model, target, "N*m", "N"), joint_unit(model, target, "rad", "m")
         return (
-            Parameter("force", unit, 0.0, _LARGE, 1.0),
+            Parameter("force", unit, 0.0, LARGE, 1.0),
             Parameter("position", way, -100.0, 100.0, 0.0),
             Parameter("width", way, 0.0, 100.0, 0.01),
             Parameter("threshold", "SI", -100.0, 100.0, 0.1),
@@ -147,7 +147,7 @@ class Detent(JointEffect):
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         unit, way = joint_unit(model, target, "N*m", "N"), joint_unit(model, target, "rad", "m")
         return (
-            Parameter("amplitude", unit, 0.0, _LARGE, 0.1),
+            Parameter("amplitude", unit, 0.0, LARGE, 0.1),
             Parameter("pitch", way, 1e-6, 100.0, 0.5),
             Parameter("position", way, -100.0, 100.0, 0.0),
         )

@@ -13,12 +13,12 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from orbisim.effects.base import EffectInstance, Hook, Parameter, StepInputs, index_of
+from orbisim.effects.base import LARGE, EffectInstance, Hook, Parameter, StepInputs, index_of
 from orbisim.effects.joints import JointEffect
 from orbisim.effects.screening import Floats
 
-_LARGE = 1e6
 _POWERS = 4
+"""Up to the cube: a law with more bends would follow the noise."""
 
 Along = Callable[[StepInputs, int, int], tuple[Floats, Floats]]
 """What a law is a polynomial of, and what it is multiplied by, each [nworld], from the inputs and
@@ -50,7 +50,7 @@ class PolynomialLaw(Law):
         """What it is a polynomial of, and a factor, each [nworld]; joint's addresses given."""
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return tuple(Parameter(f"c{k}", "SI", -_LARGE, _LARGE, 0.1) for k in range(_POWERS))
+        return tuple(Parameter(f"c{k}", "SI", -LARGE, LARGE, 0.1) for k in range(_POWERS))
 
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Polynomial(model, instance, self.along, self.derived)
@@ -98,9 +98,9 @@ class OneSidedLaw(Law):
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (
-            Parameter("stiffness", "SI", -_LARGE, _LARGE, 0.1),
-            Parameter("damping", "SI", -_LARGE, _LARGE, 0.1),
-            Parameter("position", "SI", -_LARGE, _LARGE, 0.1),
+            Parameter("stiffness", "SI", -LARGE, LARGE, 0.1),
+            Parameter("damping", "SI", -LARGE, LARGE, 0.1),
+            Parameter("position", "SI", -LARGE, LARGE, 0.1),
             Parameter("side", "1", -1.0, 1.0, 1.0),
         )
 

@@ -33,10 +33,13 @@ Array = npt.NDArray[Any]
 
 _NUMBERS_AND_STRINGS = "biufS"
 _MOST_AXES = 8
+"""Far beyond anything recorded: images over time have four."""
 _MOST_TEXT = 16 * 2**20
+"""Bytes of an attribute; the descriptions of collections have some kilobytes."""
 _MOST_CHUNKS, _LEAST_CHUNK = 10_000, 1024
 """HDF5 takes 4 KB of memory for each chunk, however small; many small ones are refused."""
 _DEEPEST = 16
+"""Groups within each other; collections have three."""
 _MOST_NAMES = 10_000
 """Below one group; groups may be linked to each other in circles."""
 _KEPT = 64

@@ -18,6 +18,7 @@ from orbisim.files.reading import Allowance, size_of
 
 _SUFFIX = ".npy"
 _MOST_HEADER = 10_000
+"""Bytes of an array's header; NumPy's own limit, beyond which parsing it may take long."""
 
 
 class Npz(Mapping[str, npt.NDArray[Any]]):

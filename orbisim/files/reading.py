@@ -14,7 +14,7 @@ from typing import Any
 
 from orbisim.errors import InputError
 
-MEGABYTE = 2**20
+MEGABYTE = 2**20  # bytes
 MOST_JSON = 64 * MEGABYTE
 """Largest JSON document that is read; the largest manifests have some tens of kilobytes."""
 FREE = 256 * MEGABYTE

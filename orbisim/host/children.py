@@ -9,7 +9,7 @@ import os
 import signal
 import threading
 
-_SET_PARENT_DEATH_SIGNAL = 1
+_SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of <linux/prctl.h>
 
 
 def die_with_parent() -> None:

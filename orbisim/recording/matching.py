@@ -47,6 +47,7 @@ _CLOSE = 0.6
 _SUFFIX = 0.85
 """Likeness of names of which one contains the other."""
 _MOST_COLUMNS = 1000
+"""Each is compared with each signal; tables of robots have some tens or hundreds."""
 _LONGEST = 100
 """Characters of a name that are compared."""
 _TOKEN = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")

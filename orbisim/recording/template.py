@@ -24,6 +24,7 @@ _HEAD = """\
 columns:
 """
 _SURE = 0.95
+"""Likeness of names from which a match needs no remark: they differ in spelling only."""
 _MOST_LISTED = 200
 """Signals and columns that are listed in comments."""
 

@@ -21,7 +21,7 @@ Dimensions = tuple[tuple[str, int], ...]
 
 AS_IT_IS = "SI"
 """A unit that says: no conversion, whatever the name in front of it looks like."""
-_GRAVITY = 9.80665
+_GRAVITY = 9.80665  # m/s^2, the standard one that units of force rest on
 _PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6}
 _PREFIXED: Mapping[str, dict[str, int]] = {
     "m": {"m": 1},

@@ -30,12 +30,19 @@ from orbisim.report.shape import AFTER, BEFORE, LEARNED, MEASURED, Degree
 Floats = npt.NDArray[np.float64]
 Sets = list[tuple[str, str, list[ForceResidual]]]
 
+# a page shows the worst of each kind: more charts are not looked at
 _MOST_DEGREES = 3
+# the same motion again says little more
 _MOST_EPISODES = 2
+# as many as stand on two lines of small charts
 _MOST_REGRESSORS = 8
+# what to do next is read from the top
 _MOST_ADVICE = 6
+# share of a force's variance that one regressor explains and advice names
 _STRONG = 0.1
+# as for degrees
 _MOST_SENSORS = 4
+# times its noise that a sensor's residual must be to be shown, as in a verdict
 _OFF = 1.5
 
 

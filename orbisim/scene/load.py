@@ -130,6 +130,7 @@ def _from_string(
 
 
 _KEPT = 256
+"""Strings that are remembered: more than there are tasks."""
 _passed: dict[bytes, None] = {}
 """Hashes of the strings that came through the guard last: tasks load theirs again and again."""
 

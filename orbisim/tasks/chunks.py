@@ -17,7 +17,7 @@ from orbisim.files.writing import make_folder, output_errors, synced, write_text
 from orbisim.tasks.orders import Order, write_episodes
 
 _LABEL = "order"
-_PIECE = 2**20
+_PIECE = 2**20  # bytes read at once: a chunk may be larger than memory
 
 log = logging.getLogger("orbisim.tasks")
 

@@ -22,7 +22,7 @@ RANDOM = "random"
 """Instead of a camera's name: one drawn anew for each episode."""
 _DRAW = 7
 """Number of the random stream of cameras; scene and policy have others."""
-_BACKGROUND = -1
+_BACKGROUND = -1  # no number of a geom; MuJoCo's own label of what is none
 
 
 @dataclasses.dataclass(frozen=True)

@@ -19,6 +19,7 @@ Factors: TypeAlias = Mapping[str, tuple[float, float]]
 """Smallest and largest factor by quantity (`mass`), or quantity and element (`mass/forearm`)."""
 
 _MOST_BYTES = 1_000_000
+"""Of a YAML file; a line for each body has some kilobytes, and parsing YAML is slow."""
 
 
 def _scale_mass(model: mujoco.MjModel, body: int, factor: float) -> None:

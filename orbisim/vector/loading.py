@@ -23,6 +23,7 @@ from orbisim.vector.randomization import Draw, Randomization
 from orbisim.vector.tasks import copies, untouched
 
 _SEEDS = 2**31
+"""Seeds that are drawn from: each fits an int32, as other libraries take them."""
 
 _CHECKED_WORLDS = 6
 """Worlds that are evaluated in both ways at load."""

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from orbisim_world_model.contacts import Contacts
 
-_WIDTH = 96
+_WIDTH = 96  # of the hidden layer; weights of checkpoints have this shape
 
 
 class Impulses(nn.Module):

@@ -28,6 +28,7 @@ _OWN = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 _MOST = 10_000
 """Components of a feature."""
 _MOST_INFO = 16 * 2**20
+"""Bytes of the description of a dataset; those of version 2 and 3 have some kilobytes."""
 
 
 class LeRobotReader:

@@ -17,6 +17,7 @@ from orbisim.recording.formats.unpacking import unpacked
 
 _ENCODINGS = {"cdr": "cdr", "ros1": "ros1", "json": "json"}
 _MOST_CHANNELS = 10_000
+"""Channels and schemas are kept while the file is read; robots have some hundreds."""
 
 
 class McapReader:

@@ -35,6 +35,7 @@ _MOST_JOINTS = 1000
 _MOST_LEAVES = 500
 """Numbers in one JSON message."""
 _DEEPEST = 8
+"""Values within each other in a JSON message: those below are no signals of a robot."""
 _COMMAND = ("command", "cmd", "desired", "target", "goal", "reference", "setpoint")
 """Topics with these words hold what a joint should do, not what it does."""
 

@@ -24,6 +24,7 @@ _STEPS = 10_000
 _MOST_STEPS_A_BYTE = 50
 """Steps for each byte of the file; reading a message takes about a hundred."""
 _LEAST_STEPS = 10**7
+"""Steps that any file may take: less than a second."""
 _LONGEST = 2**30
 """Bytes of a row."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bz2
 import io
 
-MEGABYTE = 2**20
+MEGABYTE = 2**20  # bytes
 _LEAST = 64 * MEGABYTE
 """Bytes that any part may unpack to; recorders write chunks of about one megabyte."""
 _RATIO = 200

@@ -75,6 +75,7 @@ def read(path: Path, folder: Path | None = None, depth: int = 0) -> Element:
 
 
 _DEPTH = 20
+"""Files that include each other; more are a circle."""
 
 
 def _included(child: Element, folder: Path, path: Path, depth: int) -> list[Element]:

@@ -21,18 +21,20 @@ from orbisim.scene.safety.confine import confined_to
 from orbisim.scene.safety.xmlsafe import without_comments
 
 MAX_ENTRIES = 20_000
+"""Far beyond any scene with its meshes and textures; each takes an entry of the disk."""
 MAX_BYTES = 2 * 2**30
 """Of all entries together, uncompressed."""
 MAX_RATIO = 200
 """Of uncompressed to compressed size, of an archive that is larger than `RATIO_FROM`."""
 RATIO_FROM = 64 * 2**20
+"""Bytes, uncompressed, that do no harm whatever they were packed to."""
 MAX_SECONDS, SECONDS_PER_MEGABYTE = 3.0, 1.0
 """Of the processor, to extract an archive, and for each megabyte that it has. Deflate unpacks some
 hundred megabytes a second; bzip2 and LZMA can be made to take hours."""
 
-_CHUNK = 2**20
+_CHUNK = 2**20  # bytes between two looks at the budget
 _ROOT_TAG = re.compile(rb"<\s*([A-Za-z_][\w:.-]*)")
-_ENCRYPTED = 0x1
+_ENCRYPTED = 0x1  # bit of an entry's flags in the ZIP format
 
 
 @contextlib.contextmanager

@@ -11,8 +11,9 @@ import dataclasses
 import os
 import time
 
-_MEGABYTE = 2**20
+_MEGABYTE = 2**20  # bytes
 _MOST_INPUT = 2 * 2**30
+"""Bytes of input beyond which bounds grow no further: an archive holds no more either."""
 _TICK = 0.01
 """Processor time, s, below which a child has done nothing."""
 _SLOWEST = 50.0

@@ -29,10 +29,13 @@ Facts: TypeAlias = Mapping[str, Any]
 _VERSION = "1"
 """Of the checks: what an older one let pass is looked at again."""
 _MOST = 4096
+"""Contents that a process remembers; a robot has some tens of meshes."""
 _SETTLED_NS = 50_000_000
 """A file changed less than 50 ms before it was hashed may change again within one time stamp."""
 _UNUSED_DAYS = 90
+"""After which facts are thrown away: a check takes seconds at most, so that little is lost."""
 _SWEEP_EVERY = 500
+"""Writes, on average, between two looks through the folder, which takes as long as some writes."""
 
 _Signature: TypeAlias = tuple[int, ...]
 _digests: dict[str, tuple[_Signature, str]] = {}

@@ -30,7 +30,7 @@ from orbisim.errors import OrbiSimError, SceneError
 from orbisim.host.children import die_with_parent
 from orbisim.scene.safety.budget import Budget, Limits
 
-_MEGABYTE = 2**20
+_MEGABYTE = 2**20  # bytes
 _ADDRESS_SPACE = 16 * 2**30
 """Bytes that a child may map beyond what is resident: MuJoCo reserves arenas that it hardly
 touches."""

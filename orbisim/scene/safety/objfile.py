@@ -19,6 +19,7 @@ import numpy.typing as npt
 from orbisim.scene.safety.problem import MeshProblemError
 
 _CHUNK = 8 * 2**20
+"""Bytes that are looked at together: masks over them take several times as much memory."""
 _MAX_FLOAT32 = float(np.finfo(np.float32).max)
 Bytes = npt.NDArray[np.uint8]
 

@@ -20,7 +20,7 @@ from orbisim.scene.safety.confine import confinement
 from orbisim.scene.usd.flat import FlatStage
 from orbisim.scene.usd.wire import decode
 
-_MEGABYTE = 2**20
+_MEGABYTE = 2**20  # bytes
 _WATCH = 0.02
 """Seconds between looks at the time that the process has used."""
 _MAX_DUMP, _PER_BYTE = 64 * _MEGABYTE, 32

@@ -21,7 +21,7 @@ from typing import Any
 from orbisim.errors import SceneError
 from orbisim.host.children import die_with_parent
 
-_MEGABYTE = 2**20
+_MEGABYTE = 2**20  # bytes
 
 
 class Channel:
