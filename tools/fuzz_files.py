@@ -85,7 +85,7 @@ def make_case(kind: Any, pristine: Path, seed: int, index: int, folder: Path) ->
 def judge(kind: Any, folder: Path, index: int, most_bytes: float = MAX_BYTES) -> Outcome:
     """Reads an input, and says how that went; `most_bytes` are of the whole process."""
     from orbisim.errors import OrbiSimError
-    from orbisim.scene.safety.guard import FAILED
+    from orbisim.files.guard import FAILED
 
     before = _used()
     _reset_peak()

@@ -63,7 +63,7 @@ def worker(pipe: Connection) -> None:
     """Loads the scenes that come through the pipe; says first that it is ready."""
     from orbisim import load_scene
     from orbisim.errors import InputError
-    from orbisim.scene.safety.guard import FAILED
+    from orbisim.files.guard import FAILED
 
     pipe.send(None)
     while (task := pipe.recv()) is not None:

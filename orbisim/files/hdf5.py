@@ -3,7 +3,9 @@
 HDF5 can do far more than hold numbers: a dataset may stand in another file (external links,
 external storage, virtual datasets), run code (filters that are loaded from the system), be linked
 from many places, or declare a size that no disk has. A `Reader` follows none of this: it gives
-numbers and strings that stand in the file itself, and refuses the rest by name.
+numbers and strings that stand in the file itself, and refuses the rest by name. What the library
+itself does not get out of (circles in its own tables) is tried first where it can be ended:
+`try_out`.
 """
 
 from __future__ import annotations
@@ -11,14 +13,16 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.errors import InputError, MissingDependencyError
+from orbisim.errors import InputError, MissingDependencyError, SceneError
+from orbisim.files.budget import Limits
+from orbisim.files.guard import guarded
 from orbisim.files.reading import Allowance, size_of
 
 if TYPE_CHECKING:
@@ -31,6 +35,8 @@ else:
 
 Array = npt.NDArray[Any]
 
+LIBRARY: str = h5py.version.hdf5_version
+"""Its version: what one takes well, another may not."""
 _NUMBERS_AND_STRINGS = "biufS"
 _MOST_AXES = 8
 """Far beyond anything recorded: images over time have four."""
@@ -51,6 +57,25 @@ _FILTERS = {
     h5py.h5z.FILTER_LZF: "lzf",
 }
 """Filters that are part of HDF5 or h5py; others are libraries that HDF5 would load."""
+
+
+def try_out(path: Path, work: Callable[[], object], seconds: float = 1.0) -> None:
+    """Does the work in a process that can be ended.
+
+    In some damaged files the HDF5 library goes round in circles, where no exception reaches it.
+    An `InputError` of the work itself is left to the caller, who meets it again.
+
+    Args:
+      path: the file. work: what is tried.
+      seconds: of the processor that it may take, and one more for each megabyte.
+
+    Raises:
+      InputError: it took too long or too much memory, or crashed, or raised a `SceneError`.
+    """
+    try:
+        guarded(work, str(path), Limits(seconds=seconds).for_input_of(size_of(path)))
+    except SceneError as error:
+        raise InputError(f"{path}: cannot be read as HDF5 ({error.problem})") from None
 
 
 class Reader:

@@ -10,6 +10,8 @@ from typing import Any
 
 from orbisim import plugins
 from orbisim.errors import InputError, SceneError
+from orbisim.files.budget import Limits
+from orbisim.files.guard import READING, guarded
 from orbisim.files.reading import size_of
 from orbisim.scene.mjcf import MjcfReader
 from orbisim.scene.objects import SceneSource, assets_of, scene_of, text_of
@@ -18,8 +20,6 @@ from orbisim.scene.query import without_options
 from orbisim.scene.readers import reader_of_root, reader_of_suffix, suffixes
 from orbisim.scene.reading import Reader
 from orbisim.scene.safety.archive import extracted
-from orbisim.scene.safety.budget import Limits
-from orbisim.scene.safety.guard import READING, guarded
 from orbisim.scene.safety.passed import Candidate
 from orbisim.scene.scene import Scene
 

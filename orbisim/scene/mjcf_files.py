@@ -13,10 +13,10 @@ from pathlib import Path
 import mujoco
 
 from orbisim.errors import SceneError
+from orbisim.files.guard import opened
 from orbisim.scene.files import file_references, locate
 from orbisim.scene.safety import xmlsafe
 from orbisim.scene.safety.confine import confinement, resolve_inside
-from orbisim.scene.safety.guard import opened
 from orbisim.scene.safety.meshcheck import check_native_mesh
 from orbisim.scene.safety.meshformats import CHECKED_WHOLE
 from orbisim.scene.safety.xmlsafe import Node

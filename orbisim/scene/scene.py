@@ -16,12 +16,12 @@ import mujoco
 import numpy as np
 
 from orbisim.errors import InputError, SceneError
+from orbisim.files.guard import COMPILING
 from orbisim.host.engine_log import engine_warnings
 from orbisim.scene.descriptor import SceneDescriptor, describe
 from orbisim.scene.mjcf import COMPILER_ERRORS, as_scene_error
 from orbisim.scene.precision import full_precision
 from orbisim.scene.reading import ReadResult, Unsupported
-from orbisim.scene.safety.guard import COMPILING
 from orbisim.scene.saving import packed, save_spec, unpacked
 from orbisim.scene.texts import check_texts
 

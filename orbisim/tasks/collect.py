@@ -23,7 +23,7 @@ from orbisim.host.cpus import usable_cpus
 from orbisim.host.progress import track
 from orbisim.tasks import chunks, pool, ray_pool, storage
 from orbisim.tasks.base import Task
-from orbisim.tasks.dataset import EpisodeFile
+from orbisim.tasks.dataset import EpisodeFile, vouch_for
 from orbisim.tasks.frames import Camera, check_camera
 from orbisim.tasks.orders import Order
 from orbisim.tasks.registry import make
@@ -162,6 +162,7 @@ def _with_ray(order: Order, folder: Path, missing: Sequence[range], workers: int
 def _summary(path: Path, seconds: float, resumed: int) -> Collection:
     subtasks: dict[str, int] = {}
     successes: dict[str, list[bool]] = {}
+    vouch_for(path)
     with EpisodeFile(path) as file:
         steps = sum(file.lengths())
         for index in range(len(file)):

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.errors import InputError
-from orbisim.files.hdf5 import Reader
-from orbisim.files.reading import Allowance
+from orbisim.errors import InputError, SceneError
+from orbisim.files.checked import digest_of, key_of, recall, remember
+from orbisim.files.hdf5 import LIBRARY, Reader, try_out
+from orbisim.files.reading import Allowance, size_of
 from orbisim.tasks.schema import PER_STEP, SCHEMA, is_static
 
 Array = npt.NDArray[Any]
+_SECONDS = 4.0
+"""Of the processor, and one more for each megabyte: episodes of few numbers take a fifth of it."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -37,8 +40,12 @@ class Stacked:
 class EpisodeFile:
     """Episodes in an HDF5 file, read when they are asked for.
 
+    A file whose content was not seen before is first read through in a child process, with bounds
+    on processor time and memory.
+
     Args:
       path: the file.
+      trusted: leave that out.
 
     Attributes:
       task, seed, control_timestep, timestep: of the collection; the last two in s.
@@ -49,8 +56,10 @@ class EpisodeFile:
         damaged. So do all methods.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, *, trusted: bool = False) -> None:
         self.path = Path(path)
+        if not trusted:
+            _try_out(self.path)
         self._file = Reader(self.path)
         try:
             self._check()
@@ -198,6 +207,56 @@ class EpisodeFile:
                 f"has {expected} rows of it"
             )
         return self._file.array(f"{place}/{name}", allowance)
+
+
+def vouch_for(path: Path) -> None:
+    """Says of a file that this process has just written that its content need not be tried."""
+    remember(_key(path), {})
+
+
+def _try_out(path: Path) -> None:
+    """Reads a file where it can do no harm, unless its content came through before.
+
+    Raises:
+      InputError: the child was ended, or crashed.
+    """
+    size_of(path)
+    try:
+        key = _key(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
+    if recall(key) is None:
+        try_out(path, lambda: _read_all(path), _SECONDS)
+        remember(key, {})
+
+
+def _key(path: Path) -> str:
+    return key_of("hdf5", LIBRARY, digest_of(path))
+
+
+def _read_all(path: Path) -> None:
+    """All that the methods of `EpisodeFile` read."""
+    with EpisodeFile(path, trusted=True) as file:
+        for index in range(len(file)):
+            try:
+                names = file.names(index)
+            except InputError as error:  # else nobody knows what else there is to be tried
+                raise SceneError(str(path), str(error).removeprefix(f"{path}: ")) from None
+            _without_errors(file.attributes, index)
+            if not _without_errors(file.episode, index, names):
+                for name in names:  # those that are in order can be asked for by name
+                    _without_errors(file.episode, index, [name])
+            for name in names:
+                _without_errors(file.columns, name, index)
+
+
+def _without_errors(method: Callable[..., object], *args: object) -> bool:
+    """Whether it went well; whoever asks for what did not meets the error again."""
+    try:
+        method(*args)
+    except InputError:
+        return False
+    return True
 
 
 def _pad(arrays: Sequence[Array]) -> tuple[Array, npt.NDArray[np.bool_]]:

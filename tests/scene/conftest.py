@@ -11,8 +11,8 @@ from collections.abc import Iterator
 
 import pytest
 
+from orbisim.files.budget import Limits
 from orbisim.scene import load
-from orbisim.scene.safety.budget import Limits
 
 
 @pytest.fixture(autouse=True, scope="package")

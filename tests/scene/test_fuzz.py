@@ -10,7 +10,7 @@ import pytest
 
 from orbisim import load_scene
 from orbisim.errors import SceneError
-from orbisim.scene.safety.guard import FAILED
+from orbisim.files.guard import FAILED
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 from fuzz_mutations import mutated

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import h5py
@@ -11,6 +12,8 @@ import numpy as np
 import pytest
 
 from orbisim.errors import InputError
+from orbisim.files.hdf5 import Reader
+from orbisim.tasks import dataset
 from orbisim.tasks.collect import collect
 from orbisim.tasks.dataset import EpisodeFile
 
@@ -105,3 +108,28 @@ def test_rows_must_be_as_many_as_the_steps(file: Path, tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"qpos has shape \(100, 7\).* has 149 rows"):
             episodes.episode(0)
         assert episodes.episode(1)["qpos"].shape == (149, 7)
+
+
+def _round_and_round(*_: object) -> None:
+    while True:
+        pass
+
+
+@pytest.mark.parametrize("method", ["array", "attribute", "datasets"])
+def test_a_library_that_goes_round_in_circles_is_ended(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    other = tmp_path / "other.h5"
+    other.write_bytes(file.read_bytes())
+    with h5py.File(other, "r+") as writable:  # of a content that never came through
+        writable.attrs["other"] = f"{method} {time.time_ns()}"
+    monkeypatch.setattr(dataset, "_SECONDS", -0.9)  # and 1.1 for the file's size
+    monkeypatch.setattr(Reader, method, _round_and_round)
+    with pytest.raises(InputError, match=r"other\.h5: cannot be read as HDF5 \(.*took more than"):
+        EpisodeFile(other)
+
+
+def test_what_came_through_is_not_tried_again(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    EpisodeFile(file).close()
+    monkeypatch.delattr("orbisim.tasks.dataset.try_out")
+    EpisodeFile(file).close()

@@ -10,12 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from orbisim.errors import InputError, RecordingError, SceneError
-from orbisim.files.hdf5 import Reader
-from orbisim.files.reading import size_of
+from orbisim.errors import InputError, RecordingError
+from orbisim.files.hdf5 import Reader, try_out
 from orbisim.recording.formats.log import Array, Column, Log
-from orbisim.scene.safety.budget import Limits
-from orbisim.scene.safety.guard import guarded
 
 _UNITS = ("units", "unit")
 _SECONDS = 1.0
@@ -46,19 +43,10 @@ class Hdf5Reader:
 
 
 def _try(path: Path, work: Callable[[], object]) -> None:
-    """Does the work in a process that can be ended.
-
-    In some damaged files the HDF5 library goes round in circles, where no exception reaches it.
-
-    Raises:
-      RecordingError: it took too long or too much memory, or crashed.
-    """
     try:
-        guarded(work, str(path), Limits(seconds=_SECONDS).for_input_of(size_of(path)))
-    except RecordingError:
-        raise
-    except SceneError as error:
-        raise RecordingError(str(path), f"cannot be read as HDF5 ({error.problem})") from None
+        try_out(path, work, _SECONDS)
+    except InputError as error:
+        raise RecordingError(str(path), str(error).removeprefix(f"{path}: ")) from None
 
 
 def _columns(file: Reader) -> Iterator[Column]:

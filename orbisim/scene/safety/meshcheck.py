@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from orbisim.errors import SceneError
-from orbisim.scene.safety.checked import digest_of, key_of, recall, remember
+from orbisim.files.checked import digest_of, key_of, recall, remember
 from orbisim.scene.safety.confine import confinement
 from orbisim.scene.safety.meshformats import CHECKED_WHOLE, CHECKS, Findings, check_presence
 from orbisim.scene.safety.problem import MeshProblemError

@@ -15,7 +15,7 @@ from typing import Any
 
 import mujoco
 
-from orbisim.scene.safety.checked import digest_of, key_of, recall, remember, signature_of
+from orbisim.files.checked import digest_of, key_of, recall, remember, signature_of
 from orbisim.scene.safety.confine import confinement
 from orbisim.version import VERSION
 

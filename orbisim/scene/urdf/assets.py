@@ -11,7 +11,7 @@ import numpy as np
 import trimesh
 
 from orbisim.errors import SceneError
-from orbisim.scene.safety.guard import opened
+from orbisim.files.guard import opened
 from orbisim.scene.safety.meshcheck import check_native_mesh
 from orbisim.scene.safety.meshes import (
     MeshFile,

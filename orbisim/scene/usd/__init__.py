@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import Any
 
 from orbisim.errors import InputError, SceneError
+from orbisim.files.budget import Limits
+from orbisim.files.guard import guarded
 from orbisim.scene.reading import Reader, ReadResult
-from orbisim.scene.safety.budget import Limits
-from orbisim.scene.safety.guard import guarded
 from orbisim.scene.scene import Scene
 from orbisim.scene.usd.attributes import prims_of
 from orbisim.scene.usd.build import build

@@ -6,9 +6,9 @@ import warnings
 
 import mujoco
 
+from orbisim.files.guard import COMPILING
 from orbisim.host.engine_log import engine_warnings, ignore
 from orbisim.scene.mjcf import COMPILER_ERRORS, as_scene_error
-from orbisim.scene.safety.guard import COMPILING
 
 
 def compiled(spec: mujoco.MjSpec, source: str) -> mujoco.MjModel:

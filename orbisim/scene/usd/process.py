@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO
 
 from orbisim.errors import MissingDependencyError, SceneError
-from orbisim.scene.safety.budget import Budget, Limits
+from orbisim.files.budget import Budget, Limits
 from orbisim.scene.safety.confine import confinement
 from orbisim.scene.usd.flat import FlatStage
 from orbisim.scene.usd.wire import decode

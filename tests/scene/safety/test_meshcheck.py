@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from orbisim.errors import SceneError
+from orbisim.files.checked import forget_all
 from orbisim.scene.safety import meshcheck
-from orbisim.scene.safety.checked import forget_all
 from orbisim.scene.safety.confine import confined_to
 from orbisim.scene.safety.meshcheck import Blame, check_native_mesh
 from orbisim.scene.safety.meshformats import CHECKS, Findings

@@ -11,9 +11,9 @@ import pytest
 
 from orbisim import load_scene
 from orbisim.errors import SceneError
+from orbisim.files.checked import forget_all
 from orbisim.scene import load
 from orbisim.scene.safety import meshcheck
-from orbisim.scene.safety.checked import forget_all
 
 CUBE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 SCENE = """

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from orbisim.errors import MissingDependencyError, OrbiSimError, SceneError
+from orbisim.files.budget import Limits
 from orbisim.scene import load_scene
-from orbisim.scene.safety.budget import Limits
 from orbisim.scene.usd import process, read_usd
 from orbisim.scene.usd.process import dump_stage
 from tests.clock import Stopwatch

@@ -27,8 +27,8 @@ from typing import Any
 
 from orbisim import errors
 from orbisim.errors import OrbiSimError, SceneError
+from orbisim.files.budget import Budget, Limits
 from orbisim.host.children import die_with_parent
-from orbisim.scene.safety.budget import Budget, Limits
 
 _MEGABYTE = 2**20  # bytes
 _ADDRESS_SPACE = 16 * 2**30

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from orbisim.scene.safety.budget import Budget, Limits, processor_time
+from orbisim.files.budget import Budget, Limits, processor_time
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="the clock of another process")
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from orbisim.scene.safety import checked
-from orbisim.scene.safety.checked import (
+from orbisim.files import checked
+from orbisim.files.checked import (
     cache_folder,
     digest_of,
     forget_all,

@@ -15,8 +15,8 @@ import pytest
 
 from orbisim import load_scene
 from orbisim.errors import MissingDependencyError, SceneError, UnsupportedSceneError
-from orbisim.scene.safety.budget import Limits
-from orbisim.scene.safety.guard import COMPILING, READING, allow_for, guarded
+from orbisim.files.budget import Limits
+from orbisim.files.guard import COMPILING, READING, allow_for, guarded
 
 SHORT = Limits(seconds=0.3)
 
