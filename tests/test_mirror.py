@@ -218,6 +218,7 @@ CROSS_CUTTING = {
     "scene/usd": "documents and the scenes that they give",
     "tasks/test_episode_data.py": "every task's episodes",
     "tasks/test_scenes.py": "every task as a scene",
+    "test_constants.py": "numbers of every module",
     "test_layers.py": "imports of every module",
     "test_measured.py": "scenes against measured data",
     "test_mirror.py": "names of every test",
