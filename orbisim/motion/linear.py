@@ -33,6 +33,8 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 _EPS = 1e-5
+"""rad, m, and a second of them, by which one-sided differences move a state: between rounding of
+double precision and the curve of the step."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

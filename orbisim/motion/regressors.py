@@ -21,6 +21,7 @@ Floats = npt.NDArray[np.float64]
 _CLIP = 2.2
 """Times the median size, of which a wave's crest is 1.4."""
 _PEAKS = 4
+"""Frequencies that are proposed: each is a pair of regressors of its own."""
 
 
 class MotionView:

@@ -187,6 +187,7 @@ def _lattice(values: Floats) -> float:
 
 
 _FEWEST = 8
+"""Values of which the step between two levels of a quantiser can be told."""
 
 
 def _pooled(levels: list[Floats]) -> Floats:
@@ -249,6 +250,7 @@ def substeps(duration: npt.ArrayLike, timestep: float) -> Ints:
 
 
 _LONGER = 1.05
+"""Times the timestep that a step may last, rather than be cut into two of about half of it."""
 
 
 def extent(samples: Sequence[Samples]) -> Extent:

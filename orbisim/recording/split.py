@@ -10,7 +10,9 @@ from orbisim.errors import InputError
 from orbisim.recording import Recording
 
 _SHARE = 0.25
+"""Of the data that no fit sees."""
 _MOST_ROWS = 60_000
+"""Beyond them a fit becomes slower and hardly any surer: rows after one another are alike."""
 
 
 def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
@@ -86,6 +88,7 @@ def bounded(recordings: Sequence[Recording], notes: list[str]) -> list[Recording
 
 
 _STRETCH = 2_000
+"""Rows of a piece, in which slow motions still show: two seconds at 1 kHz."""
 
 
 def _stretch(one: Recording, rows: slice) -> Recording:
