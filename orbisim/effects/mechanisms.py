@@ -251,6 +251,7 @@ _EDGE = 0.02
 _SLOW = 0.05
 """Share of a joint's usual velocity below which it may be standing."""
 _STRONGEST = 0.95
+"""Quantile of the forces that hold it that stands for the largest: single samples are noise."""
 _FEWEST = 20
 """Samples in which a joint must be held, for a latch to be a suspect."""
 _MOST = (0.02, 0.98)
