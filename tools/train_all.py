@@ -193,8 +193,8 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
     job, began = JOBS[name], time.monotonic()
     settings = {**dict(job.settings), **dict(text.split("=", 1) for text in options.set)}
     config = replaced(preset(job.config), settings)
-    packs = _read(options.data, tuple(f"{part}_train" for part in job.data))
-    held = _read(options.data, tuple(f"{part}_test" for part in job.data))
+    packs = read_named(options.data, tuple(f"{part}_train" for part in job.data))
+    held = read_named(options.data, tuple(f"{part}_test" for part in job.data))
     assert packs, f"no data of {job.data}"
     reading = time.monotonic() - began
     saved = [time.monotonic()]
@@ -245,7 +245,7 @@ def _start(job: Job, name: str, options: Any) -> Path | None:
 
 
 @functools.lru_cache(maxsize=2)
-def _read(folder: Path, names: tuple[str, ...]) -> list[Any]:
+def read_named(folder: Path, names: tuple[str, ...]) -> list[Any]:
     """The data of these names, a pack for each robot; empty where there are none."""
     from orbisim_world_model.pack import Pack, grouped
 

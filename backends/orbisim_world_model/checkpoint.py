@@ -1,11 +1,11 @@
-"""Checkpoints: fp16 or 8-bit weights in safetensors with a JSON manifest beside them."""
+"""Checkpoints: weights in safetensors, half precision or few bits, with a JSON manifest."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,16 +23,12 @@ from orbisim_world_model.dynamics import SHARED, Dynamics
 from orbisim_world_model.layout import Layout
 from orbisim_world_model.manifest import MANIFEST, SCHEMA, model_config, read_manifest, variants
 from orbisim_world_model.pack import Pack
+from orbisim_world_model.quantization import Quantized, read_weights
 
 WEIGHTS = "model.safetensors"
 _VARIANT = "variant."
 _MOST_PARAMETERS = 2**28
 """A gigabyte; what has been trained has some millions."""
-_TYPES = ("F16", "BF16", "F32", "F64")
-_FACTORS = ".factors"
-"""After the name of a matrix that is stored in 8 bits: what its groups are multiplied by."""
-_GROUP = 32
-"""Weights of a row with one factor: fewer cost space, more are rounded more coarsely."""
 
 T = TypeVar("T")
 
@@ -57,21 +53,31 @@ class Checkpoint:
         return self.model.layout
 
 
-def save_checkpoint(folder: Path, models: Sequence[Dynamics], manifest: dict[str, Any]) -> None:
+def save_checkpoint(
+    folder: Path,
+    models: Sequence[Dynamics],
+    manifest: dict[str, Any],
+    matrices: Sequence[Mapping[str, Quantized]] = (),
+) -> None:
     """Writes a checkpoint; a reader never sees half of one.
 
     Args:
       folder: where to.
       models: one for each robot; those after the first share all but the robot's parts with it.
       manifest: what is known of them; `variants` has an entry for each model after the first.
+      matrices: those of each model that are stored in few bits, by their names.
     """
     make_folder(folder)
     model = models[0]
-    tensors = {name: _stored(name, tensor) for name, tensor in model.state_dict().items()}
-    for number, other in enumerate(models[1:], 1):
-        for name, tensor in other.state_dict().items():
-            if not _is_shared(name):
-                tensors[f"{_VARIANT}{number}.{name}"] = _stored(name, tensor)
+    tensors: dict[str, Tensor] = {}
+    for number, each in enumerate(models):
+        prefix = f"{_VARIANT}{number}." if number else ""
+        few = matrices[number] if matrices else {}
+        for name, tensor in each.state_dict().items():
+            if name in few:
+                tensors |= few[name].tensors(prefix + name)
+            elif not (number and _is_shared(name)):
+                tensors[prefix + name] = _stored(name, tensor)
     header = {
         "schema": SCHEMA,
         "model": dataclasses.asdict(model.config),
@@ -182,26 +188,10 @@ def _weights(path: Path, variant: int, expected: dict[str, Any]) -> dict[str, Te
     size_of(path)
     with safe_open(str(path), framework="pt") as file:
         stored = _of_variant({name: name for name in file.keys()}, variant)  # noqa: SIM118
-        scaled = {name for name in expected if name + _FACTORS in stored}
-        scales = {name: file.get_tensor(stored.pop(name + _FACTORS)) for name in scaled}
-        for name in sorted(stored.keys() ^ expected.keys()):
-            what = "is not in the weights" if name in expected else "is not in the model"
-            raise InputError(f"{path}: {name} {what} that the manifest describes")
-        for name, key in stored.items():
-            part = file.get_slice(key)
-            types = ("I8",) if name in scaled else _TYPES
-            if tuple(part.get_shape()) != expected[name] or part.get_dtype() not in types:
-                raise InputError(
-                    f"{path}: {name} is {part.get_dtype()} of shape {tuple(part.get_shape())}; "
-                    f"the manifest describes {expected[name]}"
-                )
-        tensors = {name: file.get_tensor(key) for name, key in stored.items()}
-    for name, factors in scales.items():
-        tensors[name] = _from_8_bits(path, name, tensors[name], factors)
-    for name, tensor in tensors.items():
-        if not torch.isfinite(tensor).all():
-            raise InputError(f"{path}: {name} is not finite")
-    return tensors
+        try:
+            return read_weights(file, stored, expected)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
 
 
 def _of_variant(tensors: dict[str, T], variant: int) -> dict[str, T]:
@@ -247,63 +237,6 @@ def _columns(names: tuple[str, ...], rows: Tensor) -> dict[str, list[float]]:
 
 def _largest(values: Tensor) -> float:
     return float(values.abs().max()) if values.numel() else 0.0
-
-
-def save_in_8_bits(source: str | Path, target: str | Path) -> None:
-    """Writes a checkpoint again with 8 bits a weight, about half of its size.
-
-    Each 32 weights of a row of a matrix are stored as integers of -127 to 127 and one float32
-    factor, the largest of them over 127 (rounding to nearest): a weight is off by a 254th of that
-    largest at most. Vectors stay as they are.
-
-    Args:
-      source, target: folders, which may be one. What else there is in `source` is not copied.
-
-    Raises:
-      InputError: a file is missing or damaged.
-    """
-    load_checkpoint(source)  # what it says about damage is clearer than what follows would
-    tensors: dict[str, Tensor] = {}
-    with safe_open(str(Path(source) / WEIGHTS), framework="pt") as file:
-        for name in file.keys():  # noqa: SIM118
-            tensor = file.get_tensor(name)
-            if tensor.dim() < 2 or tensor.dtype != torch.float16 or name.endswith(_FACTORS):
-                tensors[name] = tensor
-                continue
-            groups = _grouped(tensor.float())
-            largest = groups.abs().amax(-1)
-            factors = torch.where(largest > 0, largest, 1.0) / 127
-            whole = torch.round(groups / factors[..., None])
-            tensors[name] = _ungrouped(whole, tensor.shape).to(torch.int8).contiguous()
-            tensors[name + _FACTORS] = factors
-    header = (Path(source) / MANIFEST).read_text()
-    make_folder(Path(target))
-    with (
-        writing(Path(target) / MANIFEST, announce=False) as manifest_part,
-        writing(Path(target) / WEIGHTS, announce=False) as weights,
-    ):
-        save_file(tensors, str(weights))
-        manifest_part.write_text(header)
-
-
-def _from_8_bits(path: Path, name: str, whole: Tensor, factors: Tensor) -> Tensor:
-    groups = _grouped(whole.float())
-    if factors.shape != groups.shape[:-1] or not factors.is_floating_point():
-        raise InputError(
-            f"{path}: {name + _FACTORS} is {factors.dtype} of shape {tuple(factors.shape)}; it "
-            f"must have one number for each {_GROUP} weights: shape {tuple(groups.shape[:-1])}"
-        )
-    return _ungrouped(groups * factors.float()[..., None], whole.shape)
-
-
-def _grouped(matrix: Tensor) -> Tensor:
-    """[rows, groups, 32] of a matrix [rows, ...]; the last group is filled with zeros."""
-    rows = matrix.flatten(1)
-    return torch.nn.functional.pad(rows, (0, -rows.shape[1] % _GROUP)).unflatten(1, (-1, _GROUP))
-
-
-def _ungrouped(groups: Tensor, shape: torch.Size) -> Tensor:
-    return groups.flatten(1)[:, : math.prod(shape[1:])].reshape(shape)
 
 
 def _stored(name: str, tensor: Tensor) -> Tensor:

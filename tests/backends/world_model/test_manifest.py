@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import torch
 from orbisim_world_model import zoo
-from orbisim_world_model.checkpoint import load_checkpoint, save_in_8_bits
+from orbisim_world_model.checkpoint import load_checkpoint
 from orbisim_world_model.manifest import read_manifest
 from safetensors.torch import load_file, save_file
 
@@ -139,32 +139,6 @@ def test_weights_are_what_the_manifest_says(folder: Path, change: Any, says: str
     save_file(tensors if changed is None else {**tensors, name: changed}, path)
     with pytest.raises(InputError, match=says):
         load_checkpoint(folder)
-
-
-def test_weights_of_8_bits(folder: Path, tmp_path: Path) -> None:
-    small = tmp_path / "small"
-    save_in_8_bits(folder, small)
-    size, before = ((f / "model.safetensors").stat().st_size for f in (small, folder))
-    assert size < 0.65 * before
-    exact, near = (load_checkpoint(f).model.state_dict() for f in (folder, small))
-    for name, weights in exact.items():
-        if weights.dim() == 2 and name.startswith("network."):
-            padded = torch.nn.functional.pad(weights, (0, -weights.shape[1] % 32))
-            largest = padded.unflatten(1, (-1, 32)).abs().amax(-1, keepdim=True)
-            off = torch.nn.functional.pad(near[name] - weights, (0, -weights.shape[1] % 32))
-            assert (off.unflatten(1, (-1, 32)).abs() <= largest / 254 * 1.01 + 1e-6).all(), name
-        elif weights.dim() < 2:
-            assert torch.equal(near[name], weights), name
-    path = str(small / "model.safetensors")
-    tensors = load_file(path)
-    name = next(n for n in tensors if n.endswith(".factors"))
-    save_file({**tensors, name: tensors[name][:1]}, path)
-    with pytest.raises(InputError, match="must have one number for each 32 weights"):
-        load_checkpoint(small)
-    del tensors[name]
-    save_file(tensors, path)
-    with pytest.raises(InputError, match="is I8"):
-        load_checkpoint(small)
 
 
 def test_damaged_weights(folder: Path) -> None:

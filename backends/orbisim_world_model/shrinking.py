@@ -1,0 +1,105 @@
+"""Writes a checkpoint again in few bits a weight (see `calibration` and `quantization`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from orbisim.errors import InputError
+from orbisim_world_model.calibration import calibrated
+from orbisim_world_model.checkpoint import load_checkpoint, save_checkpoint
+from orbisim_world_model.dynamics import Dynamics
+from orbisim_world_model.manifest import read_manifest, variants
+from orbisim_world_model.network.coupling import Block
+from orbisim_world_model.network.objects import ObjectCentricNetwork
+from orbisim_world_model.pack import Pack
+from orbisim_world_model.sampling import Windows, generator_of
+
+_LENGTH, _SEQUENCES = 8, 1500
+"""Control steps of the rollouts whose states are the inputs, and their number for one token."""
+
+
+def save_in_few_bits(
+    source: str | Path, target: str | Path, packs: Sequence[Pack], bits: int, seed: int = 0
+) -> None:
+    """Writes a checkpoint again with its networks' matrices in few bits.
+
+    Args:
+      source, target: folders, which may be one. What else there is in `source` is not copied.
+      packs: episodes like those it was trained on, of each of its robots.
+      bits: of a weight (see `quantization.BITS`). seed: of the draw among the episodes.
+
+    Raises:
+      InputError: a file is missing or damaged, there are not as many packs as robots, or the
+        network has a memory or no tokens.
+    """
+    manifest = read_manifest(source)
+    count = len(variants(manifest))
+    if len(packs) != count:
+        raise InputError(f"{source}: knows {count} robots; got episodes of {len(packs)}")
+    models = [load_checkpoint(source, variant=number).model for number in range(count)]
+    if models[0].config.kind != "objects" or models[0].config.memory != "none":
+        raise InputError(f"{source}: only networks with tokens and without memory are calibrated")
+    for model in models[1:]:
+        model.share(models[0])
+    remove_unused(models)
+    networks = [model.network for model in models]
+    runs = [_run(model, pack, seed) for model, pack in zip(models, packs, strict=True)]
+    matrices = calibrated(networks, runs, bits)
+    named = [{f"network.{name}": m for name, m in each.items()} for each in matrices]
+    save_checkpoint(Path(target), models, manifest, named)
+
+
+@torch.no_grad()  # type: ignore[untyped-decorator]
+def remove_unused(models: Sequence[Dynamics]) -> None:
+    """Makes 0 what does not change the step of models without memory, in place.
+
+    Their encoders see the same memory always, which becomes a bias, and their transition sees the
+    same token twice, whose weights are added up. A robot alone has nobody to ask and no objects.
+
+    Args:
+      models: one for each robot; parts that they share are the same modules.
+    """
+    lead: ObjectCentricNetwork = models[0].network
+    width = lead.start.shape[1]
+    encoders = [(model.network.f_enc.robot, lead.start[0]) for model in models]
+    for layers, start in [*encoders, (lead.f_enc.objects, lead.start[1])]:
+        if layers is not None:
+            first: Any = layers[0]
+            first.bias += first.weight[:, :width] @ start
+            first.weight[:, :width] = 0.0
+    lead.start.zero_()
+    if lead.f_tra.skip:
+        first = lead.f_tra.layers[0]
+        first.weight[:, width:] += first.weight[:, :width]
+        first.weight[:, :width] = 0.0
+    if not lead.count:
+        for block in lead.f_cp.blocks:
+            assert isinstance(block, Block)
+            block.qkv.weight[: 2 * width] = 0.0
+            block.qkv.bias[: 2 * width] = 0.0
+        for parameter in lead.object_condition.parameters():
+            parameter.zero_()
+
+
+@torch.no_grad()  # type: ignore[untyped-decorator]
+def _run(model: Dynamics, pack: Pack, seed: int) -> Callable[[Any], object]:
+    """Calls a network with what it sees in true states and in short rollouts of the model."""
+    length, size = min(_LENGTH, int(pack.length.max())), _SEQUENCES // model.sizes.tokens
+    windows = Windows(pack, length, model.config)
+    batch = windows.batch(*windows.draw(size, generator_of("cpu", seed, 0)))
+    x, memory, given = model.completed(batch.states.at(0)), model.initial_memory(size), []
+    for t in range(length):
+        inputs = model.inputs(x, batch.control[t], batch.context)
+        given.append((inputs, model.network.initial_memory(size)))
+        step = model(x, memory, batch.control[t], batch.context)
+        x, memory = step.state, step.memory
+
+    def run(network: Any) -> None:
+        for inputs, start in given:
+            network(inputs, start)
+
+    return run
