@@ -291,11 +291,16 @@ def generate(args: argparse.Namespace) -> int:
 # -- scores ----------------------------------------------------------------------------------------
 
 
+_SAME = {"detent": ("cogging",)}
+"""Names that are the same force."""
+
+
 def judge(truth: dict[str, Any], report: dict[str, Any]) -> dict[str, Any]:
     """What the diagnosis of a trial is worth: `found` if what was left out is named at its joint,
     `first` if it is named first, and how many effects are named besides."""
     one, named = truth["effect"], report["effects"]
-    right = [(e["effect"], e["target"]) == (one["effect"], one["target"]) for e in named]
+    names = {one["effect"], *_SAME.get(one["effect"], ())}
+    right = [e["effect"] in names and e["target"] == one["target"] for e in named]
     value, at = None, right.index(True) if any(right) else None
     if at is not None:
         quoted = next(iter(named[at]["parameters"].values()))

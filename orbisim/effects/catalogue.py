@@ -25,7 +25,7 @@ _BUILT_IN: tuple[type[Effect], ...] = (
     joints.JointFlexibility,
     joints.HardStop,
     joints.JointCoupling,
-    *mechanisms.MECHANISMS,
+    mechanisms.Latch,
     actuators.TorqueGain,
     actuators.TorqueBias,
     actuators.TorqueSaturation,
@@ -55,7 +55,8 @@ _BUILT_IN: tuple[type[Effect], ...] = (
 )
 
 _registered: dict[str, Effect] = {cls.name: cls() for cls in _BUILT_IN}
-_not_sought: dict[str, Effect] = {cls.name: cls() for cls in unnamed.UNNAMED}
+_UNSOUGHT: tuple[type[Effect], ...] = (*unnamed.UNNAMED, mechanisms.Detent)
+_not_sought: dict[str, Effect] = {cls.name: cls() for cls in _UNSOUGHT}
 
 
 def effect_names() -> tuple[str, ...]:

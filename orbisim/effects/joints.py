@@ -220,9 +220,6 @@ class Cogging(JointEffect):
         return only_if(instance.values["periods"] * float(extent.travel[dof]) >= 4 * np.pi)
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
-        """Waves along the travel; at a joint without an actuator the same force is detents."""
-        if not is_driven(view.model, target):
-            return []
         q = _position(view, target)
         return [
             self.candidate(
@@ -624,13 +621,6 @@ class _Coupling(Hook):
         else:
             source = inputs.qvel[:, self._source]
         inputs.qfrc[:, self._dof] += self.value("coefficient") * source
-
-
-def is_driven(model: mujoco.MjModel, joint: str) -> bool:
-    """Whether an actuator acts on a joint directly."""
-    kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    at_joint = np.isin(model.actuator_trntype, kinds)
-    return bool((at_joint & (model.actuator_trnid[:, 0] == index_of(model, "joint", joint))).any())
 
 
 def _dof(model: mujoco.MjModel, joint: str) -> int:

@@ -1,7 +1,8 @@
 """Effects that make a mechanism of joints: latches and detents.
 
-A scene declares them (a lock that a handle releases, a knob that clicks), or a diagnosis finds
-them. Both are functions of the positions, so that a state holds all there is to know of a lock.
+A scene declares them (a lock that a handle releases, a knob that clicks); a diagnosis finds
+latches, and calls detents cogging: they are the same force. Both are functions of the positions, so
+that a state holds all there is to know of a lock.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from orbisim.effects.base import (
     joint_unit,
     names_of_kind,
 )
-from orbisim.effects.joints import JointEffect, is_driven
+from orbisim.effects.joints import JointEffect
 from orbisim.effects.screening import Candidate, Floats, MotionRegressors, Values
 from orbisim.errors import InputError, UnknownNameError
 
@@ -137,10 +138,12 @@ class Latch(JointEffect):
 
 
 class Detent(JointEffect):
-    """A force -A sin(2 pi (q - position) / pitch) that draws a joint to places a pitch apart."""
+    """A force -A sin(2 pi (q - position) / pitch) that draws a joint to places a pitch apart.
+
+    A diagnosis calls such a force `cogging`: it is the same.
+    """
 
     name = "detent"
-    rarity = -2.0
     phrase = "detents"
     native = False
 
@@ -154,32 +157,6 @@ class Detent(JointEffect):
 
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _DetentHook(model, instance)
-
-    def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
-        """Waves along the travel; at a joint with an actuator the same force is called cogging."""
-        if is_driven(view.model, target):
-            return []
-        joint = index_of(view.model, "joint", target)
-        q = np.asarray(view.qpos[:, int(view.model.jnt_qposadr[joint])])
-        return [
-            self.candidate(
-                view,
-                target,
-                [-np.sin(n * q), -np.cos(n * q)],
-                functools.partial(_clicks, float(n)),
-                shape=1,
-            )
-            for n in view.spectrum_peaks(int(view.model.jnt_dofadr[joint]), "position")
-        ]
-
-
-def _clicks(wave_number: float, c: Floats) -> Values:
-    """Amplitude and place of -c0 sin(n q) - c1 cos(n q) = -A sin(n (q - position))."""
-    return {
-        "amplitude": float(np.hypot(c[0], c[1])),
-        "pitch": 2 * np.pi / wave_number,
-        "position": float(-np.arctan2(c[1], c[0]) / wave_number),
-    }
 
 
 def _as_found(values: Values, c: Floats) -> Values:
@@ -280,9 +257,6 @@ def _released(q: Floats, held: Bools, moves: Bools) -> Iterator[tuple[str, float
         if wrong.min() < _BETTER:
             last = min(int(best[-1]) + 1, len(grid) - 1)
             yield side, float(sign * 0.5 * (grid[best[0]] + grid[last]))
-
-
-MECHANISMS: tuple[type[JointEffect], ...] = (Latch, Detent)
 
 
 class _LatchHook(Hook):

@@ -12,7 +12,7 @@ from orbisim.errors import InputError, UnknownNameError
 
 
 def test_the_catalogue_is_complete() -> None:
-    assert len(effect_names()) == 40
+    assert len(effect_names()) == 39
     for name in effect_names():
         effect = find(name)
         assert effect.name == name
