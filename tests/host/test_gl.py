@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -63,3 +64,18 @@ def test_other_systems_have_a_default_that_works(headless: pytest.MonkeyPatch) -
 def test_libraries_that_cannot_be_loaded_are_no_platforms(headless: pytest.MonkeyPatch) -> None:
     headless.setattr(gl, "_LIBRARIES", {"egl": "libNoSuch.so.1", "osmesa": "libc.so.6"})
     assert tuple(gl._loadable()) == ("osmesa",)
+
+
+def test_tritons_compiler_is_loaded_before_mesas(
+    headless: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    order: list[str] = []
+    (tmp_path / "triton" / "_C").mkdir(parents=True)
+    (tmp_path / "triton" / "__init__.py").touch()
+    (tmp_path / "triton" / "_C" / "libtriton.so").touch()
+    headless.syspath_prepend(tmp_path)
+    headless.setattr(gl.ctypes, "CDLL", lambda name: order.append(Path(name).name))
+    gl.available_platforms.cache_clear()
+    gl.configure()
+    gl.available_platforms.cache_clear()
+    assert order == ["libtriton.so", "libEGL.so.1", "libOSMesa.so.8"]
