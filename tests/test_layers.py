@@ -38,7 +38,8 @@ LAYERS = (
     # Recording
     {"recording"},
     {"effects"},
-    {"motion"},
+    {"motion", "evidence"},
+    {"sensing"},
     # what takes the five nouns and gives a result
     {"freerun"},
     {"scores"},

@@ -22,6 +22,7 @@ SEEN_THROUGH = {
     "orbisim.cli.eval": ("cli/test_training.py", "it needs a checkpoint that was trained"),
     "orbisim.cli.train": ("cli/test_training.py", "a training from its start to its end"),
     "orbisim.diagnosis": ("diagnosis", "stages are seen in the verdict that they lead to"),
+    "orbisim.effects.estimate": ("sensing/test_faults.py", "values without code"),
     "orbisim.freerun.jobs": ("freerun", "a value that is handed to a worker"),
     "orbisim.host.children": ("files/test_locking.py", "processes that end with their parent"),
     "orbisim.identification.classical": (
@@ -68,6 +69,10 @@ SEEN_THROUGH = {
     "orbisim.testing.backend": ("conformance/test_backends.py", "tests that others inherit"),
     "orbisim.testing.reader": ("conformance/test_readers.py", "tests that others inherit"),
     "orbisim.testing.renderer": ("conformance/test_renderers.py", "tests that others inherit"),
+    "orbisim.sensing.readings": (
+        "sensing/test_faults.py",
+        "readings along free runs and along the smoothed motion, against sensors that are right",
+    ),
     "orbisim.tasks.mechanisms.families": (
         "tasks/mechanisms/test_catalogue.py",
         "every family's instances are scenes, and a hand succeeds with them",

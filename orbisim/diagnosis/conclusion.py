@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
 from orbisim.diagnosis.context import NEAR, Context, Progress
-from orbisim.diagnosis.evidence import Gain
 from orbisim.diagnosis.found import Rival
 from orbisim.diagnosis.refine import Judged
 from orbisim.diagnosis.search import Found, Tried, search
@@ -15,6 +14,7 @@ from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.worth import worth
 from orbisim.effects import EffectInstance, find
+from orbisim.evidence import Gain
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.motion.samples import Samples
 

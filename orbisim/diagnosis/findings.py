@@ -12,26 +12,25 @@ from orbisim.backend import Backend
 from orbisim.diagnosis.bench import Bench, Hypothesis, Noise
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.confidence import confidence
-from orbisim.diagnosis.evidence import Gain, probabilities
 from orbisim.diagnosis.fits import Fit
 from orbisim.diagnosis.found import (
     Alternative,
     Candidate,
-    Estimate,
-    FoundEffect,
     Retuned,
     Rival,
     Verdict,
 )
 from orbisim.diagnosis.scoring import Score, score
 from orbisim.diagnosis.search import enough
-from orbisim.diagnosis.sensing import Sensed
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import find
 from orbisim.effects.confounds import advice, standing
+from orbisim.effects.estimate import Estimate, FoundEffect
+from orbisim.evidence import Gain, probabilities
 from orbisim.recording import Recording
 from orbisim.recording.joints import joints
 from orbisim.scene import Scene
+from orbisim.sensing.faults import Sensed
 
 
 def verdict_of(found: Attribution, settings: Settings) -> Verdict:
@@ -74,6 +73,16 @@ def residual_of(found: Attribution, settings: Settings) -> dict[str, Any]:
         "ratio_after": found.after.ratio,
         "where": sorted(where, key=lambda w: -w["share"]),
     }
+
+
+def verdict_with_sensors(motion: Verdict, sensed: Sensed) -> Verdict:
+    """The verdict on motion and sensors from that on the motion."""
+    left = sensed.unexplained
+    if motion == "no_residual" and not sensed.effects:
+        return "unexplained" if left else "no_residual"
+    if motion in ("no_residual", "explained"):
+        return "partly_explained" if left else "explained"
+    return "partly_explained" if sensed.effects else motion
 
 
 def with_sensors(residual: dict[str, Any], sensed: Sensed) -> dict[str, Any]:

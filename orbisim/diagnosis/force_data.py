@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis
-from orbisim.diagnosis.evidence import Blocks, independent_share
 from orbisim.diagnosis.regress import Normal, normal_of
 from orbisim.effects import effect_names, find
 from orbisim.effects.screening import Candidate
 from orbisim.errors import InputError
+from orbisim.evidence import Blocks, independent_share
 from orbisim.motion.force import force_residual
 from orbisim.motion.linear import IntervalMap
 from orbisim.motion.regressors import MotionView

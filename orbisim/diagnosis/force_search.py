@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Hypothesis
-from orbisim.diagnosis.evidence import Gain
 from orbisim.diagnosis.fits import Fit
 from orbisim.diagnosis.force_data import (
     ForceData,
@@ -34,6 +33,7 @@ from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.screening import Candidate
 from orbisim.errors import OrbiSimError
+from orbisim.evidence import Gain
 from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.samples import Samples, extent
 from orbisim.scene import Scene

@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
-from orbisim.diagnosis.evidence import Blocks, independent_share
 from orbisim.diagnosis.holding import holding
 from orbisim.diagnosis.screening import bounded_instance, candidates_of, missing_force
 from orbisim.diagnosis.selection import Group, Selected, data_of, groups_of, select
 from orbisim.effects import EffectInstance, effect_names, find
+from orbisim.evidence import Blocks, independent_share
 from orbisim.motion.linear import Intervals
 from orbisim.motion.regressors import MotionView
 from orbisim.motion.samples import extent

@@ -17,17 +17,18 @@ import numpy as np
 from orbisim import plugins
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.force_search import ForceAttribution
-from orbisim.diagnosis.found import Alternative, Candidate, FoundEffect, Retuned, Verdict
+from orbisim.diagnosis.found import Alternative, Candidate, Retuned, Verdict
 from orbisim.diagnosis.rest import Rest
-from orbisim.diagnosis.sensing import Sensed
 from orbisim.diagnosis.wording import sentence
 from orbisim.effects.carry import save_with_effects
+from orbisim.effects.estimate import FoundEffect
 from orbisim.files.writing import make_folder, write_json, write_text
 from orbisim.recording import Recording
 from orbisim.recording.joints import Kind, joints
 from orbisim.recording.sensors import sensors
 from orbisim.scene import Scene
 from orbisim.scene.patch import Patch, patch_of
+from orbisim.sensing.faults import Sensed
 from orbisim.version import VERSION
 
 SCHEMA = "orbisim.diagnosis/1"

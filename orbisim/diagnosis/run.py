@@ -11,9 +11,17 @@ from typing import Any, Literal
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
 from orbisim.backend import Backend
-from orbisim.diagnosis.bench import Bench, Noise, make_bench, touches, windows_enough
+from orbisim.diagnosis.bench import (
+    Bench,
+    Hypothesis,
+    Noise,
+    make_bench,
+    touches,
+    windows_enough,
+)
 from orbisim.diagnosis.checks import coarse_timestep, disabled
 from orbisim.diagnosis.conclusion import Attribution, attribute
 from orbisim.diagnosis.consistency import inconsistency
@@ -29,15 +37,17 @@ from orbisim.diagnosis.findings import (
     retuned_of,
     sensor_noise_of,
     verdict_of,
+    verdict_with_sensors,
     with_sensors,
 )
 from orbisim.diagnosis.force_result import diagnose_forces
-from orbisim.diagnosis.refine import Judged
+from orbisim.diagnosis.refine import Judge, Judged, is_structural
 from orbisim.diagnosis.rest import learn_rest as learn
 from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.scoring import score
-from orbisim.diagnosis.sensing import Sensed, sense
 from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.shooting import Shooter
+from orbisim.diagnosis.windows import Windows
 from orbisim.effects import add_effects, find
 from orbisim.errors import InputError
 from orbisim.host.deadline import Deadline
@@ -50,6 +60,13 @@ from orbisim.recording.split import bounded, some_of, split
 from orbisim.recording.suspicious import refuse
 from orbisim.recording.thinning import thinned, usual_window
 from orbisim.scene import Scene, load_scene
+from orbisim.sensing.faults import Sensed, faults
+from orbisim.sensing.readings import (
+    FreeRun,
+    simulated_readings,
+    smoothed_readings,
+    usable_sensors,
+)
 
 Source = Recording | str | Path
 
@@ -176,7 +193,7 @@ def _by_motion(
         )
     if found.after is found.before and found.bench.contacts and few_bad(found.before):
         notes.append(bad_windows(found.before))
-    sensed = sense(found, unseen, settings, notes, say)
+    sensed = _sensed(found, unseen, notes, say)
     result = _result(scene, named, found, settings, fit, held, window, backend, notes, sensed)
     if rest:
         motion, augmented = verdict_of(found, settings), result.augmented_scene
@@ -194,6 +211,48 @@ def _by_motion(
 _FORCES, _SEARCH, _FITS = 0.35, 0.75, 0.95
 """Shares of the patience until which a search of forces goes on that may be followed by one of the
 motion, a search, and the final fits."""
+
+
+def _sensed(
+    found: Attribution, unseen: Bench, notes: list[str], say: Callable[[str], None]
+) -> Sensed:
+    """Faults of sensors, by readings along the scene's own free runs where these are right, and
+    along the smoothed motion elsewhere."""
+    chosen = usable_sensors(found.bench.samples, notes)
+    if not chosen:
+        return Sensed()
+    say("looking at the sensors")
+    hypothesis, after = found.after.hypothesis, found.after
+    scene = hypothesis.scene(found.bench.scene)
+    sure = after.ratio <= NEAR and not is_structural(hypothesis)
+    if not sure:
+        fitted, held = (smoothed_readings(one.samples, scene) for one in (found.bench, unseen))
+        return faults(chosen, fitted, held, sure, notes)
+    judge = Judge(unseen, unseen.intervals)
+    apart = judge.score(hypothesis, judge.fitted).start
+    runs = (
+        (found.bench, free_runs(found.bench, hypothesis, after.windows, after.fit.start)),
+        (unseen, free_runs(unseen, hypothesis, judge.fitted.windows, apart)),
+    )
+    fitted, held = (simulated_readings(bench.samples, scene, one) for bench, one in runs)
+    return faults(chosen, fitted, held, sure, notes)
+
+
+def free_runs(
+    bench: Bench, hypothesis: Hypothesis, windows: Windows, start: npt.NDArray[np.float64]
+) -> list[FreeRun]:
+    """Windows as a hypothesis runs through them, as far as they can be predicted.
+
+    Args:
+      start: [W, 2 nv] deviations at their starts.
+    """
+    shooter = Shooter(bench.scene, bench.samples, bench.intervals, windows, bench.noise)
+    qpos, qvel = shooter.states(hypothesis.variant(bench.scene), start)
+    stop = windows.reach() + 1
+    return [
+        FreeRun(int(i), int(shooter.row[w]), qpos[w, : stop[w]], qvel[w, : stop[w]])
+        for w, i in enumerate(windows.recording)
+    ]
 
 
 def _elsewhere(found: Attribution) -> list[str]:
@@ -323,7 +382,7 @@ def _result(
         held_out=tuple(held),
         noise={**noise_of(scene, found.bench.noise), **sensor_noise_of(sensed)},
         residual=with_sensors(residual_of(found, settings), sensed),
-        verdict=sensed.verdict(verdict_of(found, settings)),
+        verdict=verdict_with_sensors(verdict_of(found, settings), sensed),
         effects=(
             *effects_of(
                 scene,

@@ -2,7 +2,7 @@
 
 Data come as normal equations of blocks (windows, stretches of a recording). Coefficients are fitted
 to all blocks but a few, and score these, each in turn, so that an effect pays only with what it
-predicts. Moves are to add, to remove and to exchange; `orbisim.diagnosis.evidence` says what each
+predicts. Moves are to add, to remove and to exchange; `orbisim.evidence` says what each
 is worth. One effect at a time, judged by what it leaves, fails where many are missing: each looks
 wrong as long as the others are. Here they are fitted together.
 """
@@ -18,20 +18,15 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.evidence import Blocks, Gain, gain, weights
 from orbisim.diagnosis.regress import Normal, fit, profiled
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.screening import Candidate
+from orbisim.evidence import EFFECT, Blocks, Gain, gain, weights
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Prior = Callable[[EffectInstance], float]
-
-EFFECT = -3.0
-"""Logarithm of the prior odds of an effect at a target, e^-3 = 1 in 20: of some dozens that are
-possible on a machine few are there."""
-
 
 BEGINNINGS = (-1.0, np.inf)
 """Rarities down to which an effect belongs to what a search begins with: from all that machines

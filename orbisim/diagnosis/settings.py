@@ -15,7 +15,6 @@ class Settings:
       shortlist: how many suspects of a screening are fitted by simulation.
       windows: how many windows are used to compare suspects.
       enough: residual over noise at which nothing is left to explain.
-      margin: information criterion by which a fault of a sensor that reads no joint must pay.
       retune: whether declared parameters may be retuned.
       patience: s that a diagnosis may take; it then ends with the best that it has.
       seed: of the bootstrap.
@@ -26,7 +25,6 @@ class Settings:
     shortlist: int = 6
     windows: int = 48
     enough: float = 1.06
-    margin: float = 12.0
     retune: bool = True
     patience: float = 600.0
     seed: int = 0

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from orbisim.diagnosis.found import FoundEffect, Retuned, Verdict
+from orbisim.diagnosis.found import Retuned, Verdict
 from orbisim.effects import find
+from orbisim.effects.estimate import FoundEffect
 
 
 def sentence(

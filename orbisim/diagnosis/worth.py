@@ -9,12 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
-from orbisim.diagnosis.evidence import Blocks, Gain, gain, independent_share
 from orbisim.diagnosis.fits import Fit
 from orbisim.diagnosis.refine import Judged
 from orbisim.diagnosis.retune import SPREAD
-from orbisim.diagnosis.selection import EFFECT
 from orbisim.effects import find
+from orbisim.evidence import EFFECT, Blocks, Gain, gain, independent_share
 from orbisim.motion.samples import extent
 
 Floats = npt.NDArray[np.float64]

@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
-from orbisim.diagnosis.sensing import SensorFinding
 from orbisim.effects.base import AXES
 from orbisim.motion.force import ForceResidual
 from orbisim.motion.samples import Samples
 from orbisim.recording.joints import Joint, Kind, joints
 from orbisim.report import figures
+from orbisim.sensing.faults import SensorFinding
 
 Floats = npt.NDArray[np.float64]
 

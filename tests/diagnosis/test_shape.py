@@ -9,9 +9,9 @@ import pytest
 
 from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.conclusion import rivals_of
-from orbisim.diagnosis.evidence import Gain
 from orbisim.diagnosis.search import Tried
 from orbisim.effects import EffectInstance
+from orbisim.evidence import Gain
 
 
 def tried(name: str, gain: float, number: int, reason: str = "") -> Tried:

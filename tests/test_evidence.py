@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_t
 
-from orbisim.diagnosis.evidence import (
+from orbisim.evidence import (
     FREEDOM,
     Blocks,
     gain,

@@ -15,9 +15,6 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.bench import Bench, Hypothesis
-from orbisim.diagnosis.shooting import Shooter
-from orbisim.diagnosis.windows import Windows
 from orbisim.effects.base import AXES
 from orbisim.motion.force import Hooked
 from orbisim.motion.hidden import Layout, carried_along
@@ -125,26 +122,37 @@ def _along(one: Samples, scene: Scene) -> Readings:
     return Readings(one.time, one.bound.sensordata, expected, spread)
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class FreeRun:
+    """A window of a recording as a scene runs through it.
+
+    Attributes:
+      recording: number of the recording. row: at which it starts.
+      qpos: [K, nq], qvel: [K, nv], in the coordinates of the declared scene.
+    """
+
+    recording: int
+    row: int
+    qpos: Floats
+    qvel: Floats
+
+
 def simulated_readings(
-    bench: Bench, hypothesis: Hypothesis, windows: Windows, start: Floats
+    samples: Sequence[Samples], scene: Scene, runs: Sequence[FreeRun]
 ) -> list[Readings]:
-    """Expected readings along free runs of windows.
+    """Expected readings along free runs.
 
     Args:
-      windows: of the bench. start: [W, 2 nv] their fitted starts.
+      scene: that ran.
     """
-    shooter = Shooter(bench.scene, bench.samples, bench.intervals, windows, bench.noise)
-    qpos, qvel = shooter.states(hypothesis.variant(bench.scene), start)
-    scene, reach = hypothesis.scene(bench.scene), windows.reach()
     found = []
-    for i, one in enumerate(bench.samples):
+    for i, one in enumerate(samples):
         reader = _Reader(one, scene)
         total = np.zeros((len(one), scene.model.nsensordata))
         square, count = total.copy(), np.zeros(len(one))
-        for w in np.flatnonzero(windows.recording == i):
-            for k in range(int(reach[w]) + 1):
-                row = int(shooter.row[w]) + k
-                values = reader.at(row, qpos[w, k], qvel[w, k], None)
+        for run in (run for run in runs if run.recording == i):
+            for row, (qpos, qvel) in enumerate(zip(run.qpos, run.qvel, strict=True), run.row):
+                values = reader.at(row, qpos, qvel, None)
                 total[row] += values
                 square[row] += values**2
                 count[row] += 1
