@@ -3,6 +3,7 @@
 # make test-all  install, run all tests
 # make lint      ruff and mypy
 # make docs     builds the site of documentation into out/site
+# make tutorials runs the notebooks of docs/tutorials
 # make examples runs the scripts of docs/examples
 # make bench     benchmarks (minutes; results in docs/benchmarks.md)
 
@@ -11,7 +12,7 @@ export VENV
 PY := $(VENV)/bin/python
 export PYTHONNOUSERSITE := 1
 
-.PHONY: demo test test-all lint docs examples bench setup clean
+.PHONY: demo test test-all lint docs tutorials examples bench setup clean
 
 demo:
 	@tools/setup.sh run
@@ -40,6 +41,14 @@ docs:
 	@[ -x $(DOCS_VENV)/bin/mkdocs ] || { python3 -m venv $(DOCS_VENV) && $(DOCS_VENV)/bin/python -m pip install -qq --disable-pip-version-check -r requirements/docs.lock; }
 	@$(DOCS_VENV)/bin/mkdocs build --strict --quiet
 	@echo out/site/index.html
+
+# each NAME.py of docs/tutorials becomes NAME.ipynb with what it shows
+tutorials:
+	@tools/setup.sh test
+	@tools/setup.sh tutorials
+	@mkdir -p out/tutorials
+	@PATH="$(abspath $(VENV))/bin:$$PATH" jupytext --quiet --to ipynb --set-kernel python3 --execute \
+		--run-path "$(abspath out/tutorials)" docs/tutorials/*.py
 
 examples:
 	@tools/setup.sh test
