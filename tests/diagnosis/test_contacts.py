@@ -63,6 +63,22 @@ def struck(
     return bench, judge, nothing
 
 
+@pytest.fixture(scope="module")
+def pushed(hammer: orbisim.Scene) -> tuple[Bench, Judged]:
+    """Recordings with a bias, and what the declared scene leaves of them."""
+    bench, _, nothing = struck(hammer, hammer, [BIAS])
+    return bench, nothing
+
+
+@pytest.fixture
+def judge(pushed: tuple[Bench, Judged]) -> Judge:
+    """Starts from the declared scene."""
+    bench, nothing = pushed
+    judge = Judge(bench, bench.intervals, most=24)
+    judge.start_from(nothing)
+    return judge
+
+
 def test_declared_parameters_are_retuned_through_impacts(hammer: orbisim.Scene) -> None:
     true = retuned(hammer, {GAIN: 1.04, DAMPING: 0.97})
     _, judge, _ = struck(hammer, true, [])
@@ -73,8 +89,10 @@ def test_declared_parameters_are_retuned_through_impacts(hammer: orbisim.Scene) 
     assert factors[DAMPING] == pytest.approx(0.97, abs=0.02)
 
 
-def test_a_glance_tells_how_large_an_effect_should_be(hammer: orbisim.Scene) -> None:
-    _, judge, nothing = struck(hammer, hammer, [BIAS])
+def test_a_glance_tells_how_large_an_effect_should_be(
+    pushed: tuple[Bench, Judged], judge: Judge
+) -> None:
+    _, nothing = pushed
     right = Hypothesis((BIAS,))
     for offset in (0.03, 0.12):
         other = Hypothesis((BIAS.replace(offset=offset),))
@@ -97,15 +115,15 @@ def test_a_glance_lets_retuned_parameters_move(hammer: orbisim.Scene) -> None:
     assert judge.tried(with_it) < 0.3 * without
 
 
-def test_without_a_start_a_glance_says_nothing(hammer: orbisim.Scene) -> None:
-    bench, _, _ = struck(hammer, hammer, [BIAS])
+def test_without_a_start_a_glance_says_nothing(pushed: tuple[Bench, Judged]) -> None:
+    bench, _ = pushed
     assert Judge(bench, bench.intervals).sized_glance(Hypothesis()) == (np.inf, 1.0)
 
 
 def test_a_glance_does_without_derivatives_that_cannot_be_had(
-    hammer: orbisim.Scene, monkeypatch: pytest.MonkeyPatch
+    pushed: tuple[Bench, Judged], judge: Judge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _, judge, nothing = struck(hammer, hammer, [BIAS])
+    _, nothing = pushed
 
     def refuse(*_: Any) -> None:
         raise SceneError("hammer.xml", "MuJoCo refuses it")

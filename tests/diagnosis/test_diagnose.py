@@ -73,6 +73,7 @@ def test_silent_without_an_effect(arm: orbisim.Scene) -> None:
     assert result.residual["ratio_to_noise"] == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow  # a search by itself: tests/diagnosis/test_sensors.py
 def test_an_effect_of_the_sensor() -> None:
     scene = orbisim.load_scene(ARM.parent / "cart_pole" / "scene.xml")
     late = EffectInstance("sensor_delay", "pole", {"delay": 0.015})

@@ -17,7 +17,7 @@ from orbisim.testing import inject_effect
 
 
 def recorded(arm: orbisim.Scene, *effects: EffectInstance) -> list[Recording]:
-    return inject_effect(arm, effects, duration=6.0, episodes=4, noise=1e-4, seed=5)
+    return inject_effect(arm, effects, duration=4.0, episodes=4, noise=1e-4, seed=5)
 
 
 def test_finds_several_effects_at_once(
@@ -56,7 +56,7 @@ def test_an_unknown_force_gets_no_name(arm: orbisim.Scene) -> None:
             inputs.qfrc[:, 0] += 0.5 * np.sin(3.1 * t + 2 * np.sin(1.7 * t) + np.sin(5.3 * t))
 
     runs = inject_effect(
-        arm, [], duration=6.0, episodes=4, noise=1e-4, seed=6, hooks=lambda _: [Wander({})]
+        arm, [], duration=4.0, episodes=4, noise=1e-4, seed=6, hooks=lambda _: [Wander({})]
     )
     found = orbisim.diagnose(arm, runs, residual="force", progress=False)
     assert found.verdict == "unexplained"

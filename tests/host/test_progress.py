@@ -36,7 +36,7 @@ def test_long_work_is_named_once(
     say = progress._say
     monkeypatch.setattr(progress, "_say", lambda text: (say(text), said.set()))
     with progress.patient("compiling kernels"):
-        assert said.wait(10)
+        assert said.wait(60)
     assert capsys.readouterr().err == "compiling kernels ...\n"
     monkeypatch.setattr(progress, "PATIENCE", 60.0)
     with progress.patient("nothing"):

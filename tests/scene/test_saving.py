@@ -40,7 +40,12 @@ def assert_same_model(a: mujoco.MjModel, b: mujoco.MjModel, atol: float) -> None
 
 
 @pytest.mark.parametrize(
-    "name", ["cheetah", "humanoid_CMU", "quadruped", pytest.param("dog", marks=pytest.mark.slow)]
+    "name",
+    [
+        "cheetah",
+        "humanoid_CMU",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("quadruped", "dog")),
+    ],
 )
 def test_a_saved_scene_is_the_same_scene(tmp_path: Path, name: str) -> None:
     scene = load_scene(SUITE / f"{name}.xml")

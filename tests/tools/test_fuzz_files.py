@@ -12,7 +12,15 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 from fuzz_files import FINE, OUTCOMES, Outcome, judge, make_case, summary
 from fuzz_kinds import KINDS
 
-_COUNTS = {"archive": 6, "usdz": 3, "hdf5": 10, "texts": 8, "checkpoint": 6, "progress": 8}
+_COUNTS = {
+    "archive": 6,
+    "usdz": 3,
+    "hdf5": 10,
+    "texts": 8,
+    "checkpoint": 6,
+    "progress": 8,
+    "log_hdf5": 6,
+}
 """Fewer than `_COUNT` where each takes long."""
 _COUNT = 40
 

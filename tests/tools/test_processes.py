@@ -20,13 +20,13 @@ def python(code: str) -> list[str]:
 def test_the_last_line_is_the_answer() -> None:
     said = "import json, os; print('first'); n = os.environ['OMP_NUM_THREADS']"
     said += "; print(json.dumps({'n': n}))"
-    assert answer_of(python(said), 30.0) == {"n": "1"}
+    assert answer_of(python(said), 120.0) == {"n": "1"}
 
 
 @pytest.mark.parametrize("code", ["raise SystemExit('lost')", "print(3); raise SystemExit('lost')"])
 def test_without_an_answer_the_complaint_is_told(code: str) -> None:
     with pytest.raises(ValueError, match="exit status 1: lost"):
-        answer_of(python(code), 30.0)
+        answer_of(python(code), 120.0)
 
 
 def test_what_takes_too_long_is_ended_with_what_it_started(tmp_path: Path) -> None:

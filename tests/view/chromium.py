@@ -81,7 +81,7 @@ class Chromium:
     def _end(self) -> None:
         self._process.terminate()
         try:
-            self._process.wait(10)
+            self._process.wait(60)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
@@ -89,7 +89,7 @@ class Chromium:
 
     async def _connect(self) -> None:
         told = self._profile / "DevToolsActivePort"
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + 120
         while not (told.exists() and told.read_text().count("\n")):
             if self._process.poll() is not None or time.monotonic() > deadline:
                 raise RuntimeError("the browser did not start")
@@ -168,7 +168,7 @@ class Chromium:
             raise AssertionError(json.dumps(answer["exceptionDetails"])[:2000])
         return answer["result"].get("value")
 
-    def wait_for(self, condition: str, seconds: float = 20) -> None:
+    def wait_for(self, condition: str, seconds: float = 120) -> None:
         """Waits until a JavaScript expression is true."""
         deadline = time.monotonic() + seconds
         while not self.evaluate(condition):

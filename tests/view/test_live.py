@@ -64,13 +64,13 @@ class Page:
         self._loop.call_soon_threadsafe(self._connection.write_message, what)
 
     def next(self) -> list[dict[str, Any]]:
-        frame = self.received.get(timeout=20)
+        frame = self.received.get(timeout=120)
         assert frame is not None, "the server closed the connection"
         return frame
 
     def until_closed(self) -> list[list[dict[str, Any]]]:
         frames = []
-        while (frame := self.received.get(timeout=20)) is not None:
+        while (frame := self.received.get(timeout=120)) is not None:
             frames.append(frame)
         return frames
 
@@ -90,7 +90,7 @@ class Live:
         self._arguments, self._choices = arguments, choices | {"on_ready": self._ready.put}
         self.thread = threading.Thread(target=self._run, daemon=True)
         self.thread.start()
-        self.url = self._ready.get(timeout=20)
+        self.url = self._ready.get(timeout=120)
 
     def _run(self) -> None:
         try:
@@ -203,7 +203,7 @@ def test_pages_can_pause_and_restart() -> None:
         page.ask("pause")
         resumed = clock(page.next())
         page.ask("restart")
-        deadline = time.monotonic() + 10
+        deadline = time.monotonic() + 120
         while clock(page.next()) >= resumed:
             assert time.monotonic() < deadline
 
@@ -241,7 +241,7 @@ def test_divergence_is_told_and_nothing_of_it_is_shown() -> None:
     go = threading.Event()
 
     def policy(state: State) -> Any:
-        go.wait(20)
+        go.wait(120)
         return np.zeros(1)
 
     running = Live(PENDULUM, Exploding(), policy)
@@ -354,7 +354,7 @@ def test_slow_pages_miss_frames_but_no_notices() -> None:
     with Server("") as server:
         page = Page(server.url)
         filler = "x" * 2_000_000
-        deadline = time.monotonic() + 10
+        deadline = time.monotonic() + 120
         while not server._clients:
             assert time.monotonic() < deadline
             time.sleep(0.01)

@@ -37,7 +37,7 @@ def _store() -> object:
     )
 
 
-@pytest.mark.parametrize("name", ["default", "paper"])
+@pytest.mark.parametrize("name", ["default", pytest.param("paper", marks=pytest.mark.slow)])
 def test_each_part_learns(name: str) -> None:
     store = _store()
     denoiser = preset(name).denoiser

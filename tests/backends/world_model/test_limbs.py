@@ -134,6 +134,7 @@ def test_the_compiled_step_knows_limbs() -> None:
             np.testing.assert_allclose(ours, theirs.numpy(), atol=2e-4, rtol=1e-3)
 
 
+@pytest.mark.slow  # torch.compile
 def test_compiled_training_is_the_same_training(monkeypatch: pytest.MonkeyPatch) -> None:
     import functools
 

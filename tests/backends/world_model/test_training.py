@@ -105,7 +105,7 @@ def test_two_processes_train_as_one(tmp_path: Path) -> None:
     assert manifest["training"]["processes"] == 2
 
 
-@pytest.mark.parametrize("xml", [PENDULUM, BOX])
+@pytest.mark.parametrize("xml", [PENDULUM, pytest.param(BOX, marks=pytest.mark.slow)])
 def test_a_toy_model_beats_constant_velocity(xml: str, tmp_path: Path) -> None:
     pack = simulate(xml, 24, 40, 2)
     config = toy("default", "0.8x1x256,0.2x4x32ar", train__rate="3e-3")

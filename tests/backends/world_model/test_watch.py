@@ -116,8 +116,19 @@ def test_leaving_the_training_data_is_noticed_at_the_step_it_happens(
     assert np.isinf(np.delete(outside.ravel(), 3 * world + 2)).all()
 
 
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("what", ["speed", "height", "joint", "number"])
+def _compiled(way: str, what: str) -> Any:
+    """A step is compiled for each; one of them by default."""
+    return pytest.mark.slow if way == "native" and what != "joint" else ()
+
+
+@pytest.mark.parametrize(
+    ("way", "what"),
+    [
+        pytest.param(way, what, marks=_compiled(way, what))
+        for way in WAYS
+        for what in ("speed", "height", "joint", "number")
+    ],
+)
 def test_what_no_physics_allows_diverges(folder: Path, way: str, what: str) -> None:
     backend = _backend(folder, way)
 
