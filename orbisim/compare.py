@@ -103,7 +103,9 @@ class Comparison:
         for values in self.error.values():
             finite = np.nan_to_num(values, nan=np.inf, posinf=np.inf)
             level = np.median(finite) or 1.0
-            score = np.maximum(score, finite.max(axis=1) / level)
+            worst = finite.max(axis=1)  # infinite before it is divided by an infinite median
+            score = np.maximum(score, np.where(np.isfinite(worst), worst, 1.0) / level)
+            score[~np.isfinite(worst)] = np.inf
         score[(self.b.trajectory.diverged_at >= 0) | (self.a.trajectory.diverged_at >= 0)] = np.inf
         return int(score.argmax())
 

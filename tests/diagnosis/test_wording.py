@@ -1,0 +1,37 @@
+"""A diagnosis in one sentence."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from orbisim.diagnosis.wording import sentence
+
+
+@pytest.mark.parametrize(
+    ("verdict", "after", "left", "said"),
+    [
+        ("explained", 0.005, 0.997, "starts estimated, 0.997 times the noise is left"),
+        ("explained", 0.0004, 0.997, ""),
+        ("explained", 0.005, None, ""),
+        ("partly_explained", 0.005, 3.0, "something structured remains"),
+    ],
+)
+def test_an_error_far_above_the_noise_is_accounted_for(
+    verdict: Any, after: float, left: float | None, said: str
+) -> None:
+    text = sentence(
+        verdict=verdict,
+        effects=[],
+        retuned=[],
+        error={
+            "unit": "rad",
+            "noise_floor": 0.00028,
+            "held_out": {"before": 0.03, "after": after},
+        },
+        residual={"ratio_to_noise": 51.0, "ratio_after": left},
+        of_sensors=False,
+    )
+    end = text.partition("(measurement noise 0.00028 rad)")[2]
+    assert said in end and (end == "." if not said else end.startswith("; "))
