@@ -3,6 +3,7 @@ MuJoCo and as the diffusion renderer show it."""
 
 from __future__ import annotations
 
+import html
 import sys
 import time
 from pathlib import Path
@@ -13,6 +14,8 @@ import numpy as np
 from orbisim import make_renderer
 from orbisim.cli.main import run
 from orbisim.errors import MissingDependencyError
+from orbisim.files.reading import read_json
+from orbisim.files.writing import write_text
 from orbisim.report.video import difference
 from orbisim.state import State
 from orbisim.tasks.registry import make
@@ -42,14 +45,47 @@ def main() -> int:
         return status
     try:
         strip(OUT / "vision.png")
-        shown = f"{(OUT / 'vision.png').resolve()} (MuJoCo, diffusion, difference)"
+        shown = ""
     except MissingDependencyError as error:  # PyTorch is large; the rest goes without
-        shown = f"no images by the diffusion renderer: {error}"
+        shown = f"No images by the diffusion renderer: {error}"
+        print(shown)
+    page(OUT / "index.html", shown)
     print(f"Done in {time.monotonic() - started:.0f} s. Open in a browser:")
-    for name in (*(scene.partition(":")[2] for scene in SCENES), "diagnosis"):
-        print(f"  {(OUT / name / 'report.html').resolve()}")
-    print(f"  {shown}")
+    print(f"  {(OUT / 'index.html').resolve()}")
     return 0
+
+
+def page(path: Path, no_vision: str) -> None:
+    """A page that links what was made.
+
+    Args:
+      no_vision: why there is no `vision.png` beside it; empty if there is.
+    """
+    found = read_json(OUT / "diagnosis" / "report.json")["sentence"]
+    items = [
+        (f"{scene.partition(':')[2]}/report.html", f"Two engines on {scene}, side by side", "")
+        for scene in SCENES
+    ]
+    items.append(("diagnosis/report.html", "What the arm's scene lacks", found))
+    items.append(("diagnosis/augmented/patch.diff", "The same as a patch of its file", ""))
+    body = "".join(
+        f'<li><a href="{link}">{html.escape(title)}</a><br>{html.escape(text)}</li>'
+        for link, title, text in items
+    )
+    picture = (
+        f"<p>{html.escape(no_vision)}</p>"
+        if no_vision
+        else "<p>A pushed cube at five times: MuJoCo, the diffusion renderer, the difference.</p>"
+        '<img src="vision.png" alt="MuJoCo, diffusion, difference">'
+    )
+    write_text(
+        path,
+        '<!doctype html><html lang="en"><meta charset="utf-8"><title>OrbiSim: the demo</title>'
+        '<meta name="viewport" content="width=device-width">'
+        "<style>body{font:16px/1.5 sans-serif;max-width:46rem;margin:2rem auto;padding:0 1rem}"
+        "img{max-width:100%}li{margin:.6rem 0}</style>"
+        f"<h1>What the demo made</h1><ul>{body}</ul>{picture}</html>\n",
+    )
 
 
 def strip(path: Path) -> None:
