@@ -76,6 +76,19 @@ def attribute(
         return _as_found(found)
 
 
+def _runners_up(found: Found) -> list[Judged]:
+    """What else was surely worth it at first, best first: where the explanation that was taken is
+    not on all windows, another may be."""
+    first = [one for one in found.tried if one.round == 1 and one.gain.sure > 0]
+    first.sort(key=lambda one: -one.gain.total)
+    places = {(e.effect, e.target) for e in found.best.hypothesis.effects}
+    new = [o for o in first if o.last and (o.last.effect, o.last.target) not in places]
+    return [one.judged for one in new[:_RUNNERS_UP]]
+
+
+_RUNNERS_UP = 2
+
+
 def _open(bench: Bench) -> Bench:
     """Without a deadline, for what only reports."""
     return dataclasses.replace(bench, deadline=NEVER)
@@ -95,9 +108,12 @@ def concluded(found: Found, deadline: Deadline) -> Attribution:
     if found.law:
         rejected += [(effect, found.law) for effect in changed.effects]
     elif changed.effects or changed.factors:
-        after = _finally(found, context, found.best, changed) or found.best
-        after = _resized(context, after)
-        after, gains = _sure(context, before, after, rejected)
+        for one in [found.best, *_runners_up(found)]:
+            after = _finally(found, context, one, one.hypothesis) or one
+            after = _resized(context, after)
+            after, gains = _sure(context, before, after, rejected)
+            if after.hypothesis.effects or after.hypothesis.factors:
+                break
     return Attribution(
         _open(found.context.bench), before, after, found.screening, rivals_of(found.tried),
         tuple(2 * one.total for one in gains), tuple(rejected), found.late,

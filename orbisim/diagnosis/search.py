@@ -25,7 +25,7 @@ from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.worth import gains, retuning_costs, worth
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.evidence import Gain
-from orbisim.host.deadline import NEVER, TimeIsUpError
+from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -170,19 +170,23 @@ _EVEN = 0.5
 
 def _best_move(found: Found, number: int) -> tuple[Judged | None, list[Tried], bool]:
     """The explanation that is worth most, if it surely is better; all that were tried; and whether
-    the time was up. Kinds of moves are tried in turns until one reaches the noise."""
+    the time was up. Kinds of moves are tried in turns until one reaches the noise, or a share of
+    the time is over and one is sure: the next round sees more from there."""
     context, current = found.context, found.best
     fitted: list[Judged] = []
     best: Judged | None = None
     late = False
+    until = Deadline.after(_OF_TIME * context.deadline.left)
     for kind in (_added, _retuned, _two, _together):
         try:
             for judged in kind(found, number, fitted):
                 fitted.append(judged)
+                if until.passed and _winner(context, current, fitted) is not None:
+                    break
         except TimeIsUpError:
             late = True
         best = _winner(context, current, fitted)
-        if late or (best is not None and _enough_for_now(context, current, best)):
+        if late or (best is not None and (until.passed or _enough_for_now(context, current, best))):
             break
     return best, _told(context, current, fitted, best, number), late
 
@@ -193,6 +197,8 @@ def _enough_for_now(context: Context, current: Judged, best: Judged) -> bool:
     return done(context, best) or best.loss - _AT_NOISE < _MUCH * (current.loss - _AT_NOISE)
 
 
+_OF_TIME = 0.2
+"""Share of the time left that a round may take to look for more than one sure move."""
 _AT_NOISE = float(np.log(2.0))
 _MUCH = 0.5
 

@@ -29,7 +29,8 @@ def gains(bench: Bench, before: Judged, others: Sequence[Judged]) -> list[Gain]:
 
     Windows that parameters were fitted to count, too; each fitted number of an effect costs half
     the logarithm of the number of independent data (Laplace's approximation of the evidence, with a
-    prior worth one datum). How many are independent, what the best of them leaves says.
+    prior worth one datum), and so does, in each window, the state of a joint that an effect adds.
+    How many are independent, what the best of them leaves says.
 
     Args:
       bench: the data. before, others: judged on the same windows.
@@ -40,10 +41,15 @@ def gains(bench: Bench, before: Judged, others: Sequence[Judged]) -> list[Gain]:
     size = np.concatenate([np.maximum(share * _data(fit), 1.0) for fit in fits])
     blocks = Blocks(size, np.zeros(len(size), np.int64), np.ones(len(size)))
     data = max(float(size.sum()), 2.0)
-    known = _squares(before, len(size)), log_prior(bench, before, data)
+    starts = 0.5 * float(np.log(size).sum())  # of one number more in each window
+
+    def odds(one: Judged) -> float:
+        hidden = one.fit.start.shape[1] - 2 * bench.scene.model.nv
+        return log_prior(bench, one, data) - hidden * starts
+
+    known = _squares(before, len(size)), odds(before)
     return [
-        gain(known[0], _squares(one, len(size)), blocks, log_prior(bench, one, data) - known[1])
-        for one in others
+        gain(known[0], _squares(one, len(size)), blocks, odds(one) - known[1]) for one in others
     ]
 
 
