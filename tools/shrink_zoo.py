@@ -3,7 +3,8 @@
     python tools/shrink_zoo.py --zoo ZOO --data DATA --out OUT [--only push,ball] [--bits 8]
 
 DATA has some of what tools/collect_all.py collects for training; a twenty-fifth is enough
-(`--scale 0.04`). Whether nothing is lost, tools/eval_dynamics.py --tails says of both folders.
+(`--scale 0.04`). Without, weights are rounded to the nearest. Whether nothing is lost,
+tools/eval_dynamics.py --tails says of both folders.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ def main() -> int:
     """Prints a line of JSON for each checkpoint."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--zoo", type=Path, required=True)
-    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--data", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--only", help="names; all of the zoo by default")
     parser.add_argument("--bits", type=int, default=8)
@@ -37,7 +38,7 @@ def main() -> int:
     for name in options.only.split(",") if options.only else known:
         began, source, target = time.monotonic(), options.zoo / name, options.out / name
         parts = tuple(f"{part}_train" for part in train_all.JOBS[name].data)
-        packs = train_all.read_named(options.data, parts)
+        packs = train_all.read_named(options.data, parts) if options.data else None
         shutil.copytree(source, target, dirs_exist_ok=True)
         save_in_few_bits(source, target, packs, options.bits)
         sizes = [(folder / WEIGHTS).stat().st_size for folder in (source, target)]

@@ -77,7 +77,8 @@ def save_checkpoint(
             if name in few:
                 tensors |= few[name].tensors(prefix + name)
             elif not (number and _is_shared(name)):
-                tensors[prefix + name] = _stored(name, tensor)
+                exact = tensor.detach().cpu().contiguous()  # vectors: they cost little
+                tensors[prefix + name] = exact if few else _stored(name, tensor)
     header = {
         "schema": SCHEMA,
         "model": dataclasses.asdict(model.config),

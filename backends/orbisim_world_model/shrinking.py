@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import nn
 
 from orbisim.errors import InputError
 from orbisim_world_model.calibration import calibrated
@@ -16,6 +17,7 @@ from orbisim_world_model.manifest import read_manifest, variants
 from orbisim_world_model.network.coupling import Block
 from orbisim_world_model.network.objects import ObjectCentricNetwork
 from orbisim_world_model.pack import Pack
+from orbisim_world_model.quantization import Quantized, quantized
 from orbisim_world_model.sampling import Windows, generator_of
 
 _LENGTH, _SEQUENCES = 8, 1500
@@ -23,13 +25,18 @@ _LENGTH, _SEQUENCES = 8, 1500
 
 
 def save_in_few_bits(
-    source: str | Path, target: str | Path, packs: Sequence[Pack], bits: int, seed: int = 0
+    source: str | Path,
+    target: str | Path,
+    packs: Sequence[Pack] | None,
+    bits: int,
+    seed: int = 0,
 ) -> None:
     """Writes a checkpoint again with its networks' matrices in few bits.
 
     Args:
       source, target: folders, which may be one. What else there is in `source` is not copied.
-      packs: episodes like those it was trained on, of each of its robots.
+      packs: episodes like those it was trained on, of each of its robots; None to round each
+        weight to the nearest, which with 14 bits and more is less than half precision does.
       bits: of a weight (see `quantization.BITS`). seed: of the draw among the episodes.
 
     Raises:
@@ -38,7 +45,7 @@ def save_in_few_bits(
     """
     manifest = read_manifest(source)
     count = len(variants(manifest))
-    if len(packs) != count:
+    if packs is not None and len(packs) != count:
         raise InputError(f"{source}: knows {count} robots; got episodes of {len(packs)}")
     models = [load_checkpoint(source, variant=number).model for number in range(count)]
     if models[0].config.kind != "objects" or models[0].config.memory != "none":
@@ -47,8 +54,11 @@ def save_in_few_bits(
         model.share(models[0])
     remove_unused(models)
     networks = [model.network for model in models]
-    runs = [_run(model, pack, seed) for model, pack in zip(models, packs, strict=True)]
-    matrices = calibrated(networks, runs, bits)
+    if packs is None:
+        matrices = _nearest(networks, bits)
+    else:
+        runs = [_run(model, pack, seed) for model, pack in zip(models, packs, strict=True)]
+        matrices = calibrated(networks, runs, bits)
     named = [{f"network.{name}": m for name, m in each.items()} for each in matrices]
     save_checkpoint(Path(target), models, manifest, named)
 
@@ -83,6 +93,18 @@ def remove_unused(models: Sequence[Dynamics]) -> None:
             block.qkv.bias[: 2 * width] = 0.0
         for parameter in lead.object_condition.parameters():
             parameter.zero_()
+
+
+def _nearest(networks: Sequence[nn.Module], bits: int) -> list[dict[str, Quantized]]:
+    """The matrices of each network's linear layers; those that are shared stand in the first."""
+    found: list[dict[str, Quantized]] = []
+    done: set[nn.Module] = set()
+    for network in networks:
+        layers = {n: m for n, m in network.named_modules() if isinstance(m, nn.Linear)}
+        new = {name: layer for name, layer in layers.items() if layer not in done}
+        found.append({f"{n}.weight": quantized(m.weight, bits) for n, m in new.items()})
+        done |= set(new.values())
+    return found
 
 
 @torch.no_grad()  # type: ignore[untyped-decorator]

@@ -56,6 +56,18 @@ def test_few_bits_give_nearly_the_same_step(
     assert ((error - change).abs() / scale).max() < 3e-3
 
 
+def test_nearest_in_many_bits_changes_less_than_half_precision(tmp_path: Path) -> None:
+    save_in_few_bits(ZOO / "cubes", tmp_path / "small", None, 14)
+    for variant in (0, 1):
+        before, after = (
+            load_checkpoint(folder, variant=variant).model.state_dict()
+            for folder in (ZOO / "cubes", tmp_path / "small")
+        )
+        name = "network.f_cp.blocks.0.mix.0.weight"
+        off = (before[name] - after[name]).abs().max()
+        assert 0 < off < 2.0**-13 * before[name].abs().max()
+
+
 def test_what_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="knows 2 robots; got episodes of 1"):
         save_in_few_bits(ZOO / "cubes", tmp_path, [None], 8)  # type: ignore[list-item]
