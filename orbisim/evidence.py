@@ -26,6 +26,8 @@ Ints = npt.NDArray[np.int64]
 
 FREEDOM = 4.0
 """Degrees of freedom of Student's t: the fewest with a finite variance of squares."""
+NEAR = 1.5
+"""What is left over the noise up to which it counts as noise."""
 EFFECT = -3.0
 """Logarithm of the prior odds of an effect at a target, e^-3 = 1 in 20: of some dozens that are
 possible on a machine few are there."""

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
-from orbisim.diagnosis.context import NEAR, Context, Progress
+from orbisim.diagnosis.context import Context, Progress
 from orbisim.diagnosis.found import Rival
 from orbisim.diagnosis.refine import Judged
 from orbisim.diagnosis.search import Found, Tried, search
@@ -14,7 +14,7 @@ from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.worth import worth
 from orbisim.effects import EffectInstance, find
-from orbisim.evidence import Gain
+from orbisim.evidence import NEAR, Gain
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.motion.samples import Samples
 

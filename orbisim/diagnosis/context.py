@@ -17,14 +17,12 @@ from orbisim.diagnosis.screening import missing_force, screen
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.suspects import Screening, merged
 from orbisim.effects import EffectInstance, find
+from orbisim.evidence import NEAR
 from orbisim.host.deadline import Deadline
 from orbisim.motion.linear import Intervals, linearize
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
-
-NEAR = 1.5
-"""Residual over noise up to which what is left counts as noise."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ from orbisim.diagnosis.settings import Settings
 from orbisim.effects import find
 from orbisim.effects.confounds import advice, standing
 from orbisim.effects.estimate import Estimate, FoundEffect
-from orbisim.evidence import Gain, probabilities
+from orbisim.evidence import NEAR, Gain, probabilities
 from orbisim.recording import Recording
 from orbisim.recording.joints import joints
 from orbisim.scene import Scene
@@ -41,13 +41,11 @@ def verdict_of(found: Attribution, settings: Settings) -> Verdict:
         return "unexplained" if _significant(found, settings) else "no_residual"
     return (
         "explained"
-        if after.ratio <= max(_FLOOR, enough(settings, before))
+        if after.ratio <= max(NEAR, enough(settings, before))
         else ("partly_explained" if hypothesis.effects else "unexplained")
     )
 
 
-_FLOOR = 1.5
-"""Residual over noise up to which what is left counts as noise."""
 _FAINT = 1.15
 """Residual over noise up to which a residual that nothing explains is not called significant."""
 

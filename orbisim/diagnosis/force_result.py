@@ -16,6 +16,7 @@ from orbisim.diagnosis.found import Alternative, Verdict
 from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects.confounds import standing
+from orbisim.evidence import NEAR
 from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.force import force_residual
 from orbisim.motion.samples import Samples, prepare_all
@@ -29,7 +30,6 @@ METRIC = (
     "root mean squared norm of the generalized force that the scene does not account for, by "
     "inverse dynamics along the measured motion"
 )
-_FLOOR = 1.5
 
 
 def diagnose_forces(
@@ -112,7 +112,7 @@ class _Errors:
 def _verdict(found: ForceAttribution, settings: Settings) -> Verdict:
     if not found.hypothesis.effects:
         return "unexplained" if found.ratio > settings.enough else "no_residual"
-    return "explained" if found.ratio_after <= _FLOOR else "partly_explained"
+    return "explained" if found.ratio_after <= NEAR else "partly_explained"
 
 
 def _residual(scene: Scene, found: ForceAttribution, settings: Settings) -> dict[str, Any]:

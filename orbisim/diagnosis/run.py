@@ -25,7 +25,6 @@ from orbisim.diagnosis.bench import (
 from orbisim.diagnosis.checks import coarse_timestep, disabled
 from orbisim.diagnosis.conclusion import Attribution, attribute
 from orbisim.diagnosis.consistency import inconsistency
-from orbisim.diagnosis.context import NEAR
 from orbisim.diagnosis.findings import (
     alternatives_of,
     candidates_of,
@@ -50,6 +49,7 @@ from orbisim.diagnosis.shooting import Shooter
 from orbisim.diagnosis.windows import Windows
 from orbisim.effects import add_effects, find
 from orbisim.errors import InputError
+from orbisim.evidence import NEAR
 from orbisim.host.deadline import Deadline
 from orbisim.host.engine_log import engine_warnings, ignore
 from orbisim.host.progress import status

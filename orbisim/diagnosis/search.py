@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from orbisim.diagnosis.bench import Bench, Hypothesis
-from orbisim.diagnosis.context import NEAR, Context, Progress, begun
+from orbisim.diagnosis.context import Context, Progress, begun
 from orbisim.diagnosis.joint import propose
 from orbisim.diagnosis.proposals import additions, begin, exchanges, laws, merged, pairs
 from orbisim.diagnosis.refine import Judge, Judged, is_structural
@@ -24,7 +24,7 @@ from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.worth import gains, retuning_costs, worth
 from orbisim.effects import EffectInstance, effect_names, find
-from orbisim.evidence import Gain
+from orbisim.evidence import NEAR, Gain
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 
 

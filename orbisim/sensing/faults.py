@@ -12,15 +12,13 @@ import numpy.typing as npt
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.effects.base import AXES
 from orbisim.effects.estimate import Estimate, FoundEffect
-from orbisim.evidence import EFFECT, Blocks, Gain, gain, independent_share
+from orbisim.evidence import EFFECT, NEAR, Blocks, Gain, gain, independent_share
 from orbisim.recording.sensors import Sensor
 from orbisim.sensing.forms import Fitted, SensorData, fit_form, left_over
 from orbisim.sensing.readings import Readings
 
 Floats = npt.NDArray[np.float64]
 
-NEAR = 1.5
-"""What is left over the noise up to which it counts as noise."""
 _MOST_LEFT = 0.35
 """Share of a sensor's error that a name for it may leave: for the smaller part of what is wrong it
 would be a wrong name."""
