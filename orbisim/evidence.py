@@ -92,7 +92,7 @@ def scales(squares: Floats, blocks: Blocks) -> Floats:
     return found
 
 
-_ROUNDS = 25
+_ROUNDS = 25  # of reweighting, which hardly moves after the first few
 
 
 def weights(squares: Floats, blocks: Blocks) -> Floats:

@@ -25,7 +25,7 @@ CENTRES, NEIGHBOURS = 64, 24
 """Places at which the first layer looks, and how many points each sees."""
 TOKEN = 64
 """Numbers of a token: the shape's features, the logarithm of its size and its centre."""
-_OWN = 4
+_OWN = 4  # the size and the centre
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -22,7 +22,9 @@ Floats = npt.NDArray[np.float64]
 _MOST_LEFT = 0.35
 """Share of a sensor's error that a name for it may leave: for the smaller part of what is wrong it
 would be a wrong name."""
+# stretches of the recordings that are compared: more would be too short to stand alone
 _STRETCHES = 24
+# readings, with and without a suspect, below which nothing is compared
 _FEWEST = 20
 
 

@@ -15,9 +15,13 @@ from orbisim.sensing.readings import Readings
 
 Floats = npt.NDArray[np.float64]
 
+# s: a delay that is looked for is at most so long
 _LONGEST = 0.3
+# readings one after the other that can be shifted against a motion
 _SHORTEST_RUN = 12
+# beyond them only each second, third ... is taken: a fault shows in fewer
 _MOST_ROWS = 6_000
+# delays that are tried, before the best is refined
 _GRID = 61
 
 

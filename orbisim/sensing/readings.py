@@ -26,6 +26,7 @@ from orbisim.scene import Scene
 Floats = npt.NDArray[np.float64]
 
 _UNPREDICTABLE = frozenset({"TOUCH", "CONTACT", "USER", "PLUGIN", "CLOCK", "TACTILE"})
+# readings of a sensor below which its noise is not known
 _FEWEST = 30
 _ACCELERATION = int(mujoco.mjtStage.mjSTAGE_ACC)
 
