@@ -69,7 +69,7 @@ def calls() -> dict[tuple[str, str], set[str]]:
     """For each tool and subcommand the options that documents use."""
     found: dict[tuple[str, str], set[str]] = {}
     for tool, *words in commands():
-        command = words[0] if words and tool.endswith(("blind_trials.py", "rig_trials.py")) else ""
+        command = words[0] if words and tool.endswith("_trials.py") else ""
         own = itertools.takewhile(lambda word: word != "--", words)  # another command follows
         used = {word.split("=")[0] for word in own if word.startswith("--")}
         found.setdefault((tool, command), set()).update(used)
