@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 import mujoco
 import numpy as np
 
-from orbisim.effects.base import spec_element
+from orbisim.effects.base import joint_unit, spec_element
 from orbisim.errors import InputError, UnknownNameError
 from orbisim.scene import Scene
 
@@ -40,12 +40,18 @@ class Parameter:
 
 @dataclasses.dataclass(frozen=True)
 class _Kind:
+    """unit: of a joint's property that of a hinge; along: of the same for a slide."""
+
     unit: str
     low: float
     high: float
     read: Callable[[mujoco.MjModel, str], float]
     write: Callable[[mujoco.MjSpec, mujoco.MjModel, str, float], None]
-    of_joint: bool = False
+    along: str = ""
+
+    @property
+    def of_joint(self) -> bool:
+        return bool(self.along)
 
 
 def parameters(scene: Scene, wanted: str | Sequence[str]) -> tuple[Parameter, ...]:
@@ -97,7 +103,8 @@ def _parameter(model: mujoco.MjModel, name: str, target: str) -> Parameter:
     kind = KINDS[name]
     value = max(kind.read(model, target), _LEAST.get(name, 0.0))
     low, high = (kind.low, kind.high) if kind.high else (value / 10, value * 10)
-    return Parameter(name, target, kind.unit, value, low, high)
+    unit = joint_unit(model, target, kind.unit, kind.along) if kind.of_joint else kind.unit
+    return Parameter(name, target, unit, value, low, high)
 
 
 def _targets(model: mujoco.MjModel, kind: _Kind) -> list[str]:
@@ -182,7 +189,7 @@ def _write_density(spec: mujoco.MjSpec, model: mujoco.MjModel, target: str, valu
     _write_mass(spec, model, target, value * _volume(model, target))
 
 
-def _of_joint(field: str, unit: str) -> _Kind:
+def _of_joint(field: str, unit: str, along: str) -> _Kind:
     """A number of joints."""
 
     def read(model: mujoco.MjModel, target: str) -> float:
@@ -200,7 +207,7 @@ def _of_joint(field: str, unit: str) -> _Kind:
         else:
             setattr(joint, field, value)
 
-    return _Kind(unit, 1e-7, 1e3, read, write, of_joint=True)
+    return _Kind(unit, 1e-7, 1e3, read, write, along)
 
 
 KINDS: dict[str, _Kind] = {
@@ -208,11 +215,11 @@ KINDS: dict[str, _Kind] = {
     "density": _Kind("kg/m^3", 10.0, 20_000.0, _read_density, _write_density),
     "mass": _Kind("kg", 0.0, 0.0, _read_mass, _write_mass),
     **{
-        name: _of_joint(name, unit)
-        for name, unit in (
-            ("damping", "N*m*s/rad or N*s/m"),
-            ("frictionloss", "N*m or N"),
-            ("armature", "kg*m^2 or kg"),
+        name: _of_joint(name, unit, along)
+        for name, unit, along in (
+            ("damping", "N*m*s/rad", "N*s/m"),
+            ("frictionloss", "N*m", "N"),
+            ("armature", "kg*m^2", "kg"),
         )
     },
 }

@@ -38,6 +38,7 @@ def test_declared_values_and_patched_scenes() -> None:
     assert edited.dof_damping[before.jnt_dofadr[joint]] == 0.5
     assert edited.dof_armature[before.jnt_dofadr[joint]] == 0.01
     assert isinstance(edited, mujoco.MjModel)
+    assert [p.unit for p in wanted] == ["1", "kg/m^3", "N*m*s/rad", "kg*m^2"]
     # what is not named stays
     assert edited.geom_friction[before.geom("box").id, 0] == 0.3
 
