@@ -98,7 +98,8 @@ def diagnose(
         generalized force that is missing along the measured motion by inverse dynamics. If None,
         the forces of an arm of three joints or more at which all forces are known (torques, or
         controls of actuators without dynamics) and that touches nothing, if they show as many
-        effects as joints: free runs of such a machine drift off at once. Else the motion.
+        effects as joints: free runs of such a machine drift off at once. Else the motion or, where
+        free runs show no effect, what the forces did show.
       backend: what the free-running errors are computed with; the search simulates with C MuJoCo.
       settings: of the search.
       learn_rest: where no effect explains the residual, or not all of it, whether to fit a neural
