@@ -98,8 +98,8 @@ def diagnose(
         generalized force that is missing along the measured motion by inverse dynamics. If None,
         the forces of an arm of three joints or more at which all forces are known (torques, or
         controls of actuators without dynamics) and that touches nothing, if they show as many
-        effects as joints: free runs of such a machine drift off at once. Else the motion or, if
-        that is not explained and more of the forces is, the forces.
+        effects as joints: free runs of such a machine drift off at once. Else the motion or, where
+        free runs show no effect, what the forces did show.
       backend: what the free-running errors are computed with; the search simulates with C MuJoCo.
       settings: of the search.
       learn_rest: where no effect explains the residual, or not all of it, whether to fit a neural
@@ -147,27 +147,13 @@ def diagnose(
             result = _by_motion(
                 loaded, named, fit, held, settings, chosen, backend, learn_rest, notes, say, start
             )
-            if forces is not None and forces_say_more(forces, result):
-                told = "effects explain less of free runs than of the forces, which are shown"
+            if forces is not None and forces.effects and not result.effects:
+                told = "free runs show no effect surely: the forces are explained instead"
                 result = dataclasses.replace(forces, notes=(*forces.notes, told))
         if out is not None:
             say("writing the report")
             result.save(out)
     return result
-
-
-def forces_say_more(forces: Diagnosis, motion: Diagnosis) -> bool:
-    """Whether the effects that forces show take a larger share of their residual away than those
-    that free runs show take of theirs."""
-    if not forces.effects or motion.verdict == "explained":
-        return False
-    return not motion.effects or _share_left(forces) < _share_left(motion)
-
-
-def _share_left(diagnosis: Diagnosis) -> float:
-    """Error on the recordings that were fitted, over that of the declared scene."""
-    error = diagnosis.error["fit"]
-    return float(error["after"] / error["before"])
 
 
 def _by_motion(

@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ import pytest
 import orbisim
 from orbisim.diagnosis.force_data import ForceData
 from orbisim.diagnosis.force_result import _implausible
-from orbisim.diagnosis.run import forces_say_more
 from orbisim.effects import EffectInstance
 from orbisim.errors import InputError
 from orbisim.recording import Recording
@@ -81,24 +79,3 @@ def test_refuses_an_unknown_residual(arm: orbisim.Scene) -> None:
 def test_a_learned_rest_belongs_to_the_motion(arm: orbisim.Scene) -> None:
     with pytest.raises(InputError, match="learn_rest goes with residual='motion'"):
         orbisim.diagnose(arm, recorded(arm), residual="force", learn_rest=True, progress=False)
-
-
-@pytest.mark.parametrize(
-    ("effects", "verdict", "left", "forces_win"),
-    [
-        ((), "unexplained", 1.0, True),
-        (("viscous_damping",), "partly_explained", 0.99, True),
-        (("viscous_damping",), "partly_explained", 0.2, False),
-        (("viscous_damping",), "explained", 0.99, False),
-    ],
-)
-def test_what_takes_more_of_its_residual_away_answers(
-    effects: tuple[str, ...], verdict: str, left: float, forces_win: bool
-) -> None:
-    def told(names: tuple[str, ...], verdict: str, left: float) -> Any:
-        error = {"fit": {"before": 2.0, "after": 2.0 * left}}
-        return SimpleNamespace(effects=names, verdict=verdict, error=error)
-
-    forces = told(("coulomb_friction",), "partly_explained", 0.4)
-    assert forces_say_more(forces, told(effects, verdict, left)) is forces_win
-    assert not forces_say_more(told((), "unexplained", 1.0), told(effects, verdict, left))
