@@ -39,7 +39,8 @@ LAYERS = (
     {"recording"},
     {"effects"},
     {"motion", "evidence"},
-    {"sensing"},
+    {"sensing", "shooting"},
+    {"learned_rest"},
     # what takes the five nouns and gives a result
     {"freerun"},
     {"scores"},

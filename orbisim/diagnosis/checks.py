@@ -7,10 +7,10 @@ import copy
 import mujoco
 import numpy as np
 
-from orbisim.diagnosis.bench import Bench
-from orbisim.diagnosis.shooting import Variant
 from orbisim.effects import effect_names, find
 from orbisim.scene import Scene
+from orbisim.shooting.bench import Bench
+from orbisim.shooting.shooter import Variant
 
 
 def coarse_timestep(bench: Bench, residual: float) -> str | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-from orbisim.diagnosis.bench import Bench, Hypothesis
 from orbisim.diagnosis.context import Context, Progress
 from orbisim.diagnosis.found import Rival
 from orbisim.diagnosis.refine import Judged
@@ -17,6 +16,8 @@ from orbisim.effects import EffectInstance, find
 from orbisim.evidence import NEAR, Gain
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.motion.samples import Samples
+from orbisim.shooting.bench import Bench
+from orbisim.shooting.hypothesis import Hypothesis
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

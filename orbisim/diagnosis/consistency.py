@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.bench import Bench
 from orbisim.diagnosis.refine import Judged, thinned
 from orbisim.effects import find
 from orbisim.effects.base import index_of, is_scalar_joint
+from orbisim.shooting.bench import Bench
 
 Floats = npt.NDArray[np.float64]
 

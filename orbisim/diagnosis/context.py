@@ -8,18 +8,18 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.along import along, tame
-from orbisim.diagnosis.bench import Bench
 from orbisim.diagnosis.nuisance import factor_columns
 from orbisim.diagnosis.refine import Judge, Judged, is_structural
-from orbisim.diagnosis.retune import Tunable, tunables
-from orbisim.diagnosis.screening import missing_force, screen
+from orbisim.diagnosis.screening import screen
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.suspects import Screening, merged
 from orbisim.effects import EffectInstance, find
 from orbisim.evidence import NEAR
 from orbisim.host.deadline import Deadline
-from orbisim.motion.linear import Intervals, linearize
+from orbisim.motion.linear import Intervals, linearize, missing_force
+from orbisim.shooting.along import along, tame
+from orbisim.shooting.bench import Bench
+from orbisim.shooting.retune import Tunable, tunables
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -98,7 +98,7 @@ class Context:
         only, hypothesis = self.settings.effects, judged.hypothesis
         fitted = None
         if self.bench.contacts and not is_structural(hypothesis):
-            fitted = along(self.bench, judged)
+            fitted = along(self.bench, hypothesis, judged.windows, judged.fit.start)
         if fitted is None:
             return screen(self.bench, hypothesis, self.intervals, only, self.columns)
         bench, numbers = tame(fitted[0]), fitted[1]

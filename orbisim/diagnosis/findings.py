@@ -9,10 +9,7 @@ import mujoco
 import numpy as np
 
 from orbisim.backend import Backend
-from orbisim.diagnosis.bench import Bench, Hypothesis, Noise
 from orbisim.diagnosis.conclusion import Attribution
-from orbisim.diagnosis.confidence import confidence
-from orbisim.diagnosis.fits import Fit
 from orbisim.diagnosis.found import (
     Alternative,
     Candidate,
@@ -31,6 +28,10 @@ from orbisim.recording import Recording
 from orbisim.recording.joints import joints
 from orbisim.scene import Scene
 from orbisim.sensing.faults import Sensed
+from orbisim.shooting.bench import Bench, Noise
+from orbisim.shooting.confidence import confidence
+from orbisim.shooting.fits import Fit
+from orbisim.shooting.hypothesis import Hypothesis
 
 
 def verdict_of(found: Attribution, settings: Settings) -> Verdict:

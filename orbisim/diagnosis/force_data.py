@@ -9,8 +9,6 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.bench import Hypothesis
-from orbisim.diagnosis.regress import Normal, normal_of
 from orbisim.effects import effect_names, find
 from orbisim.effects.screening import Candidate
 from orbisim.errors import InputError
@@ -20,6 +18,8 @@ from orbisim.motion.linear import IntervalMap
 from orbisim.motion.regressors import MotionView
 from orbisim.motion.samples import Samples
 from orbisim.scene import Scene
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.regress import Normal, normal_of
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.findings import effects_of, noise_of, suspected
 from orbisim.diagnosis.force_search import ForceAttribution, attribute_forces
 from orbisim.diagnosis.found import Alternative, Verdict
@@ -23,6 +22,7 @@ from orbisim.motion.samples import Samples, prepare_all
 from orbisim.recording import Recording
 from orbisim.recording.joints import Joint, joints
 from orbisim.scene import Scene
+from orbisim.shooting.hypothesis import Hypothesis
 
 Floats = npt.NDArray[np.float64]
 

@@ -16,8 +16,6 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.bench import Hypothesis
-from orbisim.diagnosis.fits import Fit
 from orbisim.diagnosis.force_data import (
     ForceData,
     candidates,
@@ -37,6 +35,8 @@ from orbisim.evidence import Gain
 from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.samples import Samples, extent
 from orbisim.scene import Scene
+from orbisim.shooting.fits import Fit
+from orbisim.shooting.hypothesis import Hypothesis
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str], None]

@@ -11,7 +11,6 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.bench import Hypothesis, clean
 from orbisim.diagnosis.context import Context
 from orbisim.diagnosis.refine import Judged, is_structural
 from orbisim.diagnosis.screening import bounded_instance, cleaned
@@ -19,6 +18,7 @@ from orbisim.diagnosis.suspects import Suspect, in_turns
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.host.deadline import Deadline
 from orbisim.scene import Scene
+from orbisim.shooting.hypothesis import Hypothesis, clean
 
 
 class Candidate(NamedTuple):

@@ -7,15 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.bench import Bench, Hypothesis
-from orbisim.diagnosis.holding import holding
-from orbisim.diagnosis.screening import bounded_instance, candidates_of, missing_force
+from orbisim.diagnosis.screening import bounded_instance, candidates_of
 from orbisim.diagnosis.selection import Group, Selected, data_of, groups_of, select
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.evidence import Blocks, independent_share
-from orbisim.motion.linear import Intervals
+from orbisim.motion.linear import Intervals, missing_force
 from orbisim.motion.regressors import MotionView
 from orbisim.motion.samples import extent
+from orbisim.shooting.bench import Bench
+from orbisim.shooting.holding import holding
+from orbisim.shooting.hypothesis import Hypothesis
 
 Floats = npt.NDArray[np.float64]
 

@@ -9,12 +9,13 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.bench import Bench, Hypothesis
-from orbisim.diagnosis.regress import Normal, fit, profiled
-from orbisim.diagnosis.retune import Tunable, retuned
 from orbisim.effects import find
 from orbisim.effects.screening import Column
 from orbisim.motion.linear import IntervalMap
+from orbisim.shooting.bench import Bench
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.regress import Normal, fit, profiled
+from orbisim.shooting.retune import Tunable, retuned
 
 Floats = npt.NDArray[np.float64]
 

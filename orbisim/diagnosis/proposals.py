@@ -14,7 +14,6 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.bench import Hypothesis, clean
 from orbisim.diagnosis.context import Context
 from orbisim.diagnosis.glances import Candidate, generalizations, shortlist, usual
 from orbisim.diagnosis.refine import Judged, is_structural
@@ -26,6 +25,7 @@ from orbisim.effects.unnamed import UNNAMED
 from orbisim.errors import OrbiSimError
 from orbisim.motion.linear import linearize
 from orbisim.scene import Scene
+from orbisim.shooting.hypothesis import Hypothesis, clean
 
 Floats = npt.NDArray[np.float64]
 

@@ -9,16 +9,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.bench import Bench, Hypothesis
-from orbisim.diagnosis.fits import Fit, Hints
-from orbisim.diagnosis.gauss_newton import gauss_newton, start_derivatives
-from orbisim.diagnosis.one_run import Own, glanced, own_slopes
-from orbisim.diagnosis.retune import Tunable
-from orbisim.diagnosis.shooting import Shooter, Variant
-from orbisim.diagnosis.windows import Windows
 from orbisim.effects import find
 from orbisim.errors import OrbiSimError
 from orbisim.motion.linear import Intervals, linearize
+from orbisim.shooting.bench import Bench
+from orbisim.shooting.fits import Fit, Hints
+from orbisim.shooting.gauss_newton import gauss_newton, start_derivatives
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.one_run import Own, glanced, own_slopes
+from orbisim.shooting.retune import Tunable
+from orbisim.shooting.shooter import Shooter, Variant
+from orbisim.shooting.windows import Windows
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]

@@ -18,11 +18,11 @@ from orbisim import plugins
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.force_search import ForceAttribution
 from orbisim.diagnosis.found import Alternative, Candidate, Retuned, Verdict
-from orbisim.diagnosis.rest import Rest
 from orbisim.diagnosis.wording import sentence
 from orbisim.effects.carry import save_with_effects
 from orbisim.effects.estimate import FoundEffect
 from orbisim.files.writing import make_folder, write_json, write_text
+from orbisim.learned_rest.result import Rest
 from orbisim.recording import Recording
 from orbisim.recording.joints import Kind, joints
 from orbisim.recording.sensors import sensors

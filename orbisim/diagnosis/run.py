@@ -14,14 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.backend import Backend
-from orbisim.diagnosis.bench import (
-    Bench,
-    Hypothesis,
-    Noise,
-    make_bench,
-    touches,
-    windows_enough,
-)
 from orbisim.diagnosis.checks import coarse_timestep, disabled
 from orbisim.diagnosis.conclusion import Attribution, attribute
 from orbisim.diagnosis.consistency import inconsistency
@@ -45,8 +37,6 @@ from orbisim.diagnosis.rest import learn_rest as learn
 from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.scoring import score
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.shooting import Shooter
-from orbisim.diagnosis.windows import Windows
 from orbisim.effects import add_effects, find
 from orbisim.errors import InputError
 from orbisim.evidence import NEAR
@@ -67,6 +57,11 @@ from orbisim.sensing.readings import (
     smoothed_readings,
     usable_sensors,
 )
+from orbisim.shooting.bench import Bench, Noise, make_bench
+from orbisim.shooting.cutting import touches, windows_enough
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.shooter import Shooter
+from orbisim.shooting.windows import Windows
 
 Source = Recording | str | Path
 

@@ -10,17 +10,18 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.bench import Bench, Hypothesis, clean, completed
 from orbisim.diagnosis.nuisance import Apart, levelled, own_columns
-from orbisim.diagnosis.regress import Normal, fit, normal_equations, profiled, total
-from orbisim.diagnosis.retune import SPREAD
 from orbisim.diagnosis.suspects import Screening, Suspect, in_turns, key_of
 from orbisim.effects import EffectInstance, add_effects, effect_names, find
 from orbisim.effects.screening import Candidate, Column, Solve
 from orbisim.errors import OrbiSimError
-from orbisim.motion.linear import IntervalMap, Intervals
+from orbisim.motion.linear import IntervalMap, Intervals, missing_force
 from orbisim.motion.regressors import MotionView
 from orbisim.scene import Scene
+from orbisim.shooting.bench import Bench
+from orbisim.shooting.hypothesis import Hypothesis, clean, completed
+from orbisim.shooting.regress import Normal, fit, normal_equations, profiled, total
+from orbisim.shooting.retune import SPREAD
 
 Floats = npt.NDArray[np.float64]
 
@@ -80,19 +81,6 @@ def screen(
         tuned=tuple(tuned),
         pairs=tuple(_pairs(found, normal, bench)),
     )
-
-
-def missing_force(intervals: Intervals) -> Floats:
-    """The constant generalized force over each interval that fits its defect best, [N, nv].
-
-    Weighted by what a force does to velocities: positions hardly move within an interval.
-    """
-    nv = intervals.B.shape[2]
-    b, d = intervals.B[:, nv:], intervals.defect[:, nv:]
-    force = np.full((len(d), nv), np.nan)
-    good = intervals.usable
-    force[good] = np.linalg.solve(b[good], d[good][..., None])[..., 0]
-    return force
 
 
 def candidates_of(

@@ -14,7 +14,6 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from orbisim.diagnosis.bench import Bench, Hypothesis
 from orbisim.diagnosis.context import Context, Progress, begun
 from orbisim.diagnosis.joint import propose
 from orbisim.diagnosis.proposals import additions, begin, exchanges, laws, merged, pairs
@@ -26,6 +25,8 @@ from orbisim.diagnosis.worth import gains, retuning_costs, worth
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.evidence import NEAR, Gain
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
+from orbisim.shooting.bench import Bench
+from orbisim.shooting.hypothesis import Hypothesis
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

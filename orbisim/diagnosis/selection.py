@@ -18,11 +18,11 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.regress import Normal, fit, profiled
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.screening import Candidate
 from orbisim.evidence import EFFECT, Blocks, Gain, gain, weights
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
+from orbisim.shooting.regress import Normal, fit, profiled
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

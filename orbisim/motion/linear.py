@@ -193,3 +193,16 @@ def _force_scale(flow: IntervalMap) -> Floats:
     """Forces that change velocities by about `_EPS` over an interval."""
     inertia = np.maximum(np.asarray(flow.model.dof_M0), 1e-9)
     return _EPS * inertia / float(np.median(flow.duration))
+
+
+def missing_force(intervals: Intervals) -> Floats:
+    """The constant generalized force over each interval that fits its defect best, [N, nv].
+
+    Weighted by what a force does to velocities: positions hardly move within an interval.
+    """
+    nv = intervals.B.shape[2]
+    b, d = intervals.B[:, nv:], intervals.defect[:, nv:]
+    force = np.full((len(d), nv), np.nan)
+    good = intervals.usable
+    force[good] = np.linalg.solve(b[good], d[good][..., None])[..., 0]
+    return force

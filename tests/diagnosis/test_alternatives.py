@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.findings import alternatives_of
 from orbisim.diagnosis.found import Rival
 from orbisim.effects import EffectInstance
+from orbisim.shooting.hypothesis import Hypothesis
 
 HARDLY = "hardly tells it apart"
 

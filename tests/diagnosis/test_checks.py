@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.bench import make_bench
 from orbisim.diagnosis.checks import coarse_timestep, disabled
 from orbisim.effects import find
 from orbisim.motion.samples import prepare_all
+from orbisim.shooting.bench import make_bench
 from orbisim.testing import inject_effect
 
 PENDULUM = """<mujoco><option timestep="{step}" integrator="{way}">{flags}</option><worldbody>

@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 
 import orbisim
-from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
 from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.refine import Judge
-from orbisim.diagnosis.retune import Tunable
 from orbisim.effects import EffectInstance
 from orbisim.motion.samples import prepare_all
+from orbisim.shooting.bench import Bench, make_bench
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.retune import Tunable
 from orbisim.testing import inject_effect
 
 

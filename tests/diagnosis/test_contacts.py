@@ -10,15 +10,13 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
-from orbisim.diagnosis.fits import Unknown
-from orbisim.diagnosis.gauss_newton import gauss_newton
 from orbisim.diagnosis.refine import Judge, Judged
-from orbisim.diagnosis.retune import Tunable, retuned
-from orbisim.diagnosis.shooting import Variant
 from orbisim.effects import EffectInstance, add_effects, find
 from orbisim.errors import SceneError
 from orbisim.motion.samples import prepare_all
+from orbisim.shooting.bench import Bench, make_bench
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.retune import Tunable, retuned
 from orbisim.testing import inject_effect
 
 HAMMER = """
@@ -132,27 +130,6 @@ def test_a_glance_does_without_derivatives_that_cannot_be_had(
     for _ in range(2):
         left, better = judge.sized_glance(Hypothesis((BIAS,)))
         assert left < nothing.ratio**2 and better == 1.0
-
-
-def test_a_step_to_an_impossible_scene_is_shortened(arm: orbisim.Scene) -> None:
-    """A payload's first step may ask for a negative inertia."""
-    friction = EffectInstance("coulomb_friction", "elbow", {"torque": 0.1})
-    runs = inject_effect(arm, friction, duration=3.0, episodes=2, noise=1e-4, seed=1)
-    bench = make_bench(arm, prepare_all(runs, arm), 0.5)
-    judge = Judge(bench, bench.intervals)
-    refused: list[float] = []
-
-    def build(values: np.ndarray) -> Variant:
-        torque = float(values[0])
-        if not refused and abs(torque - 0.02) > 0.01:  # the first long step
-            refused.append(torque)
-            raise SceneError("arm.xml", "MuJoCo refuses it")
-        return Hypothesis((friction.replace(torque=torque),)).variant(arm)
-
-    start = Unknown("torque", 0.02, 0.0, 1.0, 1e-4)
-    found = gauss_newton(judge.fitted, build, [start], iterations=8)
-    assert len(refused) == 1
-    assert found.values[0] == pytest.approx(0.1, rel=0.05)
 
 
 def test_stribeck_friction_can_begin_at_coulomb_friction(hammer: orbisim.Scene) -> None:

@@ -16,7 +16,9 @@ from orbisim.effects import effect_names
 
 ROOT = Path(orbisim.__file__).parent
 ENGINE = sorted(
-    path for part in ("diagnosis", "motion", "sensing") for path in (ROOT / part).rglob("*.py")
+    path
+    for part in ("diagnosis", "learned_rest", "motion", "sensing", "shooting")
+    for path in (ROOT / part).rglob("*.py")
 )
 ELEMENTS = {("retune.py", "armature")}
 """Attributes of MJCF that effects are named after, too."""
@@ -54,7 +56,9 @@ def test_constants_are_those_of_the_table(name: str, value: str, module: str) ->
         defaults = {field.name: field.default for field in dataclasses.fields(Settings)}
         own = defaults[name]
     else:
-        package = "orbisim" if module in ("evidence", "sensing.faults") else "orbisim.diagnosis"
+        part = module.partition(".")[0]
+        elsewhere = part != module or (ROOT / f"{part}.py").is_file()
+        package = "orbisim" if elsewhere else "orbisim.diagnosis"
         own = getattr(importlib.import_module(f"{package}.{module}"), name)
     number = float(value.removesuffix(" %")) / (100 if value.endswith("%") else 1)
     assert own == pytest.approx(number)

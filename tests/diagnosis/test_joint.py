@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.bench import make_bench
 from orbisim.diagnosis.joint import propose
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.base import Extent, reach
 from orbisim.motion.samples import prepare_all
+from orbisim.shooting.bench import make_bench
 from orbisim.testing import inject_effect
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
 from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.context import begun
 from orbisim.diagnosis.refine import Judged
@@ -15,6 +14,8 @@ from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
 from orbisim.effects.unnamed import OneSidedLaw
 from orbisim.motion.samples import prepare_all
+from orbisim.shooting.bench import Bench, make_bench
+from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.testing import inject_effect
 
 SPRING = EffectInstance("joint_spring", "elbow", {"stiffness": 0.3, "rest_position": 0.0})

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.bench import Hypothesis, make_bench
 from orbisim.diagnosis.nuisance import OwnColumns, levelled, own_columns
-from orbisim.diagnosis.regress import Normal, fit, normal_of
 from orbisim.diagnosis.screening import screen
 from orbisim.effects import EffectInstance
 from orbisim.motion.linear import linearize
 from orbisim.motion.regressors import _peaks
 from orbisim.motion.samples import prepare_all
+from orbisim.shooting.bench import make_bench
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.regress import Normal, fit, normal_of
 from orbisim.testing import inject_effect
 
 DAMPING = EffectInstance("viscous_damping", "elbow", {"coefficient": 0.05})

@@ -11,17 +11,18 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
 from orbisim.diagnosis.conclusion import attribute, concluded
 from orbisim.diagnosis.context import begun
 from orbisim.diagnosis.proposals import events, exchanges, merged
-from orbisim.diagnosis.retune import Tunable, retuned
 from orbisim.diagnosis.search import Found, _best, search
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.worth import prior, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.motion.samples import prepare_all
+from orbisim.shooting.bench import Bench, make_bench
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.retune import Tunable, retuned
 from orbisim.testing import inject_effect
 
 ASSETS = Path(__file__).parents[2] / "mjcf_assets"

@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from orbisim.diagnosis.regress import Normal
 from orbisim.diagnosis.selection import Group, data_of, groups_of, select
 from orbisim.effects import EffectInstance
 from orbisim.effects.screening import Candidate, Column
 from orbisim.evidence import Blocks
+from orbisim.shooting.regress import Normal
 
 ROWS, COLUMNS, BLOCKS = 80, 24, 10
 COUNTS = Blocks(np.full(BLOCKS, 8.0), np.zeros(BLOCKS, int), np.full(BLOCKS, 1e-9))

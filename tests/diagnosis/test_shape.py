@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from orbisim.diagnosis.bench import Hypothesis
 from orbisim.diagnosis.conclusion import rivals_of
 from orbisim.diagnosis.search import Tried
 from orbisim.effects import EffectInstance
 from orbisim.evidence import Gain
+from orbisim.shooting.hypothesis import Hypothesis
 
 
 def tried(name: str, gain: float, number: int, reason: str = "") -> Tried:

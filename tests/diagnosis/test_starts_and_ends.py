@@ -10,11 +10,8 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
 from orbisim.diagnosis.conclusion import concluded
-from orbisim.diagnosis.confidence import confidence
 from orbisim.diagnosis.context import Context, begun
-from orbisim.diagnosis.fits import Fit
 from orbisim.diagnosis.glances import Candidate
 from orbisim.diagnosis.proposals import begin
 from orbisim.diagnosis.run import bad_windows
@@ -23,6 +20,8 @@ from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
 from orbisim.host.deadline import NEVER
 from orbisim.motion.samples import prepare_all
+from orbisim.shooting.bench import Bench, make_bench
+from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.testing import inject_effect
 
 BIAS = EffectInstance("torque_bias", "elbow", {"offset": 0.2})
@@ -89,18 +88,3 @@ def test_what_is_bad_in_few_windows_is_said() -> None:
     assert bad_windows(declared).startswith(
         "2 of 4 windows miss by more than 1.5 times the noise (up to 6 times)"
     )
-
-
-def test_a_resample_without_what_feels_a_parameter_says_nothing() -> None:
-    """One window of many feels it: a third of all resamples are without."""
-    windows = 12
-    information = np.full((windows, 1, 1), 1e-12)
-    information[3] = 100.0
-    fit = Fit(
-        values=np.array([2.0]), start=np.zeros((windows, 2)), square=1.0, penalty=0.0, count=100,
-        covariance=np.array([[0.01]]), residual=np.zeros((windows, 4)),
-        per_window=np.ones(windows), information=information,
-        score=np.where(np.arange(windows)[:, None] == 3, 0.5, 1e-3),
-    )  # fmt: skip
-    low, high = confidence(fit, ["force"])["force"]
-    assert 1.7 < low < 1.81 and 2.19 < high < 2.3

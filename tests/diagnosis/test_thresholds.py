@@ -9,18 +9,14 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.along import tame
-from orbisim.diagnosis.bench import Bench, Hypothesis, make_bench
-from orbisim.diagnosis.fits import Hints
-from orbisim.diagnosis.gauss_newton import Problem
 from orbisim.diagnosis.refine import Judge
 from orbisim.diagnosis.search import quiet
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.shooting import Variant
 from orbisim.effects import EffectInstance
-from orbisim.effects.measurement import Measurement
 from orbisim.motion.samples import prepare_all
 from orbisim.recording import bind
+from orbisim.shooting.bench import Bench, make_bench
+from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.testing import inject_effect
 
 ASSETS = Path(__file__).parents[2] / "mjcf_assets"
@@ -62,19 +58,6 @@ def test_starts_of_a_poor_scene_are_not_insisted_on() -> None:
     assert warm is not None and warm.loss < cold.loss + 0.01
 
 
-def test_starts_may_be_readings_of_a_sensor_with_an_offset() -> None:
-    """True positions 2 and 3, read at half their size and 0.1 more."""
-    model = SimpleNamespace(nv=1)
-    measurement = Measurement(1.0, np.array([0.1, 0.0]), np.array([0.5, 0.5]), np.zeros(2))
-    shooter: Any = SimpleNamespace(nv=1, absolute=np.array([[[1.0, 0.2]], [[1.5, 0.2]]]))
-    scene: Any = SimpleNamespace(model=model)
-    problem = Problem(shooter, lambda _: Variant(scene, measurement), [], Hints(), None)
-    (found,) = problem._read(np.zeros(0), [np.array([[0.1, 0.0], [0.1, 0.0]])])
-    np.testing.assert_allclose(shooter.absolute[:, 0] + found, [[2.0, 0.4], [3.0, 0.4]])
-    plain = Problem(shooter, lambda _: Variant(scene), [], Hints(), None)
-    assert plain._read(np.zeros(0), [np.zeros((2, 2))]) == []
-
-
 def _forces(scene: orbisim.Scene) -> np.ndarray:
     """Of the servo in recordings without the effect."""
     (run,) = inject_effect(scene, [], duration=5.0, episodes=1, seed=4)
@@ -113,14 +96,3 @@ def test_starts_of_fitted_and_checked_windows_are_put_together(arm: orbisim.Scen
     few.start_from(apart, bench.fit)  # most windows are left out: a start from nothing
     again = few.judge(Hypothesis())
     assert again is not None and len(again.windows) == 3
-
-
-def test_screening_ends_where_a_start_grows_without_limit(arm: orbisim.Scene) -> None:
-    bench = _bench(arm, EffectInstance("viscous_damping", "elbow", {"coefficient": 0.05}))
-    assert tame(bench).windows.reach().tolist() == bench.windows.reach().tolist()
-    wild = bench.intervals.A.copy()
-    middle = int(bench.windows.first[1]) + 10
-    wild[middle] *= 1e4
-    cut = tame(dataclasses.replace(bench, intervals=dataclasses.replace(bench.intervals, A=wild)))
-    assert cut.windows.reach()[1] == 10
-    assert (np.delete(cut.windows.reach(), 1) == np.delete(bench.windows.reach(), 1)).all()

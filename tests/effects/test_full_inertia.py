@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.retune import retuned, tunables
 from orbisim.effects import EffectInstance, add_effects
+from orbisim.shooting.retune import retuned, tunables
 
 SCENE = """<mujoco><worldbody><body name="link"><joint name="hinge" axis="0 1 0"/>
 <inertial pos="0 0 -.1" mass="2" fullinertia=".03 .025 .02 .001 0 0"/></body>

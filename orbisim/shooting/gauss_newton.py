@@ -12,10 +12,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.fits import Fit, Hints, Unknown
-from orbisim.diagnosis.shooting import Shooter, Variant
 from orbisim.errors import OrbiSimError
 from orbisim.motion.hidden import Layout
+from orbisim.shooting.fits import Fit, Hints, Unknown
+from orbisim.shooting.shooter import Shooter, Variant
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]

@@ -14,11 +14,11 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.bench import Bench
-from orbisim.diagnosis.regress import Normal, WeightedData, projected, stacked
-from orbisim.diagnosis.windows import Windows
 from orbisim.effects.screening import Column
 from orbisim.motion.linear import Intervals
+from orbisim.shooting.bench import Bench
+from orbisim.shooting.regress import Normal, WeightedData, projected, stacked
+from orbisim.shooting.windows import Windows
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

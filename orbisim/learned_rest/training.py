@@ -13,9 +13,9 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.response import Responses
 from orbisim.effects.residual_network import Input, Network, features
 from orbisim.errors import MissingDependencyError
+from orbisim.learned_rest.response import Responses
 from orbisim.motion.linear import IntervalMap
 from orbisim.recording.actuators import actuators
 from orbisim.recording.joints import Joint, Kind, joints

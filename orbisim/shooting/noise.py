@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from orbisim.diagnosis.windows import Windows
 from orbisim.motion.linear import Intervals
 from orbisim.motion.samples import Samples
+from orbisim.shooting.windows import Windows
 
 Floats = npt.NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from orbisim.diagnosis.fits import Fit
+from orbisim.shooting.fits import Fit
 
 
 def confidence(fit: Fit, names: Sequence[str], seed: int = 0) -> dict[str, tuple[float, float]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orbisim.diagnosis.windows import cut_windows
+from orbisim.shooting.windows import cut_windows
 
 
 def cut(*lengths: int) -> list[tuple[int, int]]:

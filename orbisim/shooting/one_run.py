@@ -12,9 +12,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.fits import Hints, Unknown
-from orbisim.diagnosis.gauss_newton import Problem, least_squares
-from orbisim.diagnosis.shooting import Shooter, Variant
+from orbisim.shooting.fits import Hints, Unknown
+from orbisim.shooting.gauss_newton import Problem, least_squares
+from orbisim.shooting.shooter import Shooter, Variant
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]

@@ -11,7 +11,6 @@ import mujoco.batch
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.windows import Windows, chosen
 from orbisim.effects.carry import hooks_of
 from orbisim.effects.measurement import TRUE, Measurement
 from orbisim.effects.stepping import step_batch
@@ -21,6 +20,7 @@ from orbisim.motion.hidden import Layout, carried_along
 from orbisim.motion.linear import Intervals
 from orbisim.motion.samples import Samples, substeps
 from orbisim.scene import Scene
+from orbisim.shooting.windows import Windows, chosen
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

@@ -15,10 +15,11 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.bench import Bench, Hypothesis
-from orbisim.diagnosis.regress import normal_of, without_start
-from orbisim.diagnosis.windows import Windows, chosen
 from orbisim.motion.linear import Intervals
+from orbisim.shooting.bench import Bench
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.regress import normal_of, without_start
+from orbisim.shooting.windows import Windows, chosen
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

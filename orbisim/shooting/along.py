@@ -11,25 +11,26 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.bench import Bench, start_size
-from orbisim.diagnosis.refine import Judged
-from orbisim.diagnosis.shooting import Shooter
-from orbisim.diagnosis.windows import Windows
 from orbisim.motion.linear import IntervalMap, linearize
 from orbisim.motion.samples import Samples
+from orbisim.shooting.bench import Bench
+from orbisim.shooting.cutting import start_size
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.shooter import Shooter
+from orbisim.shooting.windows import Windows
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 
-def along(bench: Bench, judged: Judged) -> tuple[Bench, Ints] | None:
-    """The fitted windows of a hypothesis, each as a recording whose reference is the hypothesis'
-    own free run; and the numbers that the intervals had. None if all runs diverge at once."""
-    hypothesis, windows = judged.hypothesis, judged.windows
+def along(
+    bench: Bench, hypothesis: Hypothesis, windows: Windows, start: Floats
+) -> tuple[Bench, Ints] | None:
+    """Windows, each as a recording whose reference is a hypothesis' own free run from its start
+    [W, 2 nv]; and the numbers that the intervals had. None if all runs diverge at once."""
     shooter = Shooter(
         bench.scene, bench.samples, bench.intervals, windows, bench.noise, bench.deadline
     )
-    start = judged.fit.start
     qpos, qvel = shooter.states(hypothesis.variant(bench.scene), start)
     reach = windows.reach()
     samples, rows, numbers = [], [], []

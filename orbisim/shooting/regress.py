@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.windows import Windows, chosen
 from orbisim.effects.screening import Column
 from orbisim.motion.linear import Intervals
 from orbisim.motion.samples import Samples
+from orbisim.shooting.windows import Windows, chosen
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

@@ -1,0 +1,1 @@
+"""A learned force for what no effect explains. It is no effect."""

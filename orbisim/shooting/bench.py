@@ -1,0 +1,141 @@
+"""Recordings cut into windows: what hypotheses are fitted to and checked on."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.errors import InputError
+from orbisim.host.deadline import NEVER, Deadline
+from orbisim.motion.linear import IntervalMap, Intervals, linearize
+from orbisim.motion.samples import Samples
+from orbisim.scene import Scene
+from orbisim.shooting.cutting import (
+    TOO_SHORT,
+    every_third,
+    most_intervals,
+    predictable_windows,
+    spread_windows,
+    touches,
+    without_lost,
+)
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.noise import estimate_noise
+from orbisim.shooting.shooter import Shooter
+from orbisim.shooting.windows import Windows
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+Ints = npt.NDArray[np.int64]
+Noise = tuple[Floats, Floats]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Bench:
+    """A scene as declared, and windows of recordings to explain.
+
+    Attributes:
+      scene: as declared. samples: the recordings.
+      rows: for each recording the rows at which usable intervals start.
+      intervals: of the declared scene. windows: all windows.
+      fit, check: which windows parameters are fitted to, and which choices are checked on.
+      noise: standard deviations of positions and velocities.
+      contacts: whether the motion has contacts, where derivatives hold only close by.
+      deadline: when simulation ends with `TimeIsUpError`.
+    """
+
+    scene: Scene
+    samples: tuple[Samples, ...]
+    rows: tuple[npt.NDArray[np.int64], ...]
+    intervals: Intervals
+    windows: Windows
+    fit: Bools
+    check: Bools
+    noise: Noise
+    contacts: bool = False
+    deadline: Deadline = NEVER
+
+    def shooter(self, keep: Bools) -> Shooter:
+        """Simulates the chosen windows."""
+        return Shooter(
+            self.scene, self.samples, self.intervals, self.windows.some(keep), self.noise,
+            self.deadline,
+        )  # fmt: skip
+
+    def flow(self, hypothesis: Hypothesis) -> IntervalMap:
+        """The map of a hypothesis over all sampling intervals."""
+        clock = hypothesis.measurement(self.scene).clock
+        scene = hypothesis.scene(self.scene)
+        return IntervalMap(self.scene, self.samples, self.rows, scene, clock, self.deadline)
+
+    def known_signal(self, hypothesis: Hypothesis) -> list[Floats]:
+        """What the measurement effects of a hypothesis add to each recording, [T, 2 nv]."""
+        measurement = hypothesis.measurement(self.scene)
+        found = []
+        for one in self.samples:
+            still = np.zeros((1, *one.absolute.shape))
+            found.append(measurement.of(one.absolute[None], still, one.time[None])[0])
+        return found
+
+    def whole(self, noise: Noise | None = None) -> Bench:
+        """All windows are fitted and checked; with another noise, if one is given."""
+        every = np.ones(len(self.windows), bool)
+        return dataclasses.replace(self, noise=noise or self.noise, fit=every, check=every)
+
+    def with_noise_of(self, hypothesis: Hypothesis, intervals: Intervals) -> Bench:
+        """The same bench with the noise estimated along a better scene."""
+        found = estimate_noise(
+            self.samples, intervals, self.windows.some(self.fit), self.known_signal(hypothesis)
+        )
+        return dataclasses.replace(self, noise=_lower(found, self.samples))
+
+
+def _lower(found: Noise, samples: Sequence[Samples]) -> Noise:
+    """The lower of two estimates, both of which take unknown motion for noise; not below what
+    rounding to the sensors' steps leaves, which repeats itself where motion is slow."""
+    one, nv = samples[0], len(found[0])
+    q, v = np.fmin(found[0], one.q_noise), np.fmin(found[1], one.v_noise)
+    return np.maximum(q, one.rounding[:nv]), np.maximum(v, one.rounding[nv:])
+
+
+def make_bench(
+    scene: Scene,
+    samples: Sequence[Samples],
+    window: float,
+    check: float = 0.3,
+    noise: Noise | None = None,
+) -> Bench:
+    """Cuts recordings into windows.
+
+    Args:
+      scene: as declared. samples: recordings that parameters and choices may see.
+      window: duration of a window, s. check: share of the windows that choices are checked on.
+      noise: standard deviations of positions and velocities, where they are known already.
+
+    Raises:
+      InputError: the recordings are too short for a window.
+    """
+    rows = [np.flatnonzero(s.usable[:-1] & s.usable[1:]) for s in samples]
+    if not sum(len(r) for r in rows):
+        raise InputError("no two consecutive samples are usable")
+    contacts = touches(scene, samples)
+    step = float(np.median(np.concatenate([np.diff(s.time) for s in samples])))
+    length = int(np.clip(round(window / step), 4, 200))
+    windows, kept = spread_windows(samples, rows, length, most_intervals(scene, contacts))
+    intervals = linearize(IntervalMap(scene, samples, kept))
+    windows = without_lost(windows, intervals)
+    if not len(windows):
+        raise InputError(TOO_SHORT)
+    if contacts:
+        first = noise or _lower(estimate_noise(samples, intervals, windows), samples)
+        windows = without_lost(
+            predictable_windows(scene, samples, intervals, first, windows.length), intervals
+        )
+    held = every_third(windows, len(samples), check)
+    noise = noise or _lower(estimate_noise(samples, intervals, windows.some(~held)), samples)
+    return Bench(
+        scene, tuple(samples), tuple(kept), intervals, windows, ~held, held, noise, contacts
+    )

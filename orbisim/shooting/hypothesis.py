@@ -1,0 +1,159 @@
+"""Effects that are added to a declared scene, with what a fit changes of them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.effects import EffectInstance, add_effects, find
+from orbisim.effects.measurement import Measurement, measurement_of
+from orbisim.scene import Scene
+from orbisim.shooting.fits import Unknown
+from orbisim.shooting.retune import REACH, SPREAD, Tunable, retuned
+from orbisim.shooting.shooter import Variant
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class Hypothesis:
+    """Effects that are added to the declared scene, with their values.
+
+    Attributes:
+      effects: the effects, in the order in which they were found.
+      frozen: parameters that the data do not determine, (number of the effect, name): they keep
+        their values.
+      factors: declared parameters that are retuned, with their factors; none if empty.
+    """
+
+    effects: tuple[EffectInstance, ...] = ()
+    frozen: frozenset[tuple[int, str]] = frozenset()
+    factors: tuple[tuple[Tunable, float], ...] = ()
+
+    def scene(self, declared: Scene) -> Scene:
+        """The declared scene with the effects that act on the simulation."""
+        simulated = [e for e in self.effects if not find(e.effect).measurement]
+        scene = retuned(declared, dict(self.factors))
+        return add_effects(scene, simulated) if simulated else scene
+
+    def measurement(self, declared: Scene) -> Measurement:
+        """How the effects on the measurement change what is read."""
+        return measurement_of(declared.model, self.effects)
+
+    def variant(self, declared: Scene) -> Variant:
+        """What is simulated and how it is measured."""
+        return Variant(self.scene(declared), self.measurement(declared))
+
+    def plus(self, instance: EffectInstance) -> Hypothesis:
+        """With one effect more; a factor that means the same is dropped."""
+        same = find(instance.effect).declared_as
+        kept = tuple(
+            (one, factor)
+            for one, factor in self.factors
+            if (one.kind, one.target) != (same, instance.target)
+        )
+        return dataclasses.replace(self, effects=(*self.effects, instance), factors=kept)
+
+    def without(self, index: int) -> Hypothesis:
+        """With one effect less."""
+        kept = tuple(e for i, e in enumerate(self.effects) if i != index)
+        frozen = frozenset((i - (i > index), name) for i, name in self.frozen if i != index)
+        return dataclasses.replace(self, effects=kept, frozen=frozen)
+
+    def tuned(self, chosen: Iterable[Tunable]) -> Hypothesis:
+        """With these declared parameters free."""
+        taken = {(find(e.effect).declared_as, e.target) for e in self.effects}
+        known = dict(self.factors)
+        factors = tuple(
+            (one, known.get(one, 1.0)) for one in chosen if (one.kind, one.target) not in taken
+        )
+        return dataclasses.replace(self, factors=factors)
+
+    def free(self, declared: Scene) -> list[tuple[int, str]]:
+        """What a fit changes of the effects: number of the effect and name of the parameter."""
+        return [
+            (i, name)
+            for i, e in enumerate(self.effects)
+            for name in find(e.effect).free_parameters(declared.model, e.target)
+            if (i, name) not in self.frozen
+        ]
+
+    def values(self, declared: Scene) -> Floats:
+        """The present values of the free parameters, then of the factors."""
+        coded = [_free_values(declared, e) for e in self.effects]
+        own = [coded[i][n] for i, n in self.free(declared)]
+        return np.array([*own, *(factor for _, factor in self.factors)], np.float64)
+
+    def at(self, declared: Scene, values: Floats) -> Hypothesis:
+        """With other values of the free parameters and factors."""
+        changes: dict[int, dict[str, float]] = {}
+        free = self.free(declared)
+        for (i, name), value in zip(free, values, strict=False):
+            changes.setdefault(i, {})[name] = float(value)
+        effects = tuple(_with(declared, e, changes.get(i, {})) for i, e in enumerate(self.effects))
+        factors = tuple(
+            (one, float(value))
+            for (one, _), value in zip(self.factors, values[len(free) :], strict=True)
+        )
+        return dataclasses.replace(self, effects=effects, factors=factors)
+
+    def unknowns(self, declared: Scene) -> list[Unknown]:
+        """The free parameters and factors with bounds, priors and difference steps."""
+        model = declared.model
+        found: list[Unknown] = []
+        for i, name in self.free(declared):
+            e = self.effects[i]
+            effect = find(e.effect)
+            known = {p.name: p for p in effect.parameters(model, e.target)}
+            low, high, scale = -1e6, 1e6, 0.02
+            if name in known:
+                low, high, scale = known[name].low, known[name].high, known[name].scale
+            value = float(_free_values(declared, e)[name])
+            step = 1e-4 * max(abs(value), 0.05 * abs(scale), 1e-9)
+            step = max(step, effect.resolution(model, name))
+            if effect.stepwise(e, name):
+                step = max(step, _COARSE * abs(value))
+            found.append(Unknown(f"{e.effect}({e.target}).{name}", value, low, high, step))
+        found += [
+            Unknown(str(one), factor, 1 - REACH, 1 + REACH, 1e-4, 1.0, 1 / SPREAD**2)
+            for one, factor in self.factors
+        ]
+        return found
+
+
+_COARSE = 0.03
+"""Relative step of differences by parameters that act in steps."""
+
+
+def _with(
+    declared: Scene, instance: EffectInstance, changes: Mapping[str, float]
+) -> EffectInstance:
+    if not changes:
+        return instance
+    free = {**_free_values(declared, instance), **changes}
+    return completed(declared, instance, free)
+
+
+def _free_values(declared: Scene, instance: EffectInstance) -> Mapping[str, float]:
+    effect = find(instance.effect)
+    return effect.encode(declared.model, instance.target, instance.values)
+
+
+def completed(
+    declared: Scene, instance: EffectInstance, free: Mapping[str, float]
+) -> EffectInstance:
+    """The effect with all its parameters from the free ones, within their bounds."""
+    effect = find(instance.effect)
+    full = {**instance.values, **effect.complete(declared.model, instance.target, free)}
+    return clean(declared, dataclasses.replace(instance, values=full))
+
+
+def clean(declared: Scene, instance: EffectInstance) -> EffectInstance:
+    """Only the effect's own parameters, within their bounds."""
+    values = {}
+    for p in find(instance.effect).parameters(declared.model, instance.target):
+        values[p.name] = float(np.clip(instance.values[p.name], p.low, p.high))
+    return dataclasses.replace(instance, values=values)

@@ -1,0 +1,76 @@
+"""Steps of a fit, and what counts in it."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import orbisim
+from orbisim.effects import EffectInstance
+from orbisim.effects.measurement import Measurement
+from orbisim.errors import SceneError
+from orbisim.motion.samples import prepare_all
+from orbisim.shooting.bench import make_bench
+from orbisim.shooting.fits import Hints, Unknown
+from orbisim.shooting.gauss_newton import Problem, gauss_newton
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.shooter import Variant
+from orbisim.testing import inject_effect
+
+
+def test_a_window_that_nothing_explains_does_not_outweigh_all_others() -> None:
+    shooter: Any = SimpleNamespace(data=np.array([100, 100, 100]))
+    cost = np.array([100.0, 400.0, 1e7])
+    trial: Any = SimpleNamespace(cost=cost, total=float(cost.sum()) + 1.0, penalty=1.0)
+
+    def problem(lenient: float) -> Problem:
+        return Problem(shooter, lambda _: Variant(None), [], Hints(lenient=lenient), None)  # type: ignore[arg-type]
+
+    assert problem(0.0).total(trial) == trial.total
+    np.testing.assert_array_equal(problem(0.0).trust(cost), 1.0)
+    trust = problem(4.0).trust(cost)
+    assert trust[0] == pytest.approx(0.8)
+    assert trust[1] == pytest.approx(0.5)
+    assert trust[2] * cost[2] < 500  # of ten millions
+    slope = (problem(4.0).total(_grown(trial, 1)) - problem(4.0).total(trial)) / 1e-3
+    assert slope == pytest.approx(trust[1], rel=1e-3)  # what weighs is how the total changes
+
+
+def _grown(trial: Any, window: int) -> Any:
+    cost = trial.cost.copy()
+    cost[window] += 1e-3
+    return SimpleNamespace(cost=cost, total=float(cost.sum()) + 1.0, penalty=1.0)
+
+
+def test_starts_may_be_readings_of_a_sensor_with_an_offset() -> None:
+    """True positions 2 and 3, read at half their size and 0.1 more."""
+    model = SimpleNamespace(nv=1)
+    measurement = Measurement(1.0, np.array([0.1, 0.0]), np.array([0.5, 0.5]), np.zeros(2))
+    shooter: Any = SimpleNamespace(nv=1, absolute=np.array([[[1.0, 0.2]], [[1.5, 0.2]]]))
+    scene: Any = SimpleNamespace(model=model)
+    problem = Problem(shooter, lambda _: Variant(scene, measurement), [], Hints(), None)
+    (found,) = problem._read(np.zeros(0), [np.array([[0.1, 0.0], [0.1, 0.0]])])
+    np.testing.assert_allclose(shooter.absolute[:, 0] + found, [[2.0, 0.4], [3.0, 0.4]])
+    plain = Problem(shooter, lambda _: Variant(scene), [], Hints(), None)
+    assert plain._read(np.zeros(0), [np.zeros((2, 2))]) == []
+
+
+def test_a_step_to_an_impossible_scene_is_shortened(arm: orbisim.Scene) -> None:
+    """A payload's first step may ask for a negative inertia."""
+    friction = EffectInstance("coulomb_friction", "elbow", {"torque": 0.1})
+    runs = inject_effect(arm, friction, duration=3.0, episodes=2, noise=1e-4, seed=1)
+    bench = make_bench(arm, prepare_all(runs, arm), 0.5)
+    refused: list[float] = []
+
+    def build(values: np.ndarray) -> Variant:
+        torque = float(values[0])
+        if not refused and abs(torque - 0.02) > 0.01:  # the first long step
+            refused.append(torque)
+            raise SceneError("arm.xml", "MuJoCo refuses it")
+        return Hypothesis((friction.replace(torque=torque),)).variant(arm)
+
+    start = Unknown("torque", 0.02, 0.0, 1.0, 1e-4)
+    found = gauss_newton(bench.shooter(bench.fit), build, [start], iterations=8)
+    assert len(refused) == 1
+    assert found.values[0] == pytest.approx(0.1, rel=0.05)

@@ -1,0 +1,43 @@
+"""Effects with values, and what a fit changes of them."""
+
+import numpy as np
+import pytest
+
+import orbisim
+from orbisim.effects import EffectInstance
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.retune import REACH, Tunable
+
+DRY = EffectInstance("coulomb_friction", "elbow", {"torque": 0.1})
+DAMPING = EffectInstance("viscous_damping", "shoulder", {"coefficient": 0.05})
+MASS = Tunable("mass", "forearm")
+
+
+def test_values_are_of_free_parameters_then_of_factors(arm: orbisim.Scene) -> None:
+    both = Hypothesis((DRY, DAMPING), frozenset({(0, "torque")})).tuned([MASS])
+    assert both.free(arm) == [(1, "coefficient")]
+    np.testing.assert_array_equal(both.values(arm), [0.05, 1.0])
+    moved = both.at(arm, np.array([0.07, 1.02]))
+    assert [e.values for e in moved.effects] == [{"torque": 0.1}, {"coefficient": 0.07}]
+    assert moved.factors == ((MASS, 1.02),)
+    names = [one.name for one in both.unknowns(arm)]
+    assert names == ["viscous_damping(shoulder).coefficient", "mass of forearm"]
+    assert both.unknowns(arm)[1].high == 1 + REACH
+
+
+def test_without_an_effect_the_others_stay_frozen() -> None:
+    both = Hypothesis((DRY, DAMPING), frozenset({(0, "torque"), (1, "coefficient")}))
+    assert both.without(0) == Hypothesis((DAMPING,), frozenset({(0, "coefficient")}))
+
+
+def test_a_factor_gives_way_to_the_effect_that_means_the_same() -> None:
+    damping = Tunable("damping", "shoulder")
+    tuned = Hypothesis().tuned([MASS, damping])
+    assert tuned.plus(DAMPING).factors == ((MASS, 1.0),)
+    assert Hypothesis((DAMPING,)).tuned([MASS, damping]).factors == ((MASS, 1.0),)
+
+
+def test_the_scene_has_effects_and_factors(arm: orbisim.Scene) -> None:
+    found = Hypothesis((DAMPING,), factors=((MASS, 1.05),)).scene(arm).model
+    assert found.body("forearm").mass[0] == pytest.approx(1.05 * arm.model.body("forearm").mass[0])
+    assert found.dof_damping[0] > arm.model.dof_damping[0]

@@ -1,0 +1,40 @@
+"""Normal equations, against least squares of all columns at once."""
+
+import numpy as np
+import pytest
+
+from orbisim.shooting.regress import fit, normal_of, profiled, total, without_start
+
+RNG = np.random.default_rng(2)
+DESIGN, TARGET = RNG.standard_normal((30, 5)), RNG.standard_normal(30)
+
+
+def test_a_start_is_projected_out() -> None:
+    both = np.linalg.lstsq(DESIGN, TARGET, rcond=None)[0]
+    kept = without_start(DESIGN, TARGET, 2, 30)
+    assert kept.rows == 28
+    x, left = fit(normal_of(*kept), [0, 1, 2])
+    np.testing.assert_allclose(x, both[2:], rtol=1e-8)
+    assert left == pytest.approx(((TARGET - DESIGN @ both) ** 2).sum())
+
+
+def test_a_start_that_changes_nothing_takes_no_datum() -> None:
+    blank = DESIGN.copy()
+    blank[:, 0] = 0.0
+    assert without_start(blank, TARGET, 2, 30).rows == 29
+
+
+def test_nuisance_columns_with_a_prior_are_fitted_away() -> None:
+    ridge = np.array([3.0, 0.5])
+    padded = np.vstack([DESIGN, np.diag([0, 0, 0, *np.sqrt(ridge)])])
+    both = np.linalg.lstsq(padded, np.append(TARGET, np.zeros(5)), rcond=None)[0]
+    x, left = fit(profiled(normal_of(DESIGN, TARGET, 30), [3, 4], ridge), [0, 1, 2])
+    np.testing.assert_allclose(x, both[:3], rtol=1e-8)
+    assert left == pytest.approx(((np.append(TARGET, np.zeros(5)) - padded @ both) ** 2).sum())
+
+
+def test_windows_add_up() -> None:
+    parts = [normal_of(DESIGN[i::3], TARGET[i::3], 10) for i in range(3)]
+    whole, added = normal_of(DESIGN, TARGET, 30), total(parts)
+    np.testing.assert_allclose(added.gram, whole.gram)
+    assert (added.count, added.square) == (30, pytest.approx(whole.square))

@@ -1,0 +1,73 @@
+"""Windows that are simulated: of late sensors, from moved starts, and some of them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import orbisim
+from orbisim.effects import EffectInstance
+from orbisim.motion.samples import prepare_all
+from orbisim.shooting.bench import Bench, make_bench
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.shooter import Shooter, Variant
+from orbisim.testing import inject_effect
+
+LATE = EffectInstance("sensor_delay", "shoulder", {"delay": 0.08})
+
+
+@pytest.fixture(scope="module")
+def bench(arm: orbisim.Scene) -> Bench:
+    """Recordings in which one joint is read late."""
+    runs = inject_effect(arm, [LATE], duration=3.0, episodes=2, noise=2e-4, seed=3)
+    return make_bench(arm, prepare_all(runs, arm), 0.5)
+
+
+def test_states_of_late_sensors_are_those_that_were_simulated(bench: Bench) -> None:
+    """Within the windows, whatever was simulated before; here the sensor is hardly late."""
+    shooter = bench.shooter(bench.fit)
+    assert shooter.room().any()
+    assert not shooter.room().all()  # recordings do not go back for ever
+    late = Hypothesis((LATE.replace(delay=1e-9),)).variant(bench.scene)
+    start = np.zeros((len(shooter), 2 * shooter.nv))
+    qpos, qvel = shooter.states(late, start)
+    assert qpos.shape == shooter.qpos.shape
+    seen = shooter.simulate(late, start)
+    at_once = np.array([shooter.difference(r, q) for r, q in zip(shooter.qpos, qpos, strict=True)])
+    read = seen[:, 1:, : shooter.nv]  # what was before a recording is not known
+    np.testing.assert_allclose(read, at_once[:, 1:], atol=1e-6)
+    assert np.isfinite(qvel).all()
+
+
+def test_simulation_does_not_begin_before_a_gap(bench: Bench) -> None:
+    shooter = bench.shooter(bench.fit)
+    gap = int(shooter.row[1]) - 3
+    late = [dataclasses.replace(s, time=s.time + (np.arange(len(s)) >= gap)) for s in bench.samples]
+    gapped = Shooter(bench.scene, late, bench.intervals, shooter.windows, bench.noise)
+    after = (shooter.row >= gap) & (shooter.row < gap + shooter.lead)
+    assert (after & shooter.room()).any()
+    np.testing.assert_array_equal(gapped.room(), shooter.room() & ~after)
+
+
+def test_starts_that_are_moved_together_are_moved_one_by_one(bench: Bench) -> None:
+    shooter, variant = bench.shooter(bench.fit), Variant(bench.scene)
+    start = np.random.default_rng(0).normal(0, 1e-3, (len(shooter), 2 * shooter.nv))
+    which = np.array([2, 0])
+    every = shooter.moved(variant, start, 1e-3, which)
+    for column, runs in enumerate(every):
+        moved = start.copy()
+        moved[:, column] += 1e-3
+        np.testing.assert_array_equal(runs, shooter.simulate(variant, moved)[which])
+    assert shooter.moved(variant, start, 1e-3, np.array([], int)).shape[1] == 0
+
+
+def test_some_windows_are_simulated_as_all_are(bench: Bench) -> None:
+    shooter, variant = bench.shooter(bench.fit), Variant(bench.scene)
+    start = np.zeros((len(shooter), 2 * shooter.nv))
+    only = np.zeros(len(shooter), bool)
+    every = shooter.simulate(variant, start)
+    assert not shooter.simulate(variant, start, only).any()
+    only[[1, 3]] = True
+    np.testing.assert_array_equal(shooter.simulate(variant, start, only)[only], every[only])
+    twice = shooter.some(np.array([3, 3]))
+    np.testing.assert_array_equal(twice.simulate(variant, start[[3, 3]]), every[[3, 3]])
