@@ -10,7 +10,7 @@ import dataclasses
 import inspect
 import sys
 import types
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from orbisim.freerun import WORLDS, Prepared, free_run
 from orbisim.recording import Recording, bind
 from orbisim.recording.bound import Bound
 from orbisim.recording.clocks import slow
+from orbisim.recording.degrees import MOST, suspected
 from orbisim.recording.initial import Velocities, starts
 from orbisim.recording.windows import cut
 from orbisim.registry import make_backend
@@ -148,7 +149,7 @@ def replay(
         signals=scores.signals,
         positions=scores.positions,
         rms=scores.rms,
-        notes=_notes(prepared, scores.windows),
+        notes=(*_notes(prepared, scores.windows), *_degrees(prepared, scores.signals)),
     )
 
 
@@ -217,6 +218,21 @@ def _notes(prepared: Sequence[Prepared], windows: Sequence[Window]) -> tuple[str
     if lost:
         found.append(f"the simulation became non-finite in {lost} of {len(windows)} windows")
     return tuple(found)
+
+
+def _degrees(prepared: Sequence[Prepared], signals: Mapping[str, SignalError]) -> Iterator[str]:
+    """The likely cause where angles are large and free runs have nothing to do with them."""
+    named = {joint.label: joint for one in prepared for joint in suspected(one.bound)}
+    missed = [
+        name for name in named
+        if (error := signals.get(f"qpos/{name}")) is not None and not error.rms < 1.0
+    ]  # fmt: skip
+    if missed:
+        yield (
+            f"{', '.join(f'qpos/{name}' for name in missed)}: angles beyond {MOST:g} rad, missed "
+            "by more than 1 rad: are these degrees? Name the unit in the header, "
+            f"'qpos/{missed[0]} [deg]', or in a map, 'unit: deg'"
+        )
 
 
 def _finite(value: float) -> float | None:

@@ -13,6 +13,7 @@ from dm_control.rl import control
 from orbisim.backend import Backend
 from orbisim.episodes import Episodes
 from orbisim.errors import UnknownNameError
+from orbisim.host.engine_log import without_warnings
 from orbisim.physics import adopt
 from orbisim.renderer import Renderer
 from orbisim.scene import Scene
@@ -50,7 +51,7 @@ def load(
       UnsupportedSceneError: the backend cannot simulate the task's scene.
     """
     check_name(domain_name, task_name)
-    environment = _suite.load(
+    environment = make_environment(
         domain_name,
         task_name,
         task_kwargs=dict(task_kwargs or {}),
@@ -63,6 +64,13 @@ def load(
     return environment
 
 
+def make_environment(domain_name: str, task_name: str, **kwargs: Any) -> control.Environment:
+    """dm_control's own environment, made without a word on what its scene files declare: some have
+    attributes that MuJoCo is about to drop, and users cannot change them."""
+    with without_warnings("is deprecated"):
+        return _suite.load(domain_name, task_name, **kwargs)
+
+
 def load_scene(name: str) -> Scene:
     """The scene of a task, by `domain-task` (`cheetah-run`).
 
@@ -70,7 +78,7 @@ def load_scene(name: str) -> Scene:
       UnknownNameError: no such task.
     """
     domain, task = split_name(name)
-    environment = _suite.load(domain, task, task_kwargs={"random": 0})
+    environment = make_environment(domain, task, task_kwargs={"random": 0})
     return Scene.from_model(environment.physics.model.ptr, source=f"suite:{name}")
 
 

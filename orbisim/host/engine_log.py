@@ -31,6 +31,23 @@ def engine_warnings(take: Callable[[str], None]) -> Iterator[None]:
 
 
 @contextlib.contextmanager
+def without_warnings(about: str) -> Iterator[None]:
+    """Keeps MuJoCo's warnings that contain a text from whoever hears the others."""
+    previous = mujoco.get_mju_user_warning()
+
+    def passed_on(text: str) -> None:
+        if about in text:
+            return
+        if previous is None:
+            sys.stderr.write(f"WARNING: {text}\n")
+        else:
+            previous(text)
+
+    with engine_warnings(passed_on):
+        yield
+
+
+@contextlib.contextmanager
 def silenced() -> Iterator[None]:
     """Nothing that libraries write to the descriptor of standard error is seen meanwhile."""
     with contextlib.suppress(ValueError, OSError):

@@ -46,6 +46,8 @@ _CLOSE = 0.6
 """Likeness from which on a match is proposed (as difflib's own cutoff)."""
 _SUFFIX = 0.85
 """Likeness of names of which one contains the other."""
+_SECOND = 0.99
+"""Of a name that says several kinds, the likeness of those that it does not say first."""
 _MOST_COLUMNS = 1000
 """Each is compared with each signal; tables of robots have some tens or hundreds."""
 _LONGEST = 100
@@ -145,7 +147,9 @@ def likeness(column: Column, target: Target) -> float:
     rest = tuple(word for word in traits.words if word not in spoken or word in wanted)
     rest = tuple(word for word in rest if word not in _FILLER or word in wanted) or rest
     agreed = kind in kinds if kinds else kind in (traits.said or ("qpos", "ctrl"))[:1]
-    return _alike(rest, wanted) * (1.0 if agreed else 0.75 if not kinds else 0.5)
+    first = not kinds or kind == kinds[0] or not agreed  # `action/elbow.torque`: a control first
+    factor = (1.0 if first else _SECOND) if agreed else 0.75 if not kinds else 0.5
+    return _alike(rest, wanted) * factor
 
 
 @functools.lru_cache(100_000)

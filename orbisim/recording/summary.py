@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.errors import InputError, RecordingError
-from orbisim.recording import clocks
+from orbisim.recording import clocks, degrees
 from orbisim.recording.binding import bind
 from orbisim.recording.clocks import Clock
 from orbisim.recording.conversion import contents_of
@@ -32,8 +32,6 @@ _COARSE = 20
 """Steps of a quantised signal, below which it is worth a word."""
 _STALE = 0.3
 """Share of samples that repeat the one before, from which on a signal was sampled more slowly."""
-_LARGE = 10.0
-"""Largest angle in radians that needs no word: more than one and a half turns."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -278,7 +276,7 @@ def _odd_values(fact: ColumnFacts, values: Array, time: Floats | None) -> Iterat
     if fact.step and fact.highest - fact.lowest < _COARSE * fact.step:
         yield f"{fact.name!r} moves in {(fact.highest - fact.lowest) / fact.step:.0f} steps only"
     angle = (fact.signal or "").startswith("qpos/") and values.ndim == 1
-    if angle and fact.unit is None and max(-fact.lowest, fact.highest) > _LARGE:
+    if angle and fact.unit is None and max(-fact.lowest, fact.highest) > degrees.MOST:
         yield (
             f"{fact.name!r} goes from {fact.lowest:.4g} to {fact.highest:.4g} and names no unit: "
             "are these degrees?"

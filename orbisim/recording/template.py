@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 
 import mujoco
+import numpy as np
 
 from orbisim.errors import RecordingError
-from orbisim.recording import clocks, names, units
+from orbisim.recording import clocks, degrees, names, units
+from orbisim.recording.actuators import actuators
 from orbisim.recording.formats import labels
 from orbisim.recording.formats.log import Column, Log
 from orbisim.recording.joints import joints
@@ -47,8 +49,9 @@ def propose(log: Log, scene: Scene) -> Proposal:
     found = [match for match in found if match not in forces]
     matched = {match.column.name: match.signal for match in found}
     rest = [column for column in rest if column.name not in {m.column.name for m in forces}]
+    turned = _in_degrees(found, log, scene.model)
     left = [c.name for c in rest if c.name not in matched and not _parts_in(c, matched)]
-    lines = [*times.values(), *(_line(match, scene.model) for match in found)]
+    lines = [*times.values(), *(_line(match, scene.model, turned) for match in found)]
     lines += _forces(forces, scene.model)
     remarks = _remarks(left, set(matched.values()), scene, log)
     text = _HEAD.format(log=json.dumps(log.source), scene=json.dumps(scene.name))
@@ -96,6 +99,42 @@ def _times(log: Log) -> dict[str, str]:
     return found
 
 
+def _in_degrees(found: Sequence[Match], log: Log, model: mujoco.MjModel) -> set[str]:
+    """Signals without a unit whose values, or those of their joint, are too large for radians."""
+    every = {joint.name: joint for joint in joints(model)}
+    servos = {a.name: every[_joint_name(model, a.joint)] for a in actuators(model)
+              if degrees.commands_angle(a, model)}  # fmt: skip
+    turned: set[str] = set()
+    for match in found:
+        kind, target = names.split(match.signal)
+        joint = {"qpos": every, "ctrl": servos}.get(kind, {}).get(target)
+        if joint is None or match.column.unit or labels.parse(match.column.name).unit:
+            continue
+        if degrees.suspect(_values(log, match.column), joint, model):
+            turned.add(match.signal)
+            if kind == "qpos":
+                turned.add(f"qvel/{target}")
+    return turned
+
+
+def _joint_name(model: mujoco.MjModel, index: int) -> str:
+    return str(model.joint(index).name)
+
+
+def _values(log: Log, column: Column) -> np.ndarray:
+    """Samples of a column, or of a component `name[3]`; none where they cannot be read."""
+    known = {one.name for one in log.columns}
+    whole, _, component = column.name.rpartition("[")
+    name = column.name if column.name in known else whole
+    try:
+        values = np.asarray(log.read([name])[name])
+    except RecordingError:
+        return np.zeros(0)
+    if name != column.name and values.ndim == 2:
+        values = values[:, int(component.removesuffix("]"))]
+    return values if values.dtype.kind in "fiu" else np.zeros(0)
+
+
 def _forces(found: Sequence[Match], model: mujoco.MjModel) -> Iterator[str]:
     """Forces as comments: many logs hold zeros or currents under such names."""
     if found:
@@ -104,7 +143,7 @@ def _forces(found: Sequence[Match], model: mujoco.MjModel) -> Iterator[str]:
         yield from (f"  #{_line(match, model)[1:]}" for match in found)
 
 
-def _line(match: Match, model: mujoco.MjModel) -> str:
+def _line(match: Match, model: mujoco.MjModel, turned: Container[str] = ()) -> str:
     stated = match.column.unit or labels.parse(match.column.name).unit
     expected = _expected(match.signal, model)
     parts = [f"signal: {_text(match.signal)}"]
@@ -115,6 +154,10 @@ def _line(match: Match, model: mujoco.MjModel) -> str:
         parts.append(f"unit: {_text(stated)}")
         if not units.known(stated):
             remarks.append(f"{stated!r} is not a unit that is known: give the scale to one that is")
+    elif match.signal in turned:
+        unit = "deg/s" if match.signal.startswith("qvel/") else "deg"
+        parts.append(f"unit: {_text(unit)}")
+        remarks.append(f"the file names no unit; too large for radians: {unit}?")
     elif expected is not None:
         parts.append(f"unit: {_text(expected)}")
         remarks.append(f"the file names no unit: {expected}?")

@@ -7,7 +7,6 @@ import secrets
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
-from dm_control import suite as _suite
 from dm_control.mujoco import engine
 from dm_control.rl import control
 
@@ -76,7 +75,7 @@ def load(
         raise InputError("task_kwargs has 'random'; pass seed=... (world i draws from seed + i)")
 
     def make_environment(random: int) -> control.Environment:
-        return _suite.load(
+        return suite.make_environment(
             domain,
             task,
             task_kwargs={**(task_kwargs or {}), "random": random},

@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import pytest
 
-from orbisim.host.engine_log import engine_warnings, ignore, silenced
+from orbisim.host.engine_log import engine_warnings, ignore, silenced, without_warnings
 
 FAST = """
 <mujoco><option timestep=".1"/><worldbody>
@@ -60,3 +60,11 @@ def test_libraries_are_not_heard_meanwhile(capfd: pytest.CaptureFixture[str]) ->
         raise ZeroDivisionError
     os.write(2, b"again")
     assert capfd.readouterr().err == "again"
+
+
+@pytest.mark.parametrize(("about", "heard"), [("unstable", 0), ("deprecated", 1)])
+def test_one_warning_is_kept_back_and_others_reach_who_hears_them(about: str, heard: int) -> None:
+    taken: list[str] = []
+    with engine_warnings(taken.append), without_warnings(about):
+        diverge()
+    assert bool(taken) == bool(heard)

@@ -14,6 +14,15 @@ from orbisim.recording.formats.log import Log, LogReader
 
 GROUP = "orbisim.recordings"
 _PART = "#"
+_PACKAGED = {
+    "bag": "ROS bags",
+    "db3": "ROS bags",
+    "metadata.yaml": "ROS bags",
+    "mcap": "MCAP files",
+    "h5": "HDF5 logs",
+    "hdf5": "HDF5 logs",
+}
+"""What is read with packages of an extra, as users call it."""
 
 
 def open_log(path: str | Path) -> Log:
@@ -32,17 +41,20 @@ def open_log(path: str | Path) -> Log:
         raise RecordingError(
             str(where), f"is one episode; {_PART}{part} is for folders that hold several"
         )
-    reader: LogReader = plugins.load(GROUP, name, "kind of recording")()
     try:
+        reader: LogReader = plugins.load(GROUP, name, "kind of recording")()
         return reader.read(where, part)
     except RecordingError:
         raise
     except InputError as error:
         raise as_recording_error(where, error) from None
-    except ModuleNotFoundError as error:
-        extra = plugins.EXTRAS.get(name, "logs")
-        missing = f"no module {error.name!r}"
-        raise MissingDependencyError(f"{where.name!r}", extra, missing) from error
+    except (ModuleNotFoundError, MissingDependencyError) as error:
+        told = error.cause if isinstance(error, MissingDependencyError) else ""
+        raise MissingDependencyError(
+            f"{_PACKAGED.get(name, f'recordings {name!r}')} such as {where.name!r}",
+            plugins.EXTRAS.get(name, "logs"),
+            told or f"no module {error.name!r}",
+        ) from error
 
 
 def as_recording_error(path: str | Path, error: InputError) -> RecordingError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +49,21 @@ def test_a_format_of_a_third_party(tmp_path: Path) -> None:
     path.write_bytes(b"123456")
     with pytest.raises(RecordingError, match="is too long"):
         Recording.load(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "said", "module"),
+    [("a.bag", "ROS bags", "rosbags"), ("a.mcap", "MCAP files", "mcap")],
+)
+def test_what_to_install_for_a_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, said: str, module: str
+) -> None:
+    (tmp_path / name).write_bytes(b"not looked at")
+    for known in [n for n in sys.modules if n.partition(".")[0] == module]:
+        monkeypatch.delitem(sys.modules, known)
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingDependencyError, match=rf"{said}.*{name}.*orbisim\[logs\]"):
+        open_log(tmp_path / name)
 
 
 def test_parts_are_for_folders(tmp_path: Path) -> None:
