@@ -60,6 +60,22 @@ class Linearization:
     B: Array
 
 
+@dataclasses.dataclass(frozen=True)
+class Intervals:
+    """How far off a backend says that its own rollout may be: half-widths of intervals.
+
+    Attributes:
+      frames: of each of K frames its kind, `body` or `site`, and its name.
+      level: share of the intervals that are to hold the truth.
+      position: [nworld, T, K], m. rotation: [nworld, T, K], rad, of geodesic distances on SO(3).
+    """
+
+    frames: tuple[tuple[str, str], ...]
+    level: float
+    position: npt.NDArray[np.float64]
+    rotation: npt.NDArray[np.float64]
+
+
 def one_at_a_time(method: F) -> F:
     """Lets threads that call methods of one backend take turns."""
 
@@ -269,6 +285,17 @@ class Backend(abc.ABC):
             final=records[-1] if records else initial,
             **stack,
         )
+
+    def intervals(self, trajectory: Trajectory) -> Intervals | None:
+        """How far off a rollout of this backend may be, by its own estimate.
+
+        Args:
+          trajectory: what `rollout` gave.
+
+        Returns:
+          None from a backend that says nothing of its errors.
+        """
+        return None
 
     def linearize(
         self, state: State, control: Array | None = None, *, eps: float | None = None

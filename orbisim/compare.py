@@ -15,12 +15,14 @@ import numpy.typing as npt
 
 from orbisim import metrics, plugins
 from orbisim.agreement import PERSISTS, EngineWarning, faults_of_rollout
-from orbisim.backend import Backend
+from orbisim.backend import Backend, Intervals
+from orbisim.coverage import Coverage, coverage
 from orbisim.episodes import Episodes, check_size, episodes, random_initial_states
 from orbisim.errors import InputError
 from orbisim.files.writing import make_folder, write_json
 from orbisim.host.progress import track
 from orbisim.metrics import Energies
+from orbisim.penetration import Penetration, penetration
 from orbisim.registry import make_backend
 from orbisim.scene import Scene
 from orbisim.state import State
@@ -42,6 +44,8 @@ class Side:
       backend: name of the backend.
       trajectory: of all episodes.
       energies: energy and contacts at the reported times.
+      penetration: of bodies in each other, at these times.
+      intervals: how far off the backend says that it may be, at these times; None if it does not.
       steps_per_s: control steps of all worlds together for each second of wall-clock time.
       latency_s: wall-clock time of one step of a single world.
       control_step_s: duration of a control step.
@@ -51,6 +55,8 @@ class Side:
     backend: str
     trajectory: Trajectory
     energies: Energies
+    penetration: Penetration
+    intervals: Intervals | None
     steps_per_s: float
     latency_s: float
     control_step_s: float
@@ -66,6 +72,8 @@ class Comparison:
       a, b: the two sides.
       horizon_s: [T] times of the reported errors, from the start of an episode.
       error: for each signal group [episodes, T], b against a.
+      intervals: of each side that predicts intervals (`a`, `b`) these beside its true errors,
+        which are its distance from the other side.
       rounding: the same errors between C MuJoCo and C MuJoCo started from the state rounded to
         float32: what no float32 engine can be expected to beat. None where not computed.
       seed: of initial states and controls.
@@ -77,6 +85,7 @@ class Comparison:
     b: Side
     horizon_s: Floats
     error: Mapping[str, Floats]
+    intervals: Mapping[str, Coverage]
     rounding: Mapping[str, Floats] | None
     seed: int
 
@@ -127,6 +136,15 @@ class Comparison:
             if self.rounding is None
             else {g: _summary(values, units[g]) for g, values in self.rounding.items()},
             "energy": {"unit": "J", "a": _energy_json(self.a), "b": _energy_json(self.b)},
+            "penetration": {
+                "unit": "m",
+                "a": self._penetration_json(self.a),
+                "b": self._penetration_json(self.b),
+            },
+            "uncertainty": {
+                side: found.to_json() if found else None
+                for side, found in (("a", self.intervals.get("a")), ("b", self.intervals.get("b")))
+            },
             "contacts": {
                 name: metrics.quantiles(side.energies.contacts.astype(float), (0.5,))[0]
                 for name, side in (("a", self.a), ("b", self.b))
@@ -135,6 +153,21 @@ class Comparison:
             "worst_episode": self.worst_episode,
             "faults": list(self.faults),
         }
+
+    def _penetration_json(self, side: Side) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for group, depth in side.penetration.depth.items():
+            median, p95, worst = map(_no_nan, metrics.quantiles(depth, (0.5, 0.95, 1.0)))
+            deepest = side.penetration.deepest[group]
+            found[group] = {"median": median, "p95": p95, "worst": worst, "deepest": None}
+            if deepest is not None:
+                found[group]["deepest"] = {
+                    "depth": deepest.depth,
+                    "between": list(deepest.between),
+                    "episode": deepest.world,
+                    "time_s": float(self.horizon_s[deepest.step]),
+                }
+        return found
 
     def report(self, folder: str | Path, *, video: bool = True, renderer: str = "mujoco") -> Path:
         """Writes `report.html` and `report.json` into a folder; returns the path of the page.
@@ -197,7 +230,12 @@ def compare(
     error = _errors(setup.scene, ra.trajectory, rb.trajectory, every)
     rounded = _rounding(setup, controls, step, every) if rounding else None
     times: Floats = np.arange(1.0, controls.shape[1] + 1)[every] * step
-    return Comparison(setup.scene, source, ra, rb, times, error, rounded, seed)
+    covered = {
+        name: coverage(setup.scene.model, side.intervals, _at(side, every), _at(other, every))
+        for name, side, other in (("a", ra, rb), ("b", rb, ra))
+        if side.intervals is not None
+    }
+    return Comparison(setup.scene, source, ra, rb, times, error, covered, rounded, seed)
 
 
 def _source(scene: Scene | Episodes) -> str:
@@ -239,9 +277,10 @@ def _common_step(a: Backend, b: Backend) -> float:
 
 
 class _Run(NamedTuple):
-    """A trajectory, its wall-clock time, the latency of one step of one world, and faults."""
+    """A trajectory, intervals, wall-clock time, latency of one step of one world, faults."""
 
     trajectory: Trajectory
+    intervals: Intervals | None
     elapsed: float
     latency: float
     faults: tuple[str, ...]
@@ -260,12 +299,25 @@ def _run(backend: Backend, initial: State, controls: Floats, step: float) -> _Ru
         state = piece.final
     elapsed = time.perf_counter() - started
     timesteps = round(step / float(backend.model.opt.timestep))
+    intervals = [backend.intervals(piece) for piece in pieces]
     return _Run(
         join(initial, controls, pieces),
+        _joined([part for part in intervals if part is not None]),
         elapsed,
         _latency(backend, initial, controls, nstep),
         faults_of_rollout(backend, first, timesteps),
     )
+
+
+def _joined(parts: list[Intervals]) -> Intervals | None:
+    """Those of consecutive rollouts; None for none."""
+    if not parts:
+        return None
+    position, rotation = (
+        np.concatenate([getattr(part, name) for part in parts], axis=1)
+        for name in ("position", "rotation")
+    )
+    return dataclasses.replace(parts[0], position=position, rotation=rotation)
 
 
 def _latency(backend: Backend, initial: State, controls: Floats, nstep: int) -> float:
@@ -325,7 +377,32 @@ def _side(
         setup.scene.model, trajectory.qpos[:, every], trajectory.qvel[:, every]
     )
     speed = trajectory.nworld * trajectory.nstep / run.elapsed
-    return Side(backend.name, trajectory, energies, speed, run.latency, step, run.faults)
+    return Side(
+        backend.name,
+        trajectory,
+        energies,
+        penetration(setup.scene, trajectory.qpos[:, every]),
+        _thinned(run.intervals, every),
+        speed,
+        run.latency,
+        step,
+        run.faults,
+    )
+
+
+def _thinned(intervals: Intervals | None, every: npt.NDArray[np.int64]) -> Intervals | None:
+    if intervals is None:
+        return None
+    return dataclasses.replace(
+        intervals,
+        position=intervals.position[:, every],
+        rotation=intervals.rotation[:, every],
+    )
+
+
+def _at(side: Side, every: npt.NDArray[np.int64]) -> Floats:
+    """Its coordinates [nworld, T, nq] at the reported times."""
+    return np.asarray(side.trajectory.qpos[:, every])
 
 
 def _errors(
@@ -364,7 +441,12 @@ def _no_nan(values: list[float]) -> list[float | None]:
 
 
 def _energy_json(side: Side) -> dict[str, Any]:
-    return {"median": _no_nan(metrics.quantiles(side.energies.total, (0.5,))[0])}
+    """Of the total energy median and 95 %; the same of its kinetic part."""
+    rows = []
+    for values in (side.energies.total, side.energies.kinetic):
+        median, p95 = metrics.quantiles(values)
+        rows.append({"median": _no_nan(median), "p95": _no_nan(p95)})
+    return {**rows[0], "kinetic": rows[1]}
 
 
 def _side_json(side: Side) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -137,6 +137,34 @@ def _rms(parts: list[Floats]) -> Floats:
 def _rms_of_norms(parts: list[Floats]) -> Floats:
     squares = [np.sum(part**2, axis=-1) for part in parts]
     return np.asarray(np.sqrt(functools.reduce(np.add, squares) / len(squares)))
+
+
+def poses(
+    model: mujoco.MjModel, qpos: Floats, frames: Sequence[tuple[str, str]]
+) -> tuple[Floats, Floats]:
+    """Where frames are.
+
+    Args:
+      model: of the scene. qpos: [nworld, T, nq].
+      frames: of each of K frames its kind, `body` or `site`, and its name.
+
+    Returns:
+      Positions [nworld, T, K, 3], m, and unit quaternions [nworld, T, K, 4] (w, x, y, z) in the
+      world frame; NaN where a state is not finite.
+    """
+    data = mujoco.MjData(model)
+    place = np.full((*qpos.shape[:2], len(frames), 3), np.nan)
+    turn = np.full((*qpos.shape[:2], len(frames), 4), np.nan)
+    views = [getattr(data, kind)(name) for kind, name in frames]
+    for index in np.ndindex(*qpos.shape[:2]):
+        if not np.isfinite(qpos[index]).all():
+            continue
+        data.qpos[:] = qpos[index]
+        mujoco.mj_kinematics(model, data)
+        for number, view in enumerate(views):
+            place[(*index, number)] = view.xpos
+            mujoco.mju_mat2Quat(turn[(*index, number)], view.xmat)
+    return place, turn
 
 
 @dataclasses.dataclass(frozen=True)

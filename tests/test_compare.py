@@ -8,8 +8,12 @@ import numpy as np
 import pytest
 
 from orbisim import load_scene, metrics
+from orbisim.backend import Intervals
 from orbisim.compare import Comparison, compare
+from orbisim.episodes import Episodes
 from orbisim.errors import InputError
+from orbisim.state import State
+from orbisim.trajectory import Trajectory
 from tests.physics.test_switching import Drift
 
 MIXED = """
@@ -57,6 +61,51 @@ def test_json_keeps_to_the_contract(comparison: Comparison) -> None:
         assert entry["unit"] == unit
         assert len(entry["median"]) == len(entry["p95"]) == len(result["horizon_s"])
     assert result["diverged"] == 0
+    for side in ("a", "b"):
+        energy = result["energy"][side]
+        assert len(energy["median"]) == len(energy["kinetic"]["p95"]) == len(result["horizon_s"])
+        assert set(result["penetration"][side]) == set(comparison.a.penetration.depth)
+    assert result["uncertainty"] == {"a": None, "b": None}
+
+
+def test_penetration_is_that_of_each_side() -> None:
+    """`drift` leaves a box 4 mm in the floor; MuJoCo pushes it out."""
+    sunk = (
+        "<mujoco><worldbody><geom name='floor' type='plane' size='1 1 .1'/><body pos='0 0 .046'>"
+        "<freejoint/><geom type='box' size='.05 .05 .05'/></body></worldbody></mujoco>"
+    )
+    scene = load_scene(sunk)
+    qpos, nv = scene.model.qpos0[None], scene.model.nv
+    start = State(np.zeros(1), qpos, np.zeros((1, nv)), np.zeros((1, 0)))
+    found = compare(
+        Episodes(scene, start.tile(2)), "mujoco", Drift(), count=2, horizon=0.1
+    ).to_json()["penetration"]
+    ours, theirs = (found[side]["object-world"] for side in ("a", "b"))
+    assert theirs["median"] == pytest.approx([0.004] * 50)
+    assert theirs["deepest"]["between"] == ["floor", "body1"]
+    assert 0 < ours["worst"][-1] < 0.003
+
+
+class Doubtful(Drift):
+    """Says that it may be 1 mm and 0.1 rad off."""
+
+    name = "doubtful"
+
+    def intervals(self, trajectory: Trajectory) -> Intervals:
+        rows = np.ones((trajectory.nworld, trajectory.nstep, 1))
+        return Intervals((("body", "box"),), 0.9, 1e-3 * rows, 0.1 * rows)
+
+
+def test_intervals_are_held_against_the_other_side() -> None:
+    result = compare(load_scene(MIXED), "mujoco", Doubtful(), count=3, horizon=0.2, seed=1)
+    summary = json.loads(json.dumps(result.to_json(), allow_nan=False))["uncertainty"]
+    assert summary["a"] is None
+    (box,) = summary["b"]["frames"]
+    assert box["name"] == "box"
+    fallen = np.array(box["position"]["error"]["median"])
+    assert box["position"]["covered"] == (fallen <= 1e-3).astype(float).tolist()
+    assert fallen == pytest.approx(np.median(result.error["object_position"], axis=0))
+    assert box["rotation"]["covered_in_all"] == 1.0
 
 
 def test_the_reference_against_itself_is_zero() -> None:

@@ -32,8 +32,8 @@ LAYERS = (
     {"registry", "gradients"},
     {"agreement"},
     # dm_control's Physics on top of them
-    {"physics", "metrics"},
-    {"episodes"},
+    {"physics", "metrics", "penetration"},
+    {"episodes", "coverage"},
     {"suite"},
     # Recording
     {"recording"},

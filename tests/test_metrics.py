@@ -115,6 +115,20 @@ def test_rotation_angle_of_known_rotations() -> None:
         )
 
 
+def test_poses_are_mujocos() -> None:
+    model = load_scene(scenes.RESTING_BOX).model
+    body = model.body(1).name
+    qpos = np.tile(model.qpos0, (1, 2, 1))
+    turn = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_quat(scalar_first=True)
+    qpos[0, 0, :7] = [1, 2, 3, *turn]
+    qpos[0, 1, 0] = np.nan
+    place, turned = metrics.poses(model, qpos, (("body", body),))
+    assert place.shape == (1, 2, 1, 3) and turned.shape == (1, 2, 1, 4)
+    np.testing.assert_allclose(place[0, 0, 0], [1, 2, 3])
+    np.testing.assert_allclose(turned[0, 0, 0], turn)
+    assert np.isnan(place[0, 1]).all() and np.isnan(turned[0, 1]).all()
+
+
 def test_energy_of_a_pendulum() -> None:
     model = load_scene(scenes.PENDULUM).model
     found = metrics.energies(model, np.array([[[0.0], [np.pi / 2]]]), np.array([[[2.0], [0.0]]]))

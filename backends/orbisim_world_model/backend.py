@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import torch
 
-from orbisim.backend import Backend, Capability
+from orbisim.backend import Backend, Capability, Intervals
 from orbisim.errors import InputError, MissingDependencyError, UnsupportedSceneError
 from orbisim.host.progress import patient
 from orbisim.scene import Scene
@@ -28,6 +28,7 @@ from orbisim_world_model.guard import blanked
 from orbisim_world_model.manifest import read_manifest
 from orbisim_world_model.native.translate import UntranslatableError
 from orbisim_world_model.properties import Values, with_object, with_world
+from orbisim_world_model.spread import LEVEL
 from orbisim_world_model.stepper import Speedups
 from orbisim_world_model.watch import (
     OUTSIDE,
@@ -198,6 +199,18 @@ class LearnedBackend(Backend):
             return result.final.memory.get(UNCERTAINTY)
         width = self.engine.interval(self.engine.variance(result))
         return None if width is None else like(width, result.qpos)
+
+    def intervals(self, trajectory: Trajectory) -> Intervals | None:
+        """`uncertainty` of the hand, if there is one, and the objects, each by its frame."""
+        widths = self.uncertainty(trajectory)
+        if widths is None:
+            return None
+        layout, host = self.engine.layout, as_kind(widths, np.zeros(0))
+        if layout.has_robot and not layout.hand:
+            host = host[:, :, 1:]  # of joints, which have no frame
+        hand = (("site", layout.hand),) if layout.hand else ()
+        frames = (*hand, *(("body", name) for name in layout.objects))
+        return Intervals(frames, LEVEL, host[..., 0], host[..., 1])
 
     @property
     def surface(self) -> str:

@@ -19,6 +19,8 @@ from orbisim_world_model.layout import Layout
 from orbisim_world_model.network.inputs import Inputs, Sizes
 from orbisim_world_model.rotation import conjugate, geodesic_distance, logarithm, multiply
 
+LEVEL = 0.9
+"""Of the intervals: the share that is to hold the truth."""
 WIDTH = 48  # of the hidden layers, unless a checkpoint says otherwise
 UNITS = (1e-3, 0.0174532925)
 """What variances are measured in: 1 mm and 1 degree, in SI units."""

@@ -14,11 +14,9 @@ from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.network.inputs import Inputs
 from orbisim_world_model.pack import Pack
 from orbisim_world_model.sampling import Windows, generator_of
-from orbisim_world_model.spread import WIDTH, deviation, propagated, true_errors
+from orbisim_world_model.spread import LEVEL, WIDTH, deviation, propagated, true_errors
 from orbisim_world_model.unroll import open_loop
 
-LEVEL = 0.9
-"""Of the intervals that are calibrated."""
 _FREEDOM = 3.0
 """Degrees of freedom of Student's t: errors after contacts have heavy tails."""
 

@@ -113,6 +113,8 @@ def _print(summary: dict[str, Any]) -> None:
             for group, entry in summary["error"].items()
         ],
     )
+    _print_penetration(summary)
+    _print_uncertainty(summary)
     print_table(
         "\nSpeed",
         ("backend", "control steps/s", "one step of one world (ms)", "control step (ms)"),
@@ -128,6 +130,49 @@ def _print(summary: dict[str, Any]) -> None:
     )
     if summary["diverged"]:
         note(f"warning: {summary['diverged']} of {summary['episodes']} episodes became non-finite")
+
+
+def _print_penetration(summary: dict[str, Any]) -> None:
+    sides = [summary[side]["backend"] for side in ("a", "b")]
+    rows = [
+        (group, *(1e3 * _deepest(summary["penetration"][side][group]) for side in ("a", "b")))
+        for group in summary["penetration"]["a"]
+    ]
+    if rows:
+        title = "\nDeepest penetration in all episodes (mm)"
+        print_table(title, ("between", *sides), rows)
+
+
+def _deepest(entry: dict[str, Any]) -> float:
+    return entry["deepest"]["depth"] if entry["deepest"] else 0.0
+
+
+def _print_uncertainty(summary: dict[str, Any]) -> None:
+    for side in ("a", "b"):
+        found = summary["uncertainty"][side]
+        if found is None:
+            continue
+        print_table(
+            f"\n{100 * found['level']:g} % intervals of {summary[side]['backend']}, medians and "
+            "95 % at the end",
+            ("frame", "unit", "interval", "95 %", "true error", "95 %", "held in all (%)"),
+            [_interval_row(frame, what) for frame in found["frames"] for what in _QUANTITIES],
+        )
+
+
+_QUANTITIES = ("position", "rotation")
+
+
+def _interval_row(frame: dict[str, Any], quantity: str) -> tuple[Any, ...]:
+    entry = frame[quantity]
+    ends = [_value(entry[w][k][-1]) for w in ("interval", "error") for k in ("median", "p95")]
+    held = entry["covered_in_all"]
+    return (
+        f"{frame['name']}, {quantity}",
+        entry["unit"],
+        *ends,
+        "nan" if held is None else 100 * held,
+    )
 
 
 def _value(value: float | None) -> float | str:

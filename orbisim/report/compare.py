@@ -59,6 +59,9 @@ def write_report(
         error_charts=[_error_chart(comparison, group) for group in comparison.error],
         worst_charts=_worst_charts(comparison),
         state_charts=_state_charts(comparison),
+        touching=_touching(comparison),
+        penetration_charts=_penetration_charts(comparison),
+        interval_charts=_interval_charts(comparison),
         speed_note=_speed_note(comparison),
         seed=comparison.seed,
         diverged=comparison.diverged,
@@ -223,17 +226,95 @@ def _state_charts(comparison: Comparison) -> list[Markup]:
     def energy(side: Side) -> Any:
         return side.energies.total
 
+    def kinetic(side: Side) -> Any:
+        return side.energies.kinetic
+
     def contacts(side: Side) -> Any:
         return np.where(side.energies.contacts >= 0, side.energies.contacts, np.nan)
 
     charts: list[Markup] = []
-    for title, unit, values in (("Mechanical energy", "J", energy), ("Contacts", "", contacts)):
+    for title, unit, values in (
+        ("Mechanical energy", "J", energy),
+        ("Kinetic energy", "J", kinetic),
+        ("Contacts", "", contacts),
+    ):
         drawn, axes = figures.figure()
         for side, colour in ((comparison.a, figures.A), (comparison.b, figures.B)):
             figures.band(axes, comparison.horizon_s, values(side), colour, side.backend)
         axes.set(title=title, xlabel="time (s)", ylabel=unit)
         figures.legend(axes)
         charts.append(figures.to_svg(drawn, f"{title} of both sides over time"))
+    return charts
+
+
+def _touching(comparison: Comparison) -> list[dict[str, Any]]:
+    """Of each group of bodies that can touch, the deepest penetration of both sides."""
+    rows: list[dict[str, Any]] = []
+    for group in comparison.a.penetration.depth:
+        row: dict[str, Any] = {"name": _spoken(group)}
+        for name, side in (("a", comparison.a), ("b", comparison.b)):
+            depth, deepest = side.penetration.depth[group], side.penetration.deepest[group]
+            most = np.nanmax(depth, axis=1) if np.isfinite(depth).any() else np.full(1, np.nan)
+            row[name] = {
+                "median": float(np.nanmedian(most)),
+                "p95": float(np.nanquantile(most, 0.95)),
+                "worst": float(np.nanmax(most)),
+                "where": " and ".join(deepest.between) if deepest else "",
+            }
+        rows.append(row)
+    return rows
+
+
+def _spoken(group: str) -> str:
+    """`robot-object`: robot and object."""
+    return " and ".join(group.split("-")).capitalize()
+
+
+def _penetration_charts(comparison: Comparison) -> list[Markup]:
+    """Of the groups in which anything overlaps, in millimetres."""
+    charts: list[Markup] = []
+    for group in comparison.a.penetration.depth:
+        sides = (comparison.a, comparison.b)
+        if not any(side.penetration.deepest[group] for side in sides):
+            continue
+        drawn, axes = figures.figure()
+        title = f"Penetration: {_spoken(group).lower()}"
+        for side, colour in zip(sides, (figures.A, figures.B), strict=True):
+            depth = side.penetration.depth[group] * 1e3
+            figures.band(axes, comparison.horizon_s, depth, colour, side.backend)
+        axes.set(title=title, xlabel="time (s)", ylabel="mm")
+        figures.legend(axes)
+        charts.append(figures.to_svg(drawn, f"{title} of both sides over time"))
+    return charts
+
+
+_QUANTITIES = {"position": ("mm", 1e3), "rotation": ("°", float(np.rad2deg(1.0)))}
+"""Of predicted intervals: the unit that a chart shows, and how many there are in an SI unit."""
+
+
+def _interval_charts(comparison: Comparison) -> list[Markup]:
+    """Predicted intervals and true errors of every frame."""
+    charts: list[Markup] = []
+    for name, found in comparison.intervals.items():
+        backend, colour = (
+            (comparison.a.backend, figures.A) if name == "a" else (comparison.b.backend, figures.B)
+        )
+        for number, (_, frame) in enumerate(found.intervals.frames):
+            for quantity, (unit, many) in _QUANTITIES.items():
+                error = found.error(quantity)[..., number] * many
+                width = found.predicted(quantity)[..., number] * many
+                held = found.held(quantity)[..., number]
+                drawn, axes = figures.figure()
+                label = f"{100 * found.intervals.level:g} % interval of {backend}"
+                figures.band(axes, comparison.horizon_s, width, figures.C, label)
+                figures.band(axes, comparison.horizon_s, error, colour, "true error")
+                figures.log_if_wide(axes, [error, width])
+                share = 100 * np.nanmean(held) if np.isfinite(held).any() else np.nan
+                title = f"{frame}, {quantity}: {share:.0f} % held"
+                axes.set(title=title, xlabel="time (s)", ylabel=unit)
+                figures.legend(axes)
+                alt = f"Predicted intervals and true errors of {frame}, {quantity}, over time"
+                charts.append(figures.to_svg(drawn, alt))
     return charts
 
 

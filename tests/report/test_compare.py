@@ -21,7 +21,7 @@ from orbisim.report.compare import (
     _verdict,
 )
 from tests.physics.test_switching import Drift
-from tests.test_compare import MIXED
+from tests.test_compare import MIXED, Doubtful
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +38,23 @@ def test_the_report_stands_alone(comparison: Comparison, tmp_path: Path) -> None
     links = re.findall(r'(?:src|href)="([^"]+)"', page)
     assert all(link.startswith(("#", "data:")) for link in links)
     assert "orbisim compare" in page
+
+
+def test_penetration_and_intervals_are_shown(tmp_path: Path) -> None:
+    floor = "<worldbody><geom name='floor' type='plane' size='9 9 .1'/>"
+    scene = load_scene(MIXED.replace("<worldbody>", floor).replace('pos="0 0 1"', 'pos="0 0 .099"'))
+    page = compare(scene, "mujoco", Doubtful(), count=2, horizon=0.1).report(tmp_path, video=False)
+    text = page.read_text()
+    assert "<h2>Penetration</h2>" in text and "<h2>Predicted uncertainty</h2>" in text
+    assert "<td>Object and world</td>" in text and "floor and box" in text
+    assert "Penetration: object and world of both sides over time" in text
+    assert "Predicted intervals and true errors of box, rotation, over time" in text
+    assert "Kinetic energy of both sides over time" in text
+
+
+def test_what_a_scene_lacks_is_not_shown(comparison: Comparison, tmp_path: Path) -> None:
+    text = comparison.report(tmp_path, video=False).read_text()
+    assert "Predicted uncertainty" not in text
 
 
 def test_names_in_the_report_are_escaped(tmp_path: Path) -> None:

@@ -80,6 +80,14 @@ def test_the_backend_carries_it_along(folder: Path, native: bool) -> None:
     whole = backend.uncertainty(path)
     assert whole is not None and whole.shape == (1, 4, 3, 2)
     assert backend.entity_names == ("robot", "one", "two")
+    intervals = backend.intervals(path)
+    assert intervals is not None and intervals.level == 0.9
+    hand = backend.engine.layout.hand
+    assert intervals.frames[-2:] == (("body", "one"), ("body", "two"))
+    assert intervals.frames[:-2] == ((("site", hand),) if hand else ())
+    seen = whole if hand else whole[:, :, 1:]
+    np.testing.assert_array_equal(intervals.position, seen[..., 0])
+    np.testing.assert_array_equal(intervals.rotation, seen[..., 1])
     assert (whole > 0).all() and np.isfinite(whole).all()
     np.testing.assert_allclose(backend.uncertainty(state), whole[:, -1], rtol=2e-3)
     np.testing.assert_allclose(
