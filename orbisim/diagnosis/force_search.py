@@ -124,9 +124,13 @@ def attribute_forces(
 
 
 def _idle(hypothesis: Hypothesis, fit: Fit, number: int, scene: Scene) -> bool:
-    """Whether an effect's numbers cannot be told from those that change nothing (Wald's test)."""
+    """Whether an effect's numbers cannot be told from those that change nothing (Wald's test), or
+    one of them ran off."""
     free = hypothesis.free(scene)
     own = [k for k, (i, _) in enumerate(free) if i == number]
+    unknowns = hypothesis.unknowns(scene)
+    if any(unknowns[k].ran_off(float(fit.values[k])) for k in own):
+        return True
     instance = hypothesis.effects[number]
     known = find(instance.effect).parameters(scene.model, instance.target)
     neutral = {one.name: one.neutral for one in known}

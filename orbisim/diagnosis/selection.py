@@ -9,6 +9,7 @@ wrong as long as the others are. Here they are fitted together.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
@@ -224,12 +225,13 @@ def select(data: Data, groups: Sequence[Group], most: int = 40) -> Selected:
         try:
             search.begin(rarity)
             search.remove()
-            while len(search.chosen) < most and search.add():
+            while search.better() and len(search.chosen) < most and search.add():
                 search.reweigh()
                 search.exchange()
                 search.remove()
         except TimeIsUpError:
             search.close()
+        search.back()
         nearer = best is None or best.worth(search) > 0
         best = search if nearer else best
     assert best is not None
@@ -293,6 +295,21 @@ class _Search:
         self.whole = data.whole()
         self.chosen: list[Group] = []
         self.before = self.now = predicted(dataclasses.replace(data, deadline=NEVER), [])
+        self.best: _Search | None = None
+
+    def better(self) -> bool:
+        """Whether what is chosen is the best so far, which is then remembered. A round of moves may
+        end in something worse: weights move with it, and what is possible beside what."""
+        if self.best is not None and not self.best.worth(self) > 0:
+            return False
+        self.best = copy.copy(self)
+        return True
+
+    def back(self) -> None:
+        """To the best so far."""
+        if self.best is not None and self.worth(self.best) > 0:
+            self.chosen, self.now = self.best.chosen, self.best.now
+            self.data, self.whole = self.best.data, self.best.whole
 
     def close(self) -> None:
         """Ends with what is chosen by now: the time is up."""
@@ -381,16 +398,16 @@ class _Search:
     def remove(self) -> None:
         """Drops groups that are not surely worth it beside the others, the least useful first."""
         while len(self.chosen) > 1:
-            trials: list[tuple[float, int, Group]] = []
+            trials: list[tuple[float, int, list[Group], Floats]] = []
             for number in np.argsort(self._costs(self.chosen), kind="stable")[:_LEAST]:
-                out = self.chosen[number]
-                left = predicted(self.data, _less(self.chosen, out))
-                trials.append((self.gain(left, self.now, [out]).sure, len(trials), out))
-            worth, _, out = min(trials, key=lambda one: one[:2])
-            if worth > 0:
+                kept = self._possible(_less(self.chosen, self.chosen[number]))
+                left = predicted(self.data, kept)
+                worth = self.gain(left, self.now, self.chosen, kept).sure
+                trials.append((worth, len(trials), kept, left))
+            least, _, kept, left = min(trials, key=lambda one: one[:2])
+            if least > 0:
                 return
-            self.chosen = self._possible(_less(self.chosen, out))
-            self.now = predicted(self.data, self.chosen)
+            self.chosen, self.now = kept, left
 
     def _best(self, kept: Sequence[Group]) -> tuple[list[Group], Floats, Gain] | None:
         """What is best chosen with another group beside those kept, what is left then, and what

@@ -63,6 +63,14 @@ class Unknown:
         """The difference step, backwards where forwards would leave the bounds."""
         return -self.step if value + self.step > self.high else self.step
 
+    def ran_off(self, value: float) -> bool:
+        """Whether a fit went to a bound that only says how far numbers go."""
+        return not self.low < value < self.high and abs(value) >= FAR
+
+
+FAR = 1e5
+"""Size from which on a bound says no more than how far numbers go."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Hints:

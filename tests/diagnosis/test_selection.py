@@ -64,6 +64,27 @@ def test_impossible_coefficients_are_left_out() -> None:
     assert (3,) not in {g.index for g in found.groups}
 
 
+def test_what_one_group_makes_possible_goes_only_with_both() -> None:
+    """The second column nearly undoes the first one: without it, the first would be negative."""
+    rng, blocks = np.random.default_rng(0), list[Normal]()
+    for _ in range(BLOCKS):
+        other = rng.standard_normal(ROWS)
+        design = np.stack([-2 * other + 0.1 * rng.standard_normal(ROWS), other], axis=1)
+        target = design.sum(axis=1) + 0.3 * rng.standard_normal(ROWS)
+        square = float(target @ target)
+        blocks.append(Normal(design.T @ design, design.T @ target, square, ROWS))
+
+    def at_least(index: int, least: float) -> Group:
+        def instance(x: np.ndarray) -> EffectInstance | None:
+            return EffectInstance("viscous_damping", "j", {}) if x[0] > least else None
+
+        return Group((index,), (str(index), "j"), instance, prior=-1.0)
+
+    found = select(data_of(blocks, COUNTS), [at_least(0, 0.7), at_least(1, 0.0)])
+    assert {g.index for g in found.groups} == {(0,), (1,)}
+    assert found.predicted.sum() < 0.2 * found.before.sum()
+
+
 def test_what_could_stand_in_the_place_of_a_choice_is_told() -> None:
     truth = np.zeros(COLUMNS)
     truth[3] = 1.0
