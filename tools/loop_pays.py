@@ -44,7 +44,7 @@ SCENE = Path(__file__).parents[1] / "mjcf_assets" / "cart_pole" / "scene.xml"
 CONDITIONS = ("declared", "randomised", "diagnosed", "true")
 MOST = 8.0
 """N, of the motor."""
-_HISTORY = 4
+_HISTORY = 8
 """Last actions that a policy sees."""
 
 
@@ -53,7 +53,7 @@ class Balance(Problem):
 
     Args:
       scene: of a cart and pole.
-      randomise: draw friction (0 to 2 N), masses and gain (up to 30 % off) and a delay (0 to 3
+      randomise: draw friction (0 to 4 N), masses and gain (up to 30 % off) and a delay (0 to 7
         control steps) for each episode.
     """
 
@@ -72,7 +72,7 @@ class Balance(Problem):
         qvel = np.array([r.uniform(-0.1, 0.1, 2) for r in rows])
         command, params = np.zeros((len(rows), _HISTORY + 1)), np.zeros((len(rows), 0))
         if self._randomise:
-            params = np.array([[r.uniform(0, 2), *r.uniform(0.7, 1.3, 3)] for r in rows])
+            params = np.array([[r.uniform(0, 4), *r.uniform(0.7, 1.3, 3)] for r in rows])
             command[:, -1] = [r.integers(0, _HISTORY) for r in rows]
         return Starts(qpos, qvel, np.zeros((len(rows), 1)), command, params)
 

@@ -252,6 +252,7 @@ def train_baseline(
             "method": config.method,
             "config": dataclasses.asdict(config),
             "true_steps": int(environment.worlds.steps),
+            **problem.conditions,
             "training": {
                 "seed": run.seed,
                 "step": int(model.num_timesteps),

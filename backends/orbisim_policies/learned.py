@@ -6,6 +6,7 @@ import copy
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from orbisim_world_model import zoo
 from orbisim_world_model.checkpoint import load_checkpoint
@@ -49,7 +50,8 @@ class LearnedWorlds:
       device: where to compute.
 
     Raises:
-      InputError: the checkpoint's step is not the problem's, or it has a memory.
+      InputError: the checkpoint's step is not the problem's, it has a memory, or it does not see
+        what episodes have beyond the task's scene.
       UnsupportedSceneError: the checkpoint does not fit the scene.
     """
 
@@ -70,6 +72,7 @@ class LearnedWorlds:
                 f"{folder}: takes steps of {self.layout.timestep:g} s; {problem.name} has control "
                 f"steps of {problem.timestep:g} s, which must be a multiple of them"
             )
+        self._check_seen()
         model.spread = None  # how far off it may be is no part of the step
         if model.config.memory != "none":
             raise InputError(f"{folder}: has a memory; policies are trained on dynamics without")
@@ -78,6 +81,20 @@ class LearnedWorlds:
         self._memory = self.model.initial_memory(1)
         index = self.layout._indices(str(device))
         self._to_qpos, self._to_qvel = index["to_qpos"], index["to_qvel"]
+
+    def _check_seen(self) -> None:
+        """Refuses episodes that differ from the task's scene in what the step does not see."""
+        layout = self.layout
+        for name, models in self.problem.alterations.items():
+            plain, altered = (
+                (read_attributes(m, layout), read_settings(m, layout)) for m in models
+            )
+            if all(np.array_equal(a, b) for a, b in zip(plain, altered, strict=True)):
+                raise InputError(
+                    f"{self.folder}: does not see {name}: it is conditioned on "
+                    f"{', '.join((*layout.attributes, *layout.settings))}; train with --method ppo "
+                    "or sac, which learn in mujoco"
+                )
 
     def pool(self, starts: Starts) -> Pool:
         """Starts as tensors, with the descriptors of their scenes."""

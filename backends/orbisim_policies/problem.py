@@ -125,9 +125,24 @@ class Problem(abc.ABC):
         """
 
     @property
+    def template(self) -> Scene:
+        """The scene with the model that `write` starts from."""
+        return self.scene
+
+    @property
     def model(self) -> mujoco.MjModel:
         """What `write` starts from."""
-        return self.scene.model
+        return self.template.model
+
+    @property
+    def conditions(self) -> Mapping[str, Any]:
+        """What a manifest says of the episodes beside the task's name."""
+        return {}
+
+    @property
+    def alterations(self) -> Mapping[str, tuple[mujoco.MjModel, mujoco.MjModel]]:
+        """By name, what episodes have beyond the task's own scene: models without and with it."""
+        return {}
 
     def write(self, model: mujoco.MjModel, params: Floats) -> None:  # noqa: B027
         """Makes a copy of `model` that of an episode with these parameters [P]."""

@@ -83,7 +83,7 @@ class PushProblem(Problem):
         config, key = self.task.config, self.scene.model.key("start")
         largest = Cube(config.cube_half[1], config.density[1], 0.4, (0.5, 0.5, 0.5))
         setting = Setting((largest, largest), 0.4)
-        self._largest = build("push", setting, self.name, key.qpos, key.ctrl).model
+        self._largest = build("push", setting, self.name, key.qpos, key.ctrl)
         self._place(device or torch.device("cpu"))
 
     def to(self, device: torch.device) -> PushProblem:
@@ -133,7 +133,7 @@ class PushProblem(Problem):
         return Starts(qpos, speeds, np.append(joints, closed, axis=1), command, params)
 
     @property
-    def model(self) -> mujoco.MjModel:
+    def template(self) -> Scene:
         """With cubes as large as they can be: MuJoCo's bounding volumes, which filter what may
         touch, are those of the compiled sizes (`bvh_aabb`), and cubes are only made smaller."""
         return self._largest

@@ -126,6 +126,7 @@ def train_apg(
         "dynamics": worlds.folder.name,
         "true_steps": _true_steps(worlds) + _inherited(run),
         "start": run.start.name if run.start else "",
+        **problem.conditions,
     }
     return _train(trainer, problem, run, clock, names, notes, report)
 
@@ -152,6 +153,7 @@ def train_clone(
         "config": dataclasses.asdict(config),
         "demonstrations": {"episodes": shown.episodes, "success": shown.success},
         "true_steps": shown.steps,
+        **problem.conditions,
     }
     return _train(trainer, problem, run, clock, ("loss",), notes, report)
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import mujoco
 import numpy as np
 import torch
 from torch import Tensor
@@ -58,6 +60,13 @@ SUITE: Mapping[str, Task] = {
 }
 
 
+def _document(domain: str) -> mujoco.MjSpec:
+    """dm_control's own MJCF of a domain."""
+    module = importlib.import_module(f"dm_control.suite.{domain}")
+    text, assets = module.get_model_and_assets()
+    return mujoco.MjSpec.from_string(*(text.decode(), assets))
+
+
 class SuiteProblem(Problem):
     """A task of the suite; actions are its controls.
 
@@ -73,8 +82,7 @@ class SuiteProblem(Problem):
         self.name = f"suite:{task}"
         self._task, (domain, name) = SUITE[task], suite.split_name(task)
         self._environment: Any = suite.load(domain, name, task_kwargs={"random": 0})
-        physics = self._environment.physics
-        self.scene = Scene.from_model(physics.model.ptr, source=self.name)
+        self.scene = Scene.from_spec(_document(domain), source=self.name)
         self.timestep = float(self._environment.control_timestep())
         self.steps = steps or round(self._environment._step_limit)
         model = self.scene.model

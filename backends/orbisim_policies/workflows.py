@@ -10,10 +10,12 @@ from typing import Any
 import torch
 
 from orbisim.errors import InputError
+from orbisim.vector.randomization import intervals
 from orbisim_policies import evaluate as evaluation
 from orbisim_policies.apg import ApgConfig
 from orbisim_policies.checkpoint import load_policy, read_manifest
 from orbisim_policies.cloning import CloneConfig
+from orbisim_policies.drawn import DrawnProblem
 from orbisim_policies.learned import LearnedWorlds
 from orbisim_policies.problem import Problem
 from orbisim_policies.problems import make_problem
@@ -37,7 +39,7 @@ def train(
     task: str, method: str, options: Mapping[str, Any], note: Callable[[str], None]
 ) -> dict[str, Any]:
     """Trains a policy as the command line says; returns its manifest."""
-    problem = make_problem(task, options["episode"])
+    problem = _drawn(make_problem(task, options["episode"]), options["randomize"], options["seed"])
     run = Run(**{_RUN[name]: value for name, value in options.items() if name in _RUN})
     if run.start is not None:
         run = dataclasses.replace(run, start=resolved(run.start))
@@ -58,6 +60,8 @@ def train(
     if run.start is not None:
         raise InputError(f"--start is for --method apg; got {method}")
     if method == "bc":
+        if options["randomize"] is not None:
+            raise InputError("--randomize is for methods that try; --method bc imitates the script")
         if not isinstance(problem, PushProblem):
             raise InputError(f"there is no script to imitate in {problem.name}; use task:push")
         return train_clone(problem, _changed(CloneConfig(), options), run, report)
@@ -71,6 +75,7 @@ def evaluate(
     folder: Path,
     task: str | None,
     *,
+    randomize: Path | None,
     episodes: int,
     seeds: Sequence[int],
     model: str,
@@ -81,8 +86,8 @@ def evaluate(
     folder = resolved(folder)
     manifest = read_manifest(folder)
     steps = int(manifest.get("steps", 0)) or None
-    problem = make_problem(task or str(manifest.get("task")), steps)
-    policy = load_policy(folder, problem)
+    plain = make_problem(task or str(manifest.get("task")), steps)
+    policy, problem = load_policy(folder, plain), _drawn(plain, randomize, min(seeds))
     worlds = None if model == "none" else _model(model, problem, torch.device(device))
     result = evaluation.evaluate(
         problem, policy, episodes=episodes, seeds=seeds, worlds=worlds, nthread=threads
@@ -90,7 +95,12 @@ def evaluate(
     known: dict[str, Any] = {
         name: manifest[name] for name in ("method", "true_steps") if name in manifest
     }
-    return {**result, **known, "policy": str(folder)}
+    return {**result, **known, **problem.conditions, "policy": str(folder)}
+
+
+def _drawn(problem: Problem, report: Path | None, seed: int) -> Problem:
+    """The problem in scenes drawn from a diagnosis, if one is given."""
+    return problem if report is None else DrawnProblem(problem, intervals(report), seed)
 
 
 def sentence(line: Mapping[str, Any]) -> str:

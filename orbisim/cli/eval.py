@@ -216,6 +216,13 @@ _POLICY = "Example: orbisim eval policy policies/push --episodes 200 --json"
     show_default=True,
     help="Inside which model to evaluate as well: learned, learned:PATH, or none.",
 )
+@click.option(
+    "--randomize",
+    type=click.Path(path_type=Path),
+    default=None,
+    metavar="REPORT",
+    help="report.json of orbisim diagnose: episodes have its effects, drawn from its intervals.",
+)
 @click.option("--threads", default=0, help="Of MuJoCo; 0 for all cores.")
 @device_option
 @json_option
@@ -225,6 +232,7 @@ def policy(
     episodes: int,
     seeds: tuple[int, ...],
     model: str,
+    randomize: Path | None,
     threads: int,
     device: str | None,
     as_json: bool,
@@ -244,6 +252,7 @@ def policy(
         episodes=episodes,
         seeds=seeds or (0, 1, 2),
         model=model,
+        randomize=randomize,
         threads=threads,
         device=torch_device(device or "cpu"),
     )

@@ -369,6 +369,13 @@ _POLICY = "Example: orbisim train policy push --method apg --out policies/push -
 @click.option("--noise", type=click.FloatRange(min=0), default=None, help="On actions (apg).")
 @click.option("--demonstrations", default=500, show_default=True, help="Episodes to imitate (bc).")
 @click.option("--episode", type=click.IntRange(min=1), default=None, help="Steps of an episode.")
+@click.option(
+    "--randomize",
+    type=click.Path(path_type=Path),
+    default=None,
+    metavar="REPORT",
+    help="report.json of orbisim diagnose: episodes have its effects, drawn from its intervals.",
+)
 @click.option("--check", default=64, show_default=True, help="Episodes of a live estimate.")
 @click.option("--check-every", default=60.0, show_default=True, help="Seconds between estimates.")
 @click.option("--save-every", default=60.0, show_default=True, help="Seconds between saves.")

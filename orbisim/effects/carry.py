@@ -29,6 +29,12 @@ def add_effects(scene: Scene, instances: Iterable[EffectInstance]) -> Scene:
       InputError: an effect is unknown, or does not fit the scene; or the scene was made from a
         compiled model and cannot be edited.
     """
+    spec = edited(scene, instances)
+    return Scene.from_spec(spec, source=scene.source, unsupported=scene.unsupported)
+
+
+def edited(scene: Scene, instances: Iterable[EffectInstance]) -> mujoco.MjSpec:
+    """The scene's document with effects added, not yet compiled. Errors as `add_effects`."""
     spec = scene.spec
     carried = list(carried_effects(scene.model))
     for instance in instances:
@@ -44,7 +50,7 @@ def add_effects(scene: Scene, instances: Iterable[EffectInstance]) -> Scene:
         else:
             carried.append(instance)
     write_carried(spec, carried)
-    return Scene.from_spec(spec, source=scene.source, unsupported=scene.unsupported)
+    return spec
 
 
 def write_carried(spec: mujoco.MjSpec, instances: Sequence[EffectInstance]) -> None:

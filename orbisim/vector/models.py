@@ -20,6 +20,9 @@ COSMETIC = ("rgba", "light_", "mat_", "cam_", "vis.", "_group", "_user", "hfield
 """Parts of the names of fields that no step reads."""
 
 
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+
+
 def _moves_or_touches(model: mujoco.MjModel, body: int) -> bool:
     """Whether a body, or one that it carries, has a joint or a geom that touches something."""
     below = [body]
@@ -113,6 +116,13 @@ class ModelFields:
         Raises:
           InputError: it is a model of something else.
         """
+        sizes = [mujoco.mj_stateSize(m, _STATE) for m in (model, self._working)]
+        if sizes[0] != sizes[1]:
+            raise InputError(
+                f"world {world} has another model than world 0: its state has {sizes[0]} numbers, "
+                f"not {sizes[1]}; all worlds need the same joints, activations and histories of "
+                "delayed controls (nsample)"
+            )
         theirs = {n: np.array(v) for n, v in (numbers(model) | _scalars(model)).items()}
         for name, base in self._base.items():
             value = theirs.get(name)

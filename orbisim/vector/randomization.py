@@ -13,7 +13,7 @@ import numpy.typing as npt
 from dm_control.mujoco import engine
 
 from orbisim.effects.base import EffectInstance
-from orbisim.effects.carry import add_effects
+from orbisim.effects.carry import edited
 from orbisim.effects.catalogue import find
 from orbisim.errors import InputError, UnknownNameError
 from orbisim.files.reading import read_json
@@ -127,7 +127,15 @@ class Intervals:
             effect.replace(**{n: float(random.uniform(*span)) for n, span in spans.items()})
             for effect, spans in zip(self.effects, self.ranges, strict=True)
         ]
-        return add_effects(scene, drawn)
+        upper = [
+            effect.replace(**{n: high for n, (_, high) in spans.items()})
+            for effect, spans in zip(self.effects, self.ranges, strict=True)
+        ]
+        spec, longest = edited(scene, drawn), edited(scene, upper)
+        for actuator, other in zip(spec.actuators, longest.actuators, strict=True):
+            # what is remembered of late controls: states of all worlds are of one size
+            actuator.nsample = max(actuator.nsample, other.nsample)
+        return Scene.from_spec(spec, source=scene.source, unsupported=scene.unsupported)
 
 
 def intervals(report: str | Path | Mapping[str, Any]) -> Intervals:

@@ -28,7 +28,7 @@ def tool() -> Any:
 
 def test_an_action_comes_so_many_steps_later(tool: Any) -> None:
     problem = tool.Balance(tool.load_scene(tool.SCENE))
-    command = torch.zeros(3, 5)
+    command = torch.zeros(3, tool._HISTORY + 1)
     command[:, -1] = torch.tensor([0.0, 1.0, 3.0])
     forces = []
     for value in (0.5, -0.5, 0.0, 0.0):

@@ -64,3 +64,13 @@ def test_models_of_other_sizes(models: tuple[mujoco.MjModel, mujoco.MjModel]) ->
     other = mujoco.MjModel.from_xml_string("<mujoco/>")
     with pytest.raises(InputError, match="world 1 has another model"):
         fields.copy_from(other, 1)
+
+
+def test_a_model_that_remembers_more_is_refused(
+    models: tuple[mujoco.MjModel, mujoco.MjModel],
+) -> None:
+    """Of the same shapes everywhere, but its history would not fit the state of the others."""
+    fields = ModelFields(*models, 2)
+    text = own.XML.replace('<motor name="push"', '<motor name="push" delay=".03" nsample="9"')
+    with pytest.raises(InputError, match="histories of delayed controls"):
+        fields.copy_from(mujoco.MjModel.from_xml_string(text), 1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -94,6 +95,25 @@ def test_worlds_drawn_from_a_diagnosis() -> None:
     np.testing.assert_array_equal(
         again._fields.varied["dof_damping"], environment._fields.varied["dof_damping"]
     )
+
+
+def test_worlds_drawn_with_delays_are_those_of_their_own_scenes() -> None:
+    """A longer delay needs a longer history, and all worlds have states of one size."""
+    parameters = {"delay": {"value": 0.05, "unit": "s", "ci95": [0.01, 0.1]}}
+    found = report("actuator_delay", target="push", parameters=parameters)
+    scene, count = orbisim.load_scene(own.XML), 5
+    environment = from_scene(scene, count, reward=upright, seed=0, randomize=intervals(found))
+    environment.reset()
+    scenes = [intervals(found).draw(scene, seed) for seed in range(count)]
+    assert len({int(one.model.nhistory) for one in scenes}) == 1
+    assert len({float(one.model.actuator_delay[0]) for one in scenes}) == count
+    for _ in range(15):
+        environment.step(np.ones((count, 1)))
+    for world, one in enumerate(scenes):
+        data = mujoco.MjData(one.model)
+        data.ctrl[:] = 1.0
+        mujoco.mj_step(one.model, data, 15)
+        np.testing.assert_array_equal(environment.state.qvel[world], data.qvel)
 
 
 @pytest.mark.parametrize(
