@@ -344,7 +344,7 @@ class Judge:
         size = np.maximum(np.where(at_end, 0.0, np.abs(values)), 1e-3)
         change = np.sqrt(np.maximum(information, 0.0)) * size
         weak = change < max(_WEAK * change.max(initial=0.0), 1e-3)
-        weak |= [u.ran_off(v) for u, v in zip(unknowns, values, strict=False)]
+        weak |= np.array([u.ran_off(v) for u, v in zip(unknowns, values, strict=False)], bool)
         weak &= np.array([not self._stepwise(fitted, i, name) for i, name in free], bool)
         if weak.all():
             return []
