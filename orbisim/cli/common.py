@@ -56,7 +56,7 @@ def scene_options(argument: str = "scene") -> Callable[[F], F]:
     def decorate(function: F) -> F:
         @functools.wraps(function)
         def wrapped(*args: Any, **kwargs: Any) -> Any:
-            from orbisim.scene.query import with_options
+            from orbisim.scene.query import with_options, without_options
 
             options: dict[str, Any] = {}
             if (kind := kwargs.pop("actuators")) is not None:
@@ -67,11 +67,12 @@ def scene_options(argument: str = "scene") -> Callable[[F], F]:
                 options["package_paths"] = dict(map(_package, pairs))
             scene = kwargs[argument]
             if options:
-                if scene is None or Path(scene).suffix.lower() not in (".urdf", ".zip"):
+                path, given = without_options(scene or "")
+                if Path(path).suffix.lower() not in (".urdf", ".zip"):
                     raise InputError(
                         f"--actuators, --floating-base and --package are for URDF; got {scene}"
                     )
-                kwargs[argument] = with_options(scene, options)
+                kwargs[argument] = with_options(path, {**given, **options})
             return function(*args, **kwargs)
 
         for option in reversed(_SCENE_OPTIONS):

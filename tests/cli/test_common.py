@@ -79,6 +79,9 @@ def test_urdf_options_are_on_every_command_that_takes_a_scene(
     found = json.loads(capsys.readouterr().out)
     kinds = [j["type"] for e in found["entities"] for p in e["parts"] for j in p["joints"]]
     assert len(found["actuators"]) == 1 and kinds == ["free", "hinge"]
+    servo = [f"{path}?position_gain=30", "--json", "--actuators", "position"]
+    assert run(["info", *servo]) == 0  # options behind the name stay
+    assert json.loads(capsys.readouterr().out)["actuators"][0]["gainprm"][0] == 30
     simulated = ["sim", str(path), "--duration", "0.1", "--controls", "random"]
     assert run([*simulated, *options]) == 0
     assert "no actuators" not in capsys.readouterr().err

@@ -32,24 +32,29 @@ class Actuators:
         for transmission in driven:
             self._add_one(kind, transmission, robot.joints[transmission.joint])
         if not driven:
+            every = self._options.actuate == "all"
             self.warnings.append(
-                "no actuators were made: the document has no transmission of a joint with one "
-                "axis; pass actuate='all' to drive every such joint"
+                "no actuators were made: no joint moves about one axis"
+                if every
+                else "no actuators were made: the document has no transmission of a joint with one "
+                "axis; --actuators on the command line, actuate='all' in Python, drives every such "
+                "joint"
             )
         elif kind != "motor":
             unit = {"position": "position_gain", "velocity": "velocity_gain"}[kind]
             self.warnings.append(
                 f"{len(driven)} {kind} actuators have the gain {getattr(self._options, unit):g}, "
-                f"which URDF does not give; pass {unit}=..."
+                f"which URDF does not give; say it behind the file's name, 'x.urdf?{unit}=...' "
+                f"(in Python load_scene(..., {unit}=...))"
             )
 
     def _say_that_nothing_drives(self, robot: Robot) -> None:
         moving = [joint for joint in robot.joints.values() if joint.type in ONE_AXIS]
         if moving:
             self.warnings.append(
-                f"{len(moving)} joints move and nothing drives them: controls do nothing; in "
-                "Python pass actuators='motor', 'position' or 'velocity' (and actuate='all' for "
-                "joints without a transmission)"
+                f"{len(moving)} joints move and nothing drives them: controls do nothing; "
+                "--actuators motor, position or velocity drives them (in Python actuators=..., "
+                "and actuate='all' for joints without a transmission)"
             )
 
     def _transmissions(self, robot: Robot) -> list[Transmission]:
@@ -112,7 +117,8 @@ class Actuators:
                 Unsupported(
                     first + more,
                     "<transmission>",
-                    "no actuators are made; pass actuators='motor', 'position' or 'velocity'",
+                    "no actuators are made; --actuators motor, position or velocity makes them (in "
+                    "Python actuators=...)",
                 )
             )
 

@@ -165,6 +165,6 @@ def _lumped(bodies: list[Body]) -> list[str]:
         return []
     shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
     return [
-        f"{len(names)} links on fixed joints are part of the bodies they are fixed to ({shown}); "
-        "pass lump_fixed=False to keep them"
+        f"links on fixed joints are part of the bodies they are fixed to: {shown}; "
+        "'x.urdf?lump_fixed=false' keeps them (in Python lump_fixed=False)"
     ]

@@ -83,7 +83,7 @@ def test_all_joints_but_followers_on_request() -> None:
 def test_nothing_to_drive_is_said() -> None:
     scene = read(arm(), actuators="motor")
     assert scene.model.nu == 0
-    assert any("actuate='all'" in warning for warning in scene.warnings)
+    assert any("--actuators on the command line" in warning for warning in scene.warnings)
 
 
 def test_gains_are_said_to_be_assumed() -> None:
