@@ -170,7 +170,7 @@ def _attribute(name: str) -> re.Pattern[str]:
 
 
 def _attributes(attributes: Mapping[str, str], degrees: bool) -> dict[str, str]:
-    """Attributes with the shortest numbers that are read as the same, angles as the file has."""
+    """Attributes with numbers of at most `_DIGITS` digits, angles as the file has them."""
     return {
         name: _numbers(value, 180 / math.pi if degrees and name in _ANGLES else 1.0)
         for name, value in attributes.items()
@@ -184,10 +184,13 @@ def _numbers(value: str, factor: float) -> str:
     if not all(map(_NUMBER.fullmatch, words)):
         return value
     numbers = [float(word) * factor for word in words]
-    return " ".join(repr(x).removesuffix(".0") for x in numbers)
+    return " ".join(f"{x:.{_DIGITS}g}" for x in numbers)
 
 
 _NUMBER = re.compile(r"-?\d+(\.\d*)?(e[-+]?\d+)?")
+_DIGITS = 10
+"""Digits of a number: a tenth of what the patched model may differ by is lost, and what a fit gave
+beyond them is noise to whoever reads the patch."""
 _LONG = 10
 """Characters of a number that MuJoCo wrote with all its digits."""
 

@@ -116,6 +116,11 @@ def test_only_what_must_change_does(scene: Scene) -> None:
     ]
 
 
+def test_numbers_of_fits_are_short(scene: Scene) -> None:
+    fitted = EffectInstance("coulomb_friction", "elbow", {"torque": 0.0800020980243468})
+    assert 'frictionloss="0.08000209802"' in patch_of(scene, add_effects(scene, [fitted])).text
+
+
 @needs_patch
 @pytest.mark.parametrize("ending", ["\r\n", "no newline at the end"])
 def test_line_ends_stay(tmp_path: Path, ending: str) -> None:
