@@ -12,12 +12,16 @@ from typing import Any
 import pytest
 import torch
 from orbisim_world_model import zoo
-from orbisim_world_model.checkpoint import load_checkpoint
-from orbisim_world_model.manifest import read_manifest
+from orbisim_world_model.checkpoint import load_checkpoint, load_for
+from orbisim_world_model.evaluate import evaluate
+from orbisim_world_model.manifest import read_manifest, variants
+from orbisim_world_model.packing import read_data
 from safetensors.torch import load_file, save_file
+from torch import nn
 
 from orbisim import load_scene, make_backend
 from orbisim.errors import InputError
+from orbisim.tasks.collect import collect
 from tests.clock import Stopwatch
 
 ZOO = Path(zoo.__file__).parent / "zoo"
@@ -164,3 +168,29 @@ def test_numbers_of_a_robot_that_this_version_does_not_read(folder: Path) -> Non
     _rewrite(folder, _set([1.0], "data", "robot", "colour"))
     with pytest.warns(UserWarning, match="'colour', which this version does not read"):
         make_backend(f"learned:{folder}", load_scene("suite:cartpole-swingup"), native=False)
+
+
+def test_figures_of_a_shipped_checkpoint_are_recomputed(tmp_path: Path) -> None:
+    """On the first steps of the 40 held-out episodes: the median and the tail of the manifest."""
+    path = tmp_path / "test.h5"
+    collect("suite:cartpole-swingup", path, episodes=40, seed=1, workers=1, changes={"steps": 10})
+    pack = read_data([path])
+    checkpoint = load_for(ZOO / "cartpole", pack.layout)
+    found = evaluate(checkpoint.model, pack, (10,), burn=0)["10"]
+    said = checkpoint.manifest["metrics"]["model"]["10"]
+    assert found["episodes"] == said["episodes"] == 40
+    for quantity in ("joint_position", "joint_velocity"):  # rounded to 15 bits since
+        for level in ("median", "p95"):
+            assert found[quantity][level] == pytest.approx(said[quantity][level], rel=0.1)
+
+
+@pytest.mark.parametrize("name", ["acrobot", "cubes"])
+def test_the_number_of_parameters_is_that_of_the_network(name: str) -> None:
+    manifest = read_manifest(ZOO / name)
+    models = [
+        load_checkpoint(ZOO / name, variant=number).model
+        for number in range(len(variants(manifest)))
+    ]
+    for model in models[1:]:
+        model.share(models[0])
+    assert manifest["parameters"] == sum(p.numel() for p in nn.ModuleList(models).parameters())

@@ -250,6 +250,32 @@ def test_manifests_say_in_what_precision_was_trained(
     assert Config.from_dict(manifest["config"]).train.precision == "tf32"  # on a GPU it would be
 
 
+def test_what_a_manifest_says_is_true(tmp_path: Path) -> None:
+    """Of the data, and the figures when they are recomputed from the checkpoint as it is stored."""
+    pack, held = simulate(TABLE, 4, 20, 4), simulate(TABLE, 3, 20, 4, seed=1)
+    run = Run(out=tmp_path, steps=12, horizons=(2, 6), burn=3)
+    manifest = train(pack, toy(), run, held=[held])
+    checkpoint = load_checkpoint(tmp_path)
+    assert manifest["parameters"] == sum(p.numel() for p in checkpoint.model.parameters())
+    assert manifest["training"]["steps"] == 12
+    assert manifest["data"]["episodes"] == 4
+    assert manifest["data"]["control_steps"] == int(pack.length.sum())
+    low, high = manifest["ranges"]["joints"][pack.layout.joints[0]]
+    column = pack.qpos[:, pack.layout.joint_q[0]]
+    assert (low, high) == pytest.approx((float(column.min()), float(column.max())))
+    metrics = manifest["metrics"]
+    assert (metrics["held_out_episodes"], metrics["burn"]) == (3, 3)
+    again = evaluate(checkpoint.model, held, (2, 6), burn=3)
+    assert metrics["model"].keys() == again.keys() == {"2", "6"}
+    for horizon, quantities in again.items():
+        for name, row in quantities.items():
+            assert metrics["model"][horizon][name] == pytest.approx(row, rel=1e-6), name
+    still = evaluate(constant_velocity(held, toy().model), held, (6,), burn=3)
+    assert metrics["constant_velocity"]["6"] == {
+        name: pytest.approx(row, rel=1e-6) for name, row in still["6"].items()
+    }
+
+
 def test_gradients_are_cut_where_a_stage_says_so() -> None:
     pack = simulate(TABLE, 3, 20, 4)
     config = toy(stages="1x6x8arf/2", train__noise=0.0)
