@@ -152,7 +152,7 @@ class LearnedBackend(Backend):
             return self._stepped_natively(state, control, nstep)
         with self._first_time():
             path = self.engine.run(state, control[:, None], nstep)
-        verdict = self.watch.verdict(state, path, seconds)
+        verdict = self.watch.verdict(state, path, self.timestep)
         if verdict.error is not None:
             raise verdict.error
         verdict.memory.pop(UNCERTAINTY, None)  # the state's own memory has it
@@ -177,13 +177,19 @@ class LearnedBackend(Backend):
             self.watch.began(state)
             return self._trajectory(state, controls, [], np.full(state.nworld, -1), sensors)
         with self._first_time():
-            path, duration = self.engine.run(state, controls, nstep), nstep * self.timestep
-        verdict = self.watch.verdict(state, path, duration)
+            path = self.engine.run(state, controls, nstep)
+        verdict = self.watch.verdict(state, path, self.timestep)
         if raise_on_divergence and verdict.error is not None:
             raise verdict.error
-        path = path._replace(states=blanked(path.states, verdict.diverged_at))
-        found = self.engine.trajectory(state, controls, path, verdict.diverged_at, duration)
-        return dataclasses.replace(found, final=found.final.with_memory(**verdict.memory))
+        diverged_at, memory = verdict.diverged_at, dict(verdict.memory)
+        if nstep > 1:
+            path, diverged_at = path.every(nstep), diverged_at // nstep  # -1 stays -1
+            if UNCERTAINTY in memory:
+                memory[UNCERTAINTY] = memory[UNCERTAINTY][:, nstep - 1 :: nstep]
+        path = path._replace(states=blanked(path.states, diverged_at))
+        duration = nstep * self.timestep
+        found = self.engine.trajectory(state, controls, path, diverged_at, duration)
+        return dataclasses.replace(found, final=found.final.with_memory(**memory))
 
     def uncertainty(self, result: State | Trajectory) -> Array | None:
         """Half-widths of the 90 % intervals of positions, m, and rotations, rad.
@@ -346,16 +352,17 @@ class LearnedBackend(Backend):
 
     def _stepped_natively(self, state: State, control: Array, nstep: int) -> State:
         """`step` by compiled C; what is within all bounds needs no closer look."""
-        seconds = nstep * self.timestep
         watch, engine = self.watch, self.engine
-        outside = as_kind(watch.began(state), state.qpos)
-        after = engine.native_step(state, control, nstep, seconds).with_memory(**{OUTSIDE: outside})
-        if watch.calm(after):
-            return after
-        verdict = watch.verdict(state, engine.as_steps(after), seconds)
-        if verdict.error is not None:
-            raise verdict.error
-        return after.with_memory(**{OUTSIDE: verdict.memory[OUTSIDE]})
+        for _ in range(nstep):
+            outside = as_kind(watch.began(state), state.qpos)
+            after = engine.native_step(state, control).with_memory(**{OUTSIDE: outside})
+            if not watch.calm(after):
+                verdict = watch.verdict(state, engine.as_steps(after), self.timestep)
+                if verdict.error is not None:
+                    raise verdict.error
+                after = after.with_memory(**{OUTSIDE: verdict.memory[OUTSIDE]})
+            state = after
+        return state
 
 
 def _device(name: str | None) -> torch.device:

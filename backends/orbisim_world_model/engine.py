@@ -37,6 +37,12 @@ class Steps(NamedTuple):
     memory: Tensor
     variances: Tensor | None = None
 
+    def every(self, count: int) -> Steps:
+        """The last of each `count` steps."""
+        kept = Entities(*(field[count - 1 :: count] for field in self.states))
+        spread = None if self.variances is None else self.variances[count - 1 :: count]
+        return Steps(kept, self.memory, spread)
+
 
 class Engine:
     """Steps states with a checkpoint.
@@ -72,7 +78,7 @@ class Engine:
         return self.layout.split(*fields)
 
     def run(self, state: State, controls: Array, nstep: int) -> Steps:
-        """The states after each of the controls [B, T, nu], held for `nstep` steps."""
+        """The states after every step under controls [B, T, nu], each held for `nstep` steps."""
         given = (state.qpos, state.qvel, state.act, controls, *state.memory.values())
         gradients = torch.is_grad_enabled() and any(map(has_gradient, given))
         step = self._step_exactly if gradients else self.stepper
@@ -84,9 +90,9 @@ class Engine:
             for t in range(inputs.shape[1]):
                 for _ in range(nstep):
                     x, memory = step(x, memory, inputs[:, t], context)
-                found.append(x)
-                if self.spreads:
-                    spreads.append(self.stepper.model.variance(memory).detach())
+                    found.append(x)
+                    if self.spreads:
+                        spreads.append(self.stepper.model.variance(memory).detach())
             stacked = Entities(*(torch.stack(field) for field in zip(*found, strict=True)))
         return Steps(stacked, memory, torch.stack(spreads) if spreads else None)
 
@@ -135,17 +141,17 @@ class Engine:
             and SETTINGS not in state.memory
         )
 
-    def native_step(self, state: State, control: Array, nstep: int, seconds: float) -> State:
-        """The state after `nstep` steps."""
+    def native_step(self, state: State, control: Array) -> State:
+        """The state after a step."""
         arrays = [state.qpos, state.qvel, state.act]
         memory = state.memory.get(MEMORY, self._fresh)
         if memory.shape != self._fresh.shape:
             memory = self._fresh
-        for _ in range(nstep):
-            *arrays, memory = self.native(*arrays, control, memory)
+        *arrays, memory = self.native(*arrays, control, memory)
         qpos, qvel, act, memory = (a.astype(np.float64) for a in (*arrays, memory))
         kept = {name: value for name, value in state.memory.items() if name not in _STALE}
-        return State(state.time + seconds, qpos, qvel, act, {**kept, MEMORY: memory})
+        time = state.time + self.layout.timestep
+        return State(time, qpos, qvel, act, {**kept, MEMORY: memory})
 
     def corrected(self, state: State, predicted: State, control: Array) -> Steps:
         """The classical prediction [B] for the next state, corrected by the model."""

@@ -90,7 +90,8 @@ class Watch:
         memory = {OUTSIDE: as_kind(since, state.qpos)}
         width = self.engine.interval(path.variances)
         if width is not None:
-            self._warn_if_unsure(width, self.engine.interval(self.engine.variance(state)))
+            before = self.engine.interval(self.engine.variance(state))
+            self._warn_if_unsure(width, before, _host(state.time), duration)
             memory[UNCERTAINTY] = as_kind(width.transpose(0, 1), state.qpos)
         return Verdict(notice.diverged_at, memory, self._error(notice, duration))
 
@@ -117,7 +118,9 @@ class Watch:
         if len(left) > _MOST_LINES:
             self.warn(f"{len(left) - _MOST_LINES} more entities left the training data")
 
-    def _warn_if_unsure(self, width: Tensor, before: Tensor | None) -> None:
+    def _warn_if_unsure(
+        self, width: Tensor, before: Tensor | None, began: Times, duration: float
+    ) -> None:
         """Once, where an object's interval gets wider than `FAR` or `TURNED` [T, B, K, 2]."""
         limit = torch.tensor((FAR, TURNED), device=width.device)
         robot = int(self.engine.layout.has_robot)
@@ -131,9 +134,10 @@ class Watch:
         world, entity = (int(i[0]) for i in torch.nonzero(wide[step], as_tuple=True))
         far, turned = width[step, world, robot + entity].tolist()
         text = (
-            f"world {world}, step {step}, {self.names[robot + entity]!r}: its 90 % interval has "
-            f"grown to {far * 1e3:.3g} mm and {np.rad2deg(turned):.3g} degrees (limits "
-            f"{FAR * 1e3:g} mm, 20 degrees), as it has for {int(count)} objects in all"
+            f"world {world}, step {step} (t = {began[world] + (step + 1) * duration:.6g} s), "
+            f"{self.names[robot + entity]!r}: its 90 % interval has grown to {far * 1e3:.3g} mm "
+            f"and {np.rad2deg(turned):.3g} degrees (limits {FAR * 1e3:g} mm, 20 degrees), as it "
+            f"has for {int(count)} objects in all"
         )
         warnings.warn(f"{self.label}, {text}", UncertainPredictionWarning, stacklevel=4)
 

@@ -21,6 +21,7 @@ from orbisim_world_model.pack import Pack
 from orbisim_world_model.run import Run, train
 from orbisim_world_model.spread import UNITS, propagated
 from orbisim_world_model.spread_fitting import SpreadRun, fit_spread
+from orbisim_world_model.watch import Watch
 
 from orbisim import load_scene, make_backend
 from orbisim.errors import InputError
@@ -110,16 +111,26 @@ def test_the_rest_of_a_step_is_the_same_with_it(pack: Pack, folder: Path) -> Non
         assert torch.equal(a, b)
 
 
-def test_an_interval_that_is_too_wide_is_warned_of(folder: Path) -> None:
-    backend = _backend(folder, False)
+@pytest.mark.parametrize("way", ["rollout", "step", "native"])
+def test_an_interval_that_is_too_wide_is_warned_of(folder: Path, way: str) -> None:
+    if way == "native" and not any(map(shutil.which, ("cc", "gcc", "clang"))):
+        pytest.skip("no C compiler")
+    if way == "native" and "recurrent" in folder.name:
+        pytest.skip("is compiled alike; native/test_step.py compares memories")
+    backend = _backend(folder, way == "native")
     wide = {"robot": [1.0, 1.0], "objects": [1.5e4, 1.5e4]}  # of a micrometre: 15 mm
     backend.checkpoint.manifest["uncertainty"]["factor"] = wide
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        backend.rollout(backend.reset(2), np.zeros((2, 3, 2)))
+        if way == "rollout":
+            backend.rollout(backend.reset(2), np.zeros((2, 3, 2)))
+        else:
+            backend.watch = Watch(backend.engine, backend.watch.label)  # has read the factors
+            state = backend.step(backend.reset(1))
+            backend.step(state)
     found = [w for w in said if issubclass(w.category, UncertainPredictionWarning)]
     assert len(found) == 1
-    assert "world 0, step 0, 'one': its 90 % interval" in str(found[0].message)
+    assert "world 0, step 0 (t = 0.02 s), 'one': its 90 % interval" in str(found[0].message)
 
 
 @pytest.mark.parametrize(

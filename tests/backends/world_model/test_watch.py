@@ -116,6 +116,41 @@ def test_leaving_the_training_data_is_noticed_at_the_step_it_happens(
     assert np.isinf(np.delete(outside.ravel(), 3 * world + 2)).all()
 
 
+@pytest.mark.parametrize("way", WAYS)
+def test_steps_within_a_held_control_are_looked_at(folder: Path, way: str) -> None:
+    """An object that is far off after the second of three steps only, and lost in the fifth."""
+    backend = _backend(folder, way)
+
+    def push(x: Entities, step: int) -> Entities:
+        pos = x.pos.clone()
+        pos[-1, 1, 0] = 20.0 if step == 2 else 1e6 if step == 5 else 0.0
+        return x._replace(pos=pos)
+
+    _moves(backend, way, push)
+    state = backend.reset(3 if way == "batch" else 1)
+    if way == "gradients":
+        fields = {n: torch.tensor(getattr(state, n)) for n in ("time", "qpos", "qvel", "act")}
+        state = dataclasses.replace(state, **fields)
+        state.qpos.requires_grad_(True)
+    world, rolled = (2 if way == "batch" else 0), way in ("rollout", "batch")
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        if rolled:
+            path = backend.rollout(state, np.zeros((state.nworld, 2, 2)), nstep=3)
+            assert path.diverged_at.tolist() == [*[-1] * world, 1]
+            assert np.isfinite(path.qpos[world, 0]).all() and np.isnan(path.qpos[world, 1]).all()
+            assert path.time[0] == pytest.approx([3 * backend.timestep, 6 * backend.timestep])
+            outside = path.final.memory[OUTSIDE]
+        else:
+            state = backend.step(state, nstep=3)
+            outside = state.memory[OUTSIDE]
+            with pytest.raises(DivergedError, match="'two'"):
+                backend.step(state, nstep=3)
+    assert np.asarray(outside)[world, 2] == pytest.approx(2 * backend.timestep)
+    found = [str(w.message) for w in said if "left the training data" in str(w.message)]
+    assert len(found) == 1 and f"(t = {2 * backend.timestep:g} s), 'two' left" in found[0]
+
+
 def _compiled(way: str, what: str) -> Any:
     """A step is compiled for each; one of them by default."""
     return pytest.mark.slow if way == "native" and what != "joint" else ()
