@@ -7,9 +7,6 @@ from collections.abc import Iterator
 
 from tests.test_layers import MODULES
 
-MOST_UNEXPLAINED = 85
-"""Those in the diagnosis and in what came out of it; fewer are welcome."""
-
 
 def bare(module: str) -> Iterator[str]:
     """Numbers of a module with no comment on the line or above it, and no string below."""
@@ -35,10 +32,7 @@ def is_number(value: ast.expr | None) -> bool:
 
 def test_a_constant_has_its_reason_beside_it() -> None:
     found = [line for module in MODULES for line in bare(module)]
-    assert len(found) <= MOST_UNEXPLAINED, (
-        f"{len(found)} numbers have no reason, more than {MOST_UNEXPLAINED}; say why in a comment "
-        "or in a string below:\n" + "\n".join(found)
-    )
+    assert not found, "say why in a comment or in a string below:\n" + "\n".join(found)
 
 
 def test_what_counts_as_a_reason(monkeypatch, tmp_path) -> None:

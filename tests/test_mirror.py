@@ -68,9 +68,10 @@ SEEN_THROUGH = {
     "orbisim.scene.usd": ("scene/usd", "a reader is called with a document"),
     "orbisim.learned_rest": ("diagnosis/test_rest.py", "a rest is learned from a diagnosis"),
     "orbisim.shooting.bench": ("shooting/test_noise.py", "data that every fit is made of"),
+    "orbisim.shooting.judge": ("diagnosis/test_contacts.py", "fits of hypotheses, and glances"),
     "orbisim.shooting.fits": ("shooting/test_gauss_newton.py", "values without code"),
     "orbisim.shooting.holding": (
-        "diagnosis/test_joint.py",
+        "diagnosis/test_together.py",
         "joints that friction holds, seen in the effects that are proposed",
     ),
     "orbisim.shooting.one_run": ("diagnosis/test_contacts.py", "what one run says of an effect"),

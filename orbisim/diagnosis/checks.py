@@ -11,6 +11,7 @@ from orbisim.effects import effect_names, find
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.shooter import Variant
+from orbisim.shooting.windows import evenly
 
 
 def coarse_timestep(bench: Bench, residual: float) -> str | None:
@@ -20,7 +21,7 @@ def coarse_timestep(bench: Bench, residual: float) -> str | None:
     Args:
       residual: of the declared scene, over the noise.
     """
-    shooter = bench.shooter(_some(bench))
+    shooter = bench.shooter(evenly(np.ones(len(bench.windows), bool), _MOST))
     still = np.zeros((len(shooter), 2 * shooter.nv))
     variant, finer = Variant(bench.scene), copy.copy(shooter)
     finer.substeps = 2 * shooter.substeps
@@ -42,13 +43,7 @@ _SHOWS = 1.0
 _PART = 0.3
 """... and share of the residual."""
 _MOST = 24
-
-
-def _some(bench: Bench) -> np.ndarray:
-    count = len(bench.windows)
-    keep = np.zeros(count, bool)
-    keep[np.unique(np.linspace(0, count - 1, min(count, _MOST)).round().astype(int))] = True
-    return keep
+"""Windows that are simulated twice."""
 
 
 def disabled(scene: Scene) -> str | None:

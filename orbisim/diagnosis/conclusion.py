@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 from orbisim.diagnosis.context import Context, Progress
 from orbisim.diagnosis.found import Rival
-from orbisim.diagnosis.refine import Judged
 from orbisim.diagnosis.search import Found, Tried, search
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.suspects import Screening
@@ -18,6 +17,7 @@ from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.motion.samples import Samples
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.judge import Judged
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -88,6 +88,7 @@ def _runners_up(found: Found) -> list[Judged]:
 
 
 _RUNNERS_UP = 2
+"""Explanations that are tried where nothing is left of the best on all windows."""
 
 
 def _open(bench: Bench) -> Bench:
@@ -147,8 +148,8 @@ def _finally(
         cold = judge.judge(anew, 8)
         if cold is not None and (cold.ratio <= NEAR or not hypothesis.effects):
             return cold
-    judge.start_from(known, found.context.bench.fit)  # from nothing may be no good: a stop
-    warm = judge.judge(anew, 8)
+    begin = judge.begin(known, found.context.bench.fit.tobytes())
+    warm = judge.judge(anew, 8, begin=begin)  # from nothing may be no good: a stop
     return min((one for one in (cold, warm) if one), key=lambda one: one.loss, default=None)
 
 
@@ -158,10 +159,11 @@ def _sure(
     """With those effects only that are surely worth it beside the others, with their worth."""
     while after.hypothesis.effects:
         effects, fewer = after.hypothesis.effects, list[Judged]()
+        begin = context.judge.begin(after)
         for index in range(len(effects)):
             less = after.hypothesis.without(index)
             bare = not less.effects and not less.factors
-            one = before if bare else context.judge.judge(less, 3, begin=after)
+            one = before if bare else context.judge.judge(less, 3, begin=begin)
             fewer.append(one or before)
         gains = [worth(context.bench, one, after) for one in fewer]
         number = min(range(len(gains)), key=lambda i: gains[i].sure)
@@ -197,12 +199,12 @@ def _resized(context: Context, after: Judged) -> Judged:
         effect = after.hypothesis.effects[number]
         name = find(effect.effect).free_parameters(model, effect.target)[0]
         context.say(f"trying other sizes of {effect.effect} at {effect.target}")
-        tried = [after]
+        tried, begin = [after], context.judge.begin(after)
         for size in _SIZES:
             effects = list(after.hypothesis.effects)
             effects[number] = effect.replace(**{name: size * effect.values[name]})
             start = dataclasses.replace(after.hypothesis, effects=tuple(effects))
-            judged = context.judge.judge(start, 5, polish=False, begin=after)
+            judged = context.judge.judge(start, 5, polish=False, begin=begin)
             tried += [judged] if judged is not None else []
         after = min(tried, key=lambda one: one.loss)
     return after
@@ -226,3 +228,4 @@ def rivals_of(tried: Sequence[Tried]) -> tuple[Rival, ...]:
 
 _SIZES = (0.6, 0.75, 0.9, 1.1, 1.3, 1.5)
 _MOST_WINDOWS = 96
+"""What final fits take: as many as `windows_enough` has fitted of 144."""

@@ -10,15 +10,18 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.refine import Judged, thinned
 from orbisim.effects import find
 from orbisim.effects.base import index_of, is_scalar_joint
 from orbisim.shooting.bench import Bench
+from orbisim.shooting.judge import Judged
+from orbisim.shooting.windows import evenly
 
 Floats = npt.NDArray[np.float64]
 
 _SIGMAS = 3.0
+"""Standard deviations from chance: a handful of measures is looked at for each effect."""
 _FEWEST = 8
+"""Windows that a half needs for a covariance over windows."""
 TOLERANCE = 0.35
 """Share of its size by which an effect may be another in slow and fast motion and so on."""
 
@@ -41,7 +44,7 @@ def inconsistency(
     own, index = len(free), [k for k, (i, _) in enumerate(free) if i == number]
     if not index or windows < 2 * _FEWEST:
         return None
-    chosen = np.flatnonzero(thinned(bench.fit, windows))
+    chosen = np.flatnonzero(evenly(bench.fit, windows))
     if len(chosen) != windows:
         return None
     value = fit.values[index] - _neutral(bench, judged, number)

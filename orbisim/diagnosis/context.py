@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.nuisance import factor_columns
-from orbisim.diagnosis.refine import Judge, Judged, is_structural
 from orbisim.diagnosis.screening import screen
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.suspects import Screening, merged
@@ -19,6 +18,7 @@ from orbisim.host.deadline import Deadline
 from orbisim.motion.linear import Intervals, linearize, missing_force
 from orbisim.shooting.along import along, tame
 from orbisim.shooting.bench import Bench
+from orbisim.shooting.judge import Judge, Judged, is_structural
 from orbisim.shooting.retune import Tunable, tunables
 
 Floats = npt.NDArray[np.float64]

@@ -317,7 +317,9 @@ def suspected(
 
 
 _UNLIKELY = 0.005
+"""Probability below which a suspect is not listed."""
 _MOST_SUSPECTS = 12
+"""What a reader looks through."""
 
 
 def _own_places(found: Attribution) -> dict[int, float]:

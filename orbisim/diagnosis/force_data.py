@@ -25,8 +25,11 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 _MOST_ROWS = 2500
+"""Rows that are looked at, spread evenly: neighbours say the same, and each has all columns."""
 _BLOCKS = 24
+"""Stretches of all recordings: enough for a standard error, each long beside what is correlated."""
 _SHORTEST = 24
+"""Rows of a stretch at least."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

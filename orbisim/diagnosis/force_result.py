@@ -130,11 +130,7 @@ def _residual(scene: Scene, found: ForceAttribution, settings: Settings) -> dict
 
 def _alternatives(found: ForceAttribution) -> tuple[Alternative, ...]:
     """Suspects with their probabilities, and effects that are known to look like those found."""
-    result = [
-        Alternative(effect.effect, effect.target, None, f"not believed: {problem}")
-        for effect, problem in found.rejected
-    ]
-    result += suspected(found.suspects)
+    result = suspected(found.suspects)
     chosen = {effect.effect for effect in found.hypothesis.effects}
     for name in sorted(chosen):
         for other, text in standing(name)[:2]:

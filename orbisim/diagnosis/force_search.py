@@ -11,7 +11,7 @@ inverse dynamics of the scene that has them.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -25,27 +25,29 @@ from orbisim.diagnosis.force_data import (
     spread,
 )
 from orbisim.diagnosis.found import Rival
-from orbisim.diagnosis.screening import bounded_instance
-from orbisim.diagnosis.selection import Group, Selected, data_of, groups_of, select
+from orbisim.diagnosis.selection import BEGINNINGS, Group, Selected
 from orbisim.diagnosis.settings import Settings
-from orbisim.effects import EffectInstance, find
+from orbisim.diagnosis.together import instances, left_of, select_in_rounds
+from orbisim.effects import find
 from orbisim.effects.screening import Candidate
 from orbisim.errors import OrbiSimError
-from orbisim.evidence import Gain
+from orbisim.evidence import Blocks, Gain
 from orbisim.host.deadline import NEVER, Deadline
-from orbisim.motion.samples import Samples, extent
+from orbisim.motion.samples import Samples
 from orbisim.scene import Scene
 from orbisim.shooting.fits import Fit
 from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.regress import Normal
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
 Suspicion = tuple[tuple[str, str] | None, tuple[str, str] | None, Gain]
 """An effect and its target, that in whose place it would stand if any, and what that is worth."""
 
-_ROUNDS = 3
 _ITERATIONS = 3
+"""Steps of a fit: forces are nearly linear in the parameters."""
 _FITTED = 600
+"""Rows of a fit, in which every parameter is moved at every step."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -58,7 +60,6 @@ class ForceAttribution:
       ratio, ratio_after: missing force over its noise (root mean square over joints).
       gains: what each effect is worth beside the others.
       suspects: what could stand in an effect's place, or be added, with its gain; nearest first.
-      rejected: effects that were not believed, with the reason.
     """
 
     data: ForceData
@@ -68,7 +69,6 @@ class ForceAttribution:
     ratio_after: float
     gains: tuple[Gain, ...] = ()
     suspects: tuple[Suspicion, ...] = ()
-    rejected: tuple[tuple[EffectInstance, str], ...] = ()
 
     @property
     def evidence(self) -> tuple[float, ...]:
@@ -105,8 +105,8 @@ def attribute_forces(
         return _nothing(data, ratio, ())
     say("what effects would give along the recordings")
     chosen = _selected(data, settings, say, deadline)
-    suspects = _suspects(chosen)
-    known = [(one, worth) for one, worth in _instances(data, chosen) if one is not None]
+    suspects = tuple((_named(o.group), _named(o.instead_of), o.gain) for o in chosen.rivals)
+    known = instances(scene, chosen)
     if not known:
         return _nothing(data, ratio, suspects)
     say("fitting the effects to the inverse dynamics")
@@ -146,34 +146,32 @@ _TOLD = 2.0
 def _selected(data: ForceData, settings: Settings, say: Progress, deadline: Deadline) -> Selected:
     """Effects, selected with weights that follow from what they leave."""
     found, columns = candidates(data, settings.effects)
-    model, known = data.scene.model, extent(data.samples)
 
-    def prior(instance: EffectInstance) -> float:
-        return find(instance.effect).log_prior(model, instance, known)
+    def blocks(left: Floats) -> tuple[list[Normal], Blocks]:
+        say("selecting effects")
+        sigma = spread(data, left)
+        return normals(data, columns, sigma), counts(data, left, sigma)
+
+    def after(chosen: Selected) -> Floats:
+        return left_of(chosen, columns, data.force)
+
+    def settled(before: Floats, left: Floats) -> bool:
+        return bool(np.all(np.abs(_size(left) / _size(before) - 1) < _SETTLED))
 
     left = _common(data, found, columns)
-    for number in range(_ROUNDS):
-        say(f"selecting effects, round {number + 1}")
-        sigma = spread(data, left)
-        both = normals(data, columns, sigma), counts(data, left, sigma)
-        blocks = data_of(*both, deadline=deadline)
-        chosen = select(blocks, groups_of(model, found, blocks.whole(), prior))
-        before, left = left, data.force.copy()
-        for group, x in zip(chosen.groups, chosen.coefficients, strict=True):
-            left -= columns[:, :, list(group.index)] @ x
-        settled = np.all(np.abs(_size(left) / _size(before) - 1) < _SETTLED)
-        if settled or deadline.passed:
-            break
-    return chosen
+    return select_in_rounds(
+        data.scene, data.samples, found, left, blocks, after, settled, deadline=deadline
+    )
 
 
 _SETTLED = 0.1
+"""Relative change of what is left at a joint that weighs data alike."""
 
 
 def _common(data: ForceData, found: Sequence[Candidate], columns: Floats) -> Floats:
     """[N, nv]: what all common effects together leave. What is missing is no noise: weights and
     the share of independent data are to be those of what effects cannot explain."""
-    rare = [find(one.effect).rarity < _RARE for one in found for _ in one.columns]
+    rare = [find(one.effect).rarity < BEGINNINGS[0] for one in found for _ in one.columns]
     flat = columns[:, :, ~np.array(rare)].reshape(-1, len(rare) - sum(rare))
     scale, force = np.maximum(np.linalg.norm(flat, axis=0), 1e-300), np.nan_to_num(data.force)
     x = np.linalg.lstsq(flat / scale, force.ravel(), rcond=_FLAT)[0]
@@ -181,18 +179,7 @@ def _common(data: ForceData, found: Sequence[Candidate], columns: Floats) -> Flo
 
 
 _FLAT = 1e-4
-_RARE = -1.0
 """Singular values, in units of the largest, that all columns together may do without."""
-
-
-def _instances(data: ForceData, chosen: Selected) -> Iterator[tuple[EffectInstance | None, Gain]]:
-    for group, x, worth in zip(chosen.groups, chosen.coefficients, chosen.gains, strict=True):
-        one = group.instance(x)
-        yield None if one is None else bounded_instance(data.scene, one), worth
-
-
-def _suspects(chosen: Selected) -> tuple[Suspicion, ...]:
-    return tuple((_named(o.group), _named(o.instead_of), o.gain) for o in chosen.rivals)
 
 
 def _named(group: Group) -> tuple[str, str] | None:
@@ -265,7 +252,7 @@ def _slopes(data: ForceData, hypothesis: Hypothesis, sigma: Floats, here: Floats
     scene, values = data.scene, hypothesis.values(data.scene)
     out = np.zeros((*here.shape, len(values)))
     for p, unknown in enumerate(hypothesis.unknowns(scene)):
-        step = unknown.step if values[p] + unknown.step <= unknown.high else -unknown.step
+        step = unknown.step_from(float(values[p]))
         moved = values.copy()
         moved[p] += step
         out[:, :, p] = (here - _weighted(data, hypothesis.at(scene, moved), sigma)) / step

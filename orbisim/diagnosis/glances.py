@@ -12,13 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.context import Context
-from orbisim.diagnosis.refine import Judged, is_structural
 from orbisim.diagnosis.screening import bounded_instance, cleaned
 from orbisim.diagnosis.suspects import Suspect, in_turns
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.host.deadline import Deadline
 from orbisim.scene import Scene
-from orbisim.shooting.hypothesis import Hypothesis, clean
+from orbisim.shooting.hypothesis import clean
+from orbisim.shooting.judge import Judged, is_structural
 
 
 class Candidate(NamedTuple):
@@ -41,7 +41,6 @@ def shortlist(context: Context, current: Judged, suspects: Sequence[Suspect]) ->
     """The best to add to a hypothesis. Where there are contacts, one simulation of each of many
     decides, and the first few are fitted from two starts."""
     hypothesis = current.hypothesis
-    context.judge.begin_with(current)
     possible = [
         Candidate(instance, moved=suspect.moved, sized=suspect.sized)
         for suspect in suspects
@@ -52,8 +51,8 @@ def shortlist(context: Context, current: Judged, suspects: Sequence[Suspect]) ->
         return possible[:most]
     more = usual(context, [one.instance for one in possible])
     both = in_turns(varied(possible, 2)[:_GLANCES], more, id)
-    glances = _resized(context, hypothesis, both)
-    ranked = _tried(context, hypothesis, glances)
+    glances = _resized(context, current, both)
+    ranked = _tried(context, current, glances)
     first = varied(ranked, 1)[:most]
     if hypothesis.factors:  # each fit takes long
         return first
@@ -72,42 +71,46 @@ class _Glance(NamedTuple):
     one: Candidate
 
 
-def _resized(context: Context, hypothesis: Hypothesis, found: Sequence[Candidate]) -> list[_Glance]:
+def _resized(context: Context, current: Judged, found: Sequence[Candidate]) -> list[_Glance]:
     """Best first, and the best as large as simulation wants them: chained through impacts,
     regressions overshoot."""
 
+    begin = context.judge.begin(current)
+
     def glanced(one: Candidate) -> _Glance:
-        left, better = context.judge.sized_glance(hypothesis.plus(one.instance))
+        left, better = context.judge.sized_glance(current.hypothesis.plus(one.instance), begin)
         return _Glance(left, 1.0, better, one)
 
     made = _in_time(context, found, glanced)
     for _ in range(_RESIZED):
         made.sort(key=lambda glance: glance.left)
-        again = _in_time(context, made[:_FIRST], lambda one: _again(context, hypothesis, one))
+        again = _in_time(context, made[:_FIRST], lambda one: _again(context, current, one))
         made[: len(again)] = again
     return sorted(made, key=lambda glance: glance.left)
 
 
-def _again(context: Context, hypothesis: Hypothesis, glance: _Glance) -> _Glance:
+def _again(context: Context, current: Judged, glance: _Glance) -> _Glance:
     """The better of an effect and of the same at the size that would be better."""
     size = glance.size * glance.better
     other = None if 1 / _LIKE < glance.better < _LIKE else glance.one.sized(size)
     if other is None:
         return glance
-    left, better = context.judge.sized_glance(hypothesis.plus(other))
+    begin = context.judge.begin(current)
+    left, better = context.judge.sized_glance(current.hypothesis.plus(other), begin)
     if not left < glance.left:
         return glance._replace(better=1.0)
     return _Glance(left, size, better, glance.one._replace(instance=other))
 
 
-def _tried(context: Context, hypothesis: Hypothesis, glances: Sequence[_Glance]) -> list[Candidate]:
+def _tried(context: Context, current: Judged, glances: Sequence[_Glance]) -> list[Candidate]:
     """Ranked by what the first step of a fit leaves, or the glance where that is less."""
     left = {id(glance.one): glance.left for glance in glances}
+    hypothesis, begin = current.hypothesis, context.judge.begin(current)
     most = _TRIED if hypothesis.effects else _TRIED_FIRST
     few = varied([glance.one for glance in glances], 2)[:most]
 
     def least(one: Candidate) -> float:
-        return min(left[id(one)], context.judge.tried(hypothesis.plus(one.instance)))
+        return min(left[id(one)], context.judge.tried(hypothesis.plus(one.instance), begin))
 
     tried = _in_time(context, few, least)
     return [few[i] for i in np.argsort(tried, kind="stable")]
@@ -130,7 +133,9 @@ def _in_time(
 
 
 _OF_TIME = 0.15
+"""Share of the time left that one pass over suspects may take."""
 _LEAST = 8
+"""Suspects that a pass looks at in any case."""
 
 
 def usual(context: Context, possible: Sequence[EffectInstance]) -> list[Candidate]:
@@ -181,10 +186,18 @@ def _place(one: Candidate) -> tuple[str, str]:
 
 
 _GLANCES = 100
+"""Forms of suspects that are simulated once."""
 _FIRST = 40
+"""The best of these, simulated again at the size that the run asked for."""
 _RESIZED = 2
+"""Times that they are."""
 _LIKE = 1.2
+"""Factor of size that needs no other run."""
 _TRIED = 30
+"""Suspects with which the first step of a fit is taken, beside other effects."""
 _TRIED_FIRST = 14
+"""The same where there is no effect yet: the first one stands out more."""
 _MORE = 2
+"""Suspects more on a list beside effects that are there: ranks say less then."""
 _FEW = 3
+"""Suspects that are fitted from two starts."""

@@ -20,6 +20,7 @@ from orbisim.shooting.retune import Tunable, retuned
 Floats = npt.NDArray[np.float64]
 
 _TUNE_STEP = 1e-3
+"""Relative step of differences: a thirtieth of a factor's prior standard deviation."""
 
 
 def factor_columns(bench: Bench, chosen: Sequence[Tunable]) -> Floats:

@@ -16,7 +16,6 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.context import Context
 from orbisim.diagnosis.glances import Candidate, generalizations, shortlist, usual
-from orbisim.diagnosis.refine import Judged, is_structural
 from orbisim.diagnosis.screening import cleaned, screen
 from orbisim.diagnosis.suspects import Screening, Suspect
 from orbisim.effects import EffectInstance, effect_names, find
@@ -26,6 +25,7 @@ from orbisim.errors import OrbiSimError
 from orbisim.motion.linear import linearize
 from orbisim.scene import Scene
 from orbisim.shooting.hypothesis import Hypothesis, clean
+from orbisim.shooting.judge import Judged, is_structural
 
 Floats = npt.NDArray[np.float64]
 
@@ -71,23 +71,24 @@ def begin(context: Context, current: Judged, candidate: Candidate) -> Hypothesis
     leaves less, moved; and with the effect smaller than suspected where that leaves more than there
     is without it: with more friction than the true one a joint sticks, and a fit does not find
     back. Where bodies touch, the shortlist has seen to its size."""
-    plus, judge = current.hypothesis.plus, context.judge
-    judge.begin_with(current)
+    plus, start = current.hypothesis.plus, context.judge.begin(current)
+
+    def glance(one: Hypothesis) -> float:
+        return context.judge.glance(one, start)
+
     hypothesis, contacts = plus(candidate.instance), context.bench.contacts
     if not contacts and not find(candidate.instance.effect).structural:
-        most = judge.glance(current.hypothesis)
-        if judge.glance(hypothesis) > most:
+        most = glance(current.hypothesis)
+        if glance(hypothesis) > most:
             smaller = (one for share in _SMALLER if (one := candidate.sized(share)) is not None)
-            hypothesis = next(
-                (h for one in smaller if judge.glance(h := plus(one)) < most), hypothesis
-            )
+            hypothesis = next((h for one in smaller if glance(h := plus(one)) < most), hypothesis)
     moved = candidate.moved
     if moved is None or not moved.any() or is_structural(hypothesis):
         return hypothesis
     values = hypothesis.values(context.bench.scene)
     values[: len(moved)] += moved
     other = hypothesis.at(context.bench.scene, values)
-    return min((hypothesis, other), key=judge.glance)
+    return min((hypothesis, other), key=glance)
 
 
 _SMALLER = (0.5, 0.25, 0.1)
@@ -123,11 +124,11 @@ def _least(
     context: Context, current: Judged, every: Sequence[EffectInstance]
 ) -> EffectInstance | None:
     """What leaves least, starts alone fitted, over all windows: an event may happen in few."""
-    best, least = None, np.inf
+    best, least, begin = None, np.inf, context.judge.begin(current)
     for one in every:
         try:
             cleaned_one = clean(context.bench.scene, one)
-            left = context.judge.quick_loss(current.hypothesis.plus(cleaned_one))
+            left = context.judge.quick_loss(current.hypothesis.plus(cleaned_one), begin)
         except OrbiSimError:  # a variant that cannot be is no candidate
             continue
         if left < least:
@@ -193,15 +194,16 @@ def merged(context: Context, current: Judged, one: int, other: int) -> Iterator[
     """One effect in the place of two: what a payload does is found in parts, a force first, and
     none of the parts gives way to it alone."""
     effects = current.hypothesis.effects
-    fewer = context.judge.judge(current.hypothesis.without(other).without(one), 3, begin=current)
+    begin = context.judge.begin(current)
+    fewer = context.judge.judge(current.hypothesis.without(other).without(one), 3, begin=begin)
     if fewer is None:
         return
     taken = {(e.effect, e.target) for e in effects}
     bodies = _bodies(context.bench.scene.model, (effects[one], effects[other]))
     loads = usual(context, bodies)
-    context.judge.begin_with(fewer)
+    begin = context.judge.begin(fewer)
     first: dict[tuple[str, str], EffectInstance] = {}
-    left = {id(c): context.judge.glance(fewer.hypothesis.plus(c.instance)) for c in loads}
+    left = {id(c): context.judge.glance(fewer.hypothesis.plus(c.instance), begin) for c in loads}
     for candidate in sorted(loads, key=lambda c: left[id(c)]):
         first.setdefault((candidate.instance.effect, candidate.instance.target), candidate.instance)
     ranked = [e for s in _screened(context, fewer)[:_FEW] if (e := cleaned(context.bench, s))]
@@ -265,8 +267,9 @@ def laws(context: Context, current: Judged) -> Iterator[Hypothesis]:
                 )
                 for values in effect.beginnings(q)
             ]
-            context.judge.begin_with(current)
-            yield min(begun, key=context.judge.quick_loss)
+            start = context.judge.begin(current)
+            left = [context.judge.quick_loss(one, start) for one in begun]
+            yield begun[int(np.argmin(left))]
 
 
 def _joint(model: mujoco.MjModel, instance: EffectInstance) -> str | None:

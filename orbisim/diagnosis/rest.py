@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from orbisim.backend import Backend
 from orbisim.diagnosis.conclusion import Attribution
-from orbisim.diagnosis.refine import Judge
 from orbisim.diagnosis.scoring import score
 from orbisim.effects import find
 from orbisim.effects.residual_network import Network, with_rest
@@ -29,13 +28,17 @@ from orbisim.recording import Recording
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.judge import Judge
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
 
 _GAIN = 0.1
+"""Share of the excess over the noise that a learned force must take away: less is not worth it."""
 _CERTAINTY = 2.0
-_MOST_WINDOWS = 96
+"""Standard errors over windows by which the mean must fall, unless the median falls as much."""
+_MOST_WINDOWS = 192
+"""Of those a share is simulated for speed; more hardly change which is better."""
 
 
 def learn_rest(
@@ -86,9 +89,9 @@ def learn_rest(
 
 def _better(bench: Bench, hypothesis: Hypothesis, added: WithRest) -> tuple[bool, dict[str, float]]:
     """Whether free runs get better on check windows, by enough and surely; residual over noise."""
-    judge = Judge(bench, bench.intervals, most=2 * _MOST_WINDOWS)
+    judge = Judge(bench, bench.intervals, most=_MOST_WINDOWS)
     means = [
-        np.asarray(judge.score(one, judge.check).per_window / np.maximum(judge.check.data, 1))
+        np.asarray(judge.score(one).per_window / np.maximum(judge.fitted.data, 1))
         for one in (hypothesis, added)
     ]
     drop = means[0] - means[1]

@@ -32,7 +32,6 @@ from orbisim.diagnosis.findings import (
     with_sensors,
 )
 from orbisim.diagnosis.force_result import diagnose_forces
-from orbisim.diagnosis.refine import Judge, Judged, is_structural
 from orbisim.diagnosis.rest import learn_rest as learn
 from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.scoring import score
@@ -60,6 +59,7 @@ from orbisim.sensing.readings import (
 from orbisim.shooting.bench import Bench, Noise, make_bench
 from orbisim.shooting.cutting import touches, windows_enough
 from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.judge import Judge, Judged, is_structural
 from orbisim.shooting.shooter import Shooter
 from orbisim.shooting.windows import Windows
 
@@ -225,7 +225,7 @@ def _sensed(
         fitted, held = (smoothed_readings(one.samples, scene) for one in (found.bench, unseen))
         return faults(chosen, fitted, held, sure, notes)
     judge = Judge(unseen, unseen.intervals)
-    apart = judge.score(hypothesis, judge.fitted).start
+    apart = judge.score(hypothesis).start
     runs = (
         (found.bench, free_runs(found.bench, hypothesis, after.windows, after.fit.start)),
         (unseen, free_runs(unseen, hypothesis, judge.fitted.windows, apart)),

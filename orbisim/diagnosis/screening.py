@@ -15,17 +15,15 @@ from orbisim.diagnosis.suspects import Screening, Suspect, in_turns, key_of
 from orbisim.effects import EffectInstance, add_effects, effect_names, find
 from orbisim.effects.screening import Candidate, Column, Solve
 from orbisim.errors import OrbiSimError
-from orbisim.motion.linear import IntervalMap, Intervals, missing_force
+from orbisim.motion.linear import IntervalMap, Intervals, missing_force, smoothed_force
 from orbisim.motion.regressors import MotionView
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.hypothesis import Hypothesis, clean, completed
-from orbisim.shooting.regress import Normal, fit, normal_equations, profiled, total
+from orbisim.shooting.regress import Normal, fit, force_columns, normal_equations, profiled, total
 from orbisim.shooting.retune import SPREAD
 
 Floats = npt.NDArray[np.float64]
-
-_SMOOTH = 7
 
 
 def screen(
@@ -51,7 +49,7 @@ def screen(
     found = list(candidates_of(view, bench, hypothesis, flow, only))
     columns = [column for candidate in found for column in candidate.columns]
     first = len(columns)
-    columns += _force_columns(view.missing_force, flow)
+    columns += force_columns(smoothed_force(view.missing_force))
     nuisance = [] if factors is None else [Column("state", f) for f in np.moveaxis(factors, 2, 0)]
     own = own_columns(bench, hypothesis, flow)
     windows = bench.windows.some(bench.fit)
@@ -215,6 +213,7 @@ def _together(
 
 
 _PAIRED = 14
+"""Effects of which all pairs are looked at, and pairs that are kept."""
 
 
 def _solve(candidate: Candidate, normal: Normal, index: list[int]) -> tuple[Floats, float]:
@@ -256,19 +255,6 @@ def _suspect(
 def _numbers(candidate: Candidate, bench: Bench) -> int:
     """How many numbers an effect adds."""
     return len(find(candidate.effect).free_parameters(bench.scene.model, candidate.target))
-
-
-def _force_columns(force: Floats, flow: IntervalMap) -> list[Column]:
-    """The smoothed missing force of each degree of freedom by itself."""
-    smooth = np.nan_to_num(force)
-    kernel = np.ones(_SMOOTH) / _SMOOTH
-    found: list[Column] = []
-    for j in range(force.shape[1]):
-        values = np.zeros((2 * len(force), force.shape[1]))
-        course = np.convolve(smooth[:, j], kernel, mode="same")
-        values[: len(force), j] = values[len(force) :, j] = course
-        found.append(Column("force", values))
-    return found
 
 
 def _shares(normal: Normal, first: int, count: int) -> Floats:

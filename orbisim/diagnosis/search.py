@@ -15,18 +15,18 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from orbisim.diagnosis.context import Context, Progress, begun
-from orbisim.diagnosis.joint import propose
 from orbisim.diagnosis.proposals import additions, begin, exchanges, laws, merged, pairs
-from orbisim.diagnosis.refine import Judge, Judged, is_structural
 from orbisim.diagnosis.screening import cleaned
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.suspects import Screening
+from orbisim.diagnosis.together import propose
 from orbisim.diagnosis.worth import gains, retuning_costs, worth
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.evidence import NEAR, Gain
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.judge import Judge, Judged, is_structural
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -148,20 +148,24 @@ def done(context: Context, judged: Judged) -> bool:
 def _renewed(context: Context, judged: Judged) -> tuple[Context, Judged]:
     """The same explanation, with noise and derivatives along its own scene."""
     context = context.along(judged)
-    again = context.judge.judge(judged.hypothesis, begin=judged)
+    judge = context.judge
+    again = judge.judge(judged.hypothesis, begin=judge.begin(judged))
     if not context.bench.contacts:
-        cold = context.judge.judge(judged.hypothesis)
+        cold = judge.judge(judged.hypothesis)
         if cold is not None and (again is None or cold.loss < again.loss):
             again = cold
     for _ in range(_FURTHER if context.bench.contacts else 0):  # steps through impacts are short
-        further = None if again is None else context.judge.judge(again.hypothesis, begin=again)
-        if further is None or again is None or worth(context.bench, again, further).total < _EVEN:
+        if again is None:
+            break
+        further = judge.judge(again.hypothesis, begin=judge.begin(again))
+        if further is None or worth(context.bench, again, further).total < _EVEN:
             break
         again = further
     return (context, again) if again is not None else (context, judged)
 
 
 _FURTHER = 4
+"""Fits more of what was taken, each from where the last one ended."""
 _EVEN = 0.5
 """Log odds within which two explanations are equally good."""
 
@@ -202,6 +206,7 @@ _OF_TIME = 0.2
 """Share of the time left that a round may take to look for more than one sure move."""
 _AT_NOISE = float(np.log(2.0))
 _MUCH = 0.5
+"""Share of the loss above the noise that a move may leave to be made without looking at others."""
 
 
 def _winner(context: Context, current: Judged, fitted: Sequence[Judged]) -> Judged | None:
@@ -244,11 +249,12 @@ def _names(judged: Judged) -> str:
 
 
 def _fit(
-    context: Context, hypothesis: Hypothesis, start: Judged | None, polish: bool = True
+    context: Context, hypothesis: Hypothesis, start: Judged, polish: bool = True
 ) -> Judged | None:
     """Fitted; of retuned parameters only those that pay."""
     iterations = 4 if context.bench.contacts else 5
-    judged = context.judge.judge(hypothesis, iterations, polish, start)
+    begin = context.judge.begin(start)
+    judged = context.judge.judge(hypothesis, iterations, polish, begin)
     if judged is None or not judged.hypothesis.factors:
         return judged
     return _pruned(context, judged)
@@ -267,7 +273,7 @@ def _pruned(context: Context, judged: Judged) -> Judged:
         return judged
     kept = tuple(one for one, p in zip(hypothesis.factors, pays, strict=True) if p)
     fewer = dataclasses.replace(hypothesis, factors=kept)
-    again = context.judge.judge(fewer, 3, begin=judged)
+    again = context.judge.judge(fewer, 3, begin=context.judge.begin(judged))
     better = again is not None and worth(context.bench, judged, again).total > 0
     return again if again is not None and better else judged
 
@@ -328,8 +334,9 @@ def _generalized(context: Context, current: Judged, fitted: Sequence[Judged]) ->
                 if context.allowed(one):
                     starts.setdefault(name, []).append(less.plus(one))
         for same in starts.values():
-            context.judge.begin_with(special)
-            judged = _fit(context, min(same, key=context.judge.glance), special)
+            begin = context.judge.begin(special)
+            left = [context.judge.glance(one, begin) for one in same]
+            judged = _fit(context, same[int(np.argmin(left))], special)
             if judged is not None:
                 yield judged
 
@@ -485,4 +492,6 @@ def named(found: Found) -> Found:
 
 
 _FEW = 3
+"""How many of those worth most are fitted again along their own scenes."""
 _ITERATIONS = 8
+"""Of a fit of many effects at once, which begins far off."""

@@ -76,6 +76,7 @@ def groups_of(
 
 
 _FEW = 4
+"""Columns of the smaller form: mass and first moments of a body."""
 
 
 def _group(
@@ -108,6 +109,7 @@ def _group(
 
 
 _FELT = 1e-12
+"""Strength of a column, over the strongest of its effect, below which it is rounding."""
 
 
 class Stack(NamedTuple):
@@ -271,6 +273,7 @@ def _by_fold(data: Data, index: Ints, ones: int) -> Floats:
 
 
 _RIDGE = 1e-9
+"""Ridge on scaled gram matrices: columns that repeat others are no reason to fail."""
 
 
 def coefficients(whole: Normal, chosen: Sequence[Group]) -> list[Floats]:
@@ -500,9 +503,12 @@ _TRIED = 12
 _FITTED = 60
 """Of how many it is looked at whether they are possible."""
 _NEAREST = 4
+"""Rivals of each chosen group that are looked at."""
 _LEAST = 4
 """How many of the groups that cost least to do without are scored for removal."""
 _REWEIGHTED = 3
+"""Times that the beginning is thinned and weighed by what it leaves."""
 _EXCHANGES = 3
+"""Exchanges after an addition at most: two groups may take turns."""
 _SHAPES = 5
 """Values at which a parameter is tried that is no coefficient."""

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.refine import Judged
 from orbisim.effects import find
 from orbisim.evidence import EFFECT, Blocks, Gain, gain, independent_share
 from orbisim.motion.samples import extent
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.fits import Fit
 from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.judge import Judged
 from orbisim.shooting.retune import SPREAD
 
 Floats = npt.NDArray[np.float64]

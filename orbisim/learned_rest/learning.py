@@ -9,22 +9,23 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.effects.residual_network import Network, with_rest
-from orbisim.effects.screening import Column
 from orbisim.learned_rest.response import affordable, responses
 from orbisim.learned_rest.training import Trained, own_inputs, speed_inputs, train, tree_inputs
-from orbisim.motion.linear import Intervals, linearize, missing_force
+from orbisim.motion.linear import Intervals, linearize, missing_force, smoothed_force
 from orbisim.recording.joints import Joint, joints
 from orbisim.scene import Scene
 from orbisim.shooting.along import along
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.hypothesis import Hypothesis
-from orbisim.shooting.regress import fit, normal_equations, total
+from orbisim.shooting.regress import fit, force_columns, normal_equations, total
 from orbisim.shooting.windows import Windows
 
 Floats = npt.NDArray[np.float64]
 
 _SHARE = 0.05
+"""Share of what forces at all joints would explain from which on a joint gets a network."""
 _SIMPLER = 0.9
+"""Loss, over that of networks that read less, below which those that read more are taken."""
 _TYPICAL = 1.5
 """Root mean square over median of a normal variable; impacts do not change a median."""
 
@@ -61,7 +62,7 @@ def rest_data(bench: Bench, hypothesis: Hypothesis, windows: Windows, start: Flo
       windows: those that the hypothesis was fitted to. start: [W, 2 nv] where they begin.
     """
     intervals = linearize(bench.flow(hypothesis))
-    force = _smoothed(missing_force(intervals))
+    force = smoothed_force(missing_force(intervals))
     runs = along(bench, hypothesis, windows, start) if bench.contacts else None
     if runs is None:
         return RestData(bench, intervals, force)
@@ -71,29 +72,14 @@ def rest_data(bench: Bench, hypothesis: Hypothesis, windows: Windows, start: Flo
     return RestData(local, local.intervals, force[numbers])
 
 
-def _smoothed(force: Floats) -> Floats:
-    """Averaged over a few intervals."""
-    kernel = np.ones(_SMOOTH) / _SMOOTH
-    known = np.nan_to_num(force)
-    return np.stack([np.convolve(column, kernel, mode="same") for column in known.T], axis=1)
-
-
-_SMOOTH = 7
-
-
 def joints_with_force(data: RestData, hypothesis: Hypothesis) -> list[Joint]:
     """Joints at which a slow missing force by itself would take away some of the residual."""
     bench, intervals, force = data.bench, data.intervals, data.force
-    nv = force.shape[1]
-    columns = []
-    for dof in range(nv):
-        values = np.zeros((2 * len(force), nv))
-        values[: len(force), dof] = values[len(force) :, dof] = force[:, dof]
-        columns.append(Column("force", values))
+    columns = force_columns(force)
     known = bench.known_signal(hypothesis)
     windows = bench.windows.some(bench.fit)
     normal = total(normal_equations(bench.samples, intervals, windows, columns, bench.noise, known))
-    gains = np.array([max(normal.square - fit(normal, [d])[1], 0.0) for d in range(nv)])
+    gains = np.array([max(normal.square - fit(normal, [d])[1], 0.0) for d in range(len(columns))])
     every = joints(bench.scene.model)
     whole = max(float(gains.sum()), 1e-300)
     return [joint for joint in every if gains[joint.v].sum() > _SHARE * whole]

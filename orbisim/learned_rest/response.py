@@ -19,13 +19,15 @@ from orbisim.motion.linear import Intervals
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.regress import normal_of, without_start
-from orbisim.shooting.windows import Windows, chosen
+from orbisim.shooting.windows import Windows, chosen, evenly
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 _MOST_PIECES = 50
+"""Pieces over which forces are held: responses grow with the square of their number."""
 _MOST_NUMBERS = 4e7
+"""Numbers that the responses of all windows may take: 320 MB."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -58,11 +60,7 @@ def affordable(windows: Windows, dofs: int) -> npt.NDArray[np.bool_]:
     """[W]: as many windows, spread evenly, as the responses of fit into memory."""
     pieces = min(windows.length, _MOST_PIECES)
     most = max(8, int(_MOST_NUMBERS / (pieces * dofs) ** 2))
-    keep = np.zeros(len(windows), bool)
-    keep[
-        np.unique(np.linspace(0, len(windows) - 1, min(most, len(windows))).round().astype(int))
-    ] = 1
-    return keep
+    return evenly(np.ones(len(windows), bool), most)
 
 
 def responses(

@@ -24,12 +24,19 @@ Floats = npt.NDArray[np.float64]
 
 _HIDDEN = (32, 32)
 _ADAM = 200
+"""Steps of Adam at most; `_PATIENCE` mostly ends them before."""
 _LBFGS = 60
+"""Steps of L-BFGS at most, of ten iterations each."""
 _PATIENCE = 12
+"""Looks at the check windows in a row without a gain after which the training ends."""
 _RATE = 1e-2
+"""Learning rate of Adam: inputs and forces are scaled to about one."""
 _DECAY = 1e-5
+"""Weight of squared weights beside a loss that begins at one: smooth where nothing was seen."""
 _MARGIN = 0.05
+"""Share of an input's range by which a network may be asked beyond what was seen."""
 _ROUND = 4.0
+"""Travel, rad, from which on a hinge without limits is taken to go round."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

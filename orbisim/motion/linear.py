@@ -206,3 +206,14 @@ def missing_force(intervals: Intervals) -> Floats:
     good = intervals.usable
     force[good] = np.linalg.solve(b[good], d[good][..., None])[..., 0]
     return force
+
+
+def smoothed_force(force: Floats) -> Floats:
+    """A missing force [N, nv], averaged over a few intervals; zero where it is not known."""
+    kernel = np.ones(_SMOOTH) / _SMOOTH
+    known = np.nan_to_num(force).T
+    return np.stack([np.convolve(course, kernel, mode="same") for course in known], axis=1)
+
+
+_SMOOTH = 7
+"""Intervals: the force follows from differences of velocities, in which noise grows."""

@@ -111,6 +111,7 @@ def tame(bench: Bench) -> Bench:
 
 
 _GROWTH = 100.0
+"""Growth of a start's error, in units of the noise, from which on products drown all else."""
 
 
 def _moved(one: Samples, shooter: Shooter, first: int, qpos: Floats, qvel: Floats) -> Samples:

@@ -36,5 +36,6 @@ def confidence(fit: Fit, names: Sequence[str], seed: int = 0) -> dict[str, tuple
 
 
 _DRAWS = 200
+"""Resamples: five of them lie beyond either end of an interval."""
 _FELT = 1e-4
 """Share of what all windows say about a parameter that a resample must say."""

@@ -57,6 +57,7 @@ def windows_enough(scene: Scene, recordings: Sequence[Recording], window: float)
 
 
 _LOOKED_AT = 8
+"""One recording of so many is looked at for contacts: there may be hundreds."""
 _WINDOWS = 144
 """Two thirds of them are fitted, 96 at most."""
 
@@ -67,6 +68,7 @@ def most_intervals(scene: Scene, contacts: bool) -> int | None:
 
 
 _CONTACT_STEPS = 27_000
+"""Runs over single intervals, three for each degree of freedom in each: some seconds."""
 
 
 def spread_windows(
@@ -118,6 +120,7 @@ def _near_jump(one: Samples) -> Bools:
 
 
 _JUMP_REACH = 3
+"""Samples to either side of an impact over which smoothing blurs it."""
 
 
 def predictable_windows(
@@ -151,6 +154,7 @@ def predictable_windows(
 
 
 _FEW = 4
+"""Windows with much to predict that are enough to do without the others."""
 
 
 def _worth(shooter: Shooter, windows: Windows, noise: Noise) -> Floats:
@@ -224,6 +228,7 @@ def wrongly_lost(shooter: Shooter, windows: Windows, noise: Noise) -> Windows:
 
 
 _MOST_SHORT = 0.5
+"""Share of the windows that is most of them."""
 _APART = 100.0
 """In units of the noise."""
 
@@ -242,10 +247,15 @@ def start_size(noise: Noise, step: float) -> Floats:
 
 
 _PROBES = 3
+"""Pairs of runs from starts apart by the noise; each pair moves all coordinates at random."""
 _GROWTH = 60.0
+"""Growth of a start's error, in units of the noise, beyond which nothing can be predicted."""
 _BEND = 1.0
+"""Asymmetry of a pair of runs, in units of the noise, beyond which derivatives say nothing."""
 _KNOWN = 0.5
+"""Error of a start over the noise of one sample: a fit knows it better than a sample does."""
 _SURE = 1
+"""Samples that every window predicts in any case."""
 
 
 def without_lost(windows: Windows, intervals: Intervals) -> Windows:

@@ -458,10 +458,13 @@ def least_squares(matrix: Floats, wanted: Floats, brakes: Floats) -> Floats:
 
 
 _START_STEP = 1e-6
+"""Step of differences by starts: well above the rounding of a run, well below what bends it."""
 _SHORTER = 7
 """How many steps are tried, each damped ten times as much: friction that makes a joint stick hardly
 grows where it does not yet, so that the first may be ten times too long."""
 _REFUSED = 100.0
 """By how much a step is damped that leads to no possible scene."""
 _STALE = 0.1
+"""Change of a window's residual, over its size, from which on its derivatives are taken anew."""
 _BAD = 4.0
+"""Mean square of a window that fits badly where most do not: its start is approached anew."""

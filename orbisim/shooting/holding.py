@@ -18,7 +18,7 @@ from orbisim.effects.screening import Column
 from orbisim.motion.linear import Intervals
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.regress import Normal, WeightedData, projected, stacked
-from orbisim.shooting.windows import Windows
+from orbisim.shooting.windows import Windows, hats_at
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -91,7 +91,7 @@ def holding(
     k = windows.length
     knots = int(np.clip(k // _SPACING + 1, 2, _KNOTS))
     places = np.linspace(0, k - 1, knots)
-    hats = np.clip(1 - np.abs(np.arange(k)[:, None] - places) / (places[1] - places[0]), 0, None)
+    hats = hats_at(places, k)
     inputs, signals = stacked(intervals, columns)
     data = WeightedData(bench.samples, intervals, bench.noise, known)
     width = knots * intervals.B.shape[2]

@@ -122,5 +122,6 @@ def _bounded_step(problem: Problem, values: Floats, left: Floats, weighted: Floa
 _SIZE = Unknown("size", 1.0, 0.2, 3.0, 1e-4, 1.0, 1.0)
 """Of the difference that an effect makes; a wide prior keeps it where nothing says otherwise."""
 _DAMPING = 1e-4
+"""As of the first step of a fit."""
 _REWEIGHTED = 5
 """Rounds of reweighted least squares."""

@@ -23,6 +23,7 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 _CHUNK_BYTES = 2e8
+"""Memory that the columns of windows take at once."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -90,6 +91,16 @@ def stacked(intervals: Intervals, columns: Sequence[Column]) -> tuple[Floats, Fl
                 signals = np.zeros((2 * count, n2, len(columns)))
             signals[:, :, c] = np.nan_to_num(column.values)
     return inputs, signals
+
+
+def force_columns(force: Floats) -> list[Column]:
+    """A force [N, nv] over intervals, of each degree of freedom by itself."""
+    found: list[Column] = []
+    for dof in range(force.shape[1]):
+        values = np.zeros((2 * len(force), force.shape[1]))
+        values[: len(force), dof] = values[len(force) :, dof] = force[:, dof]
+        found.append(Column("force", values))
+    return found
 
 
 class WeightedData:

@@ -361,5 +361,6 @@ _LEAD = 0.25
 _GAP = 1.5
 """Typical sampling intervals that are a gap."""
 _LOST = 1e6
+"""Weighted residual of what has diverged: finite, so that windows can still be compared."""
 _WORTH_A_THREAD = 200
 """Worlds times degrees of freedom times timesteps that keep a thread busy."""

@@ -8,7 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
+Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
+Bools = npt.NDArray[np.bool_]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -29,7 +31,7 @@ class Windows:
     def __len__(self) -> int:
         return len(self.first)
 
-    def some(self, keep: npt.NDArray[np.bool_] | Ints) -> Windows:
+    def some(self, keep: Bools | Ints) -> Windows:
         """The chosen windows, marked or by their numbers."""
         horizon = None if self.horizon is None else self.horizon[keep]
         return Windows(self.first[keep], self.length, self.recording[keep], horizon)
@@ -40,13 +42,13 @@ class Windows:
             return np.full(len(self), self.length)
         return np.minimum(self.horizon.max(axis=1), self.length)
 
-    def fragile(self) -> npt.NDArray[np.bool_]:
+    def fragile(self) -> Bools:
         """[W]: windows that end early, as impacts make what follows uncertain."""
         if self.horizon is None:
             return np.zeros(len(self), bool)
         return np.asarray((self.horizon < self.length).any(axis=1))
 
-    def predictable(self) -> npt.NDArray[np.bool_]:
+    def predictable(self) -> Bools:
         """[W, length + 1, 2 nv] or [W, length + 1, 1]: what lies within the horizon."""
         steps = np.arange(self.length + 1)[:, None]
         if self.horizon is None:
@@ -54,9 +56,7 @@ class Windows:
         return np.asarray(steps <= self.horizon[:, None])
 
 
-def cut_windows(
-    recording: Ints, row: Ints, length: int, avoid: npt.NDArray[np.bool_] | None = None
-) -> Windows:
+def cut_windows(recording: Ints, row: Ints, length: int, avoid: Bools | None = None) -> Windows:
     """Cuts runs of consecutive intervals into windows of the same length.
 
     A run that is no multiple of it gives a last window that overlaps the one before.
@@ -89,6 +89,26 @@ def runs_of(recording: Ints, row: Ints) -> Iterator[tuple[int, int]]:
     yield from zip([0, *breaks], [*breaks, len(row)], strict=True)
 
 
-def chosen(predictable: npt.NDArray[np.bool_], measured: Ints) -> npt.NDArray[np.bool_]:
+def chosen(predictable: Bools, measured: Ints) -> Bools:
     """The measured ones of all positions and velocities."""
     return predictable if predictable.shape[2] == 1 else predictable[:, :, measured]
+
+
+def evenly(keep: Bools, most: int | None) -> Bools:
+    """At most so many of the marked ones, spread evenly; all if None."""
+    marked = np.flatnonzero(keep)
+    if most is None or len(marked) <= most:
+        return keep
+    kept = np.zeros_like(keep)
+    kept[marked[np.unique(np.linspace(0, len(marked) - 1, most).round().astype(int))]] = True
+    return kept
+
+
+def hats_at(places: Floats, length: int) -> Floats:
+    """[length, knots]: shares of the knots in each interval of what is linear between them.
+
+    Args:
+      places: [knots] numbers of intervals, equally far apart.
+    """
+    away = np.abs(np.arange(length)[:, None] - places)
+    return np.asarray(np.clip(1 - away / (places[1] - places[0]), 0, None))

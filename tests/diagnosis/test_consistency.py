@@ -6,11 +6,11 @@ import dataclasses
 
 import orbisim
 from orbisim.diagnosis.consistency import inconsistency
-from orbisim.diagnosis.refine import Judge
 from orbisim.effects import EffectInstance
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.judge import Judge
 from orbisim.shooting.retune import Tunable
 from orbisim.testing import inject_effect
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.refine import Judge, Judged
 from orbisim.effects import EffectInstance, add_effects, find
 from orbisim.errors import SceneError
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.judge import Judge, Judged
 from orbisim.shooting.retune import Tunable, retuned
 from orbisim.testing import inject_effect
 
@@ -57,79 +57,69 @@ def struck(
     judge = Judge(bench, bench.intervals, most=24)
     nothing = judge.judge(Hypothesis())
     assert nothing is not None and nothing.ratio > 3
-    judge.start_from(nothing)
     return bench, judge, nothing
 
 
 @pytest.fixture(scope="module")
-def pushed(hammer: orbisim.Scene) -> tuple[Bench, Judged]:
+def pushed(hammer: orbisim.Scene) -> tuple[Judge, Judged]:
     """Recordings with a bias, and what the declared scene leaves of them."""
-    bench, _, nothing = struck(hammer, hammer, [BIAS])
-    return bench, nothing
-
-
-@pytest.fixture
-def judge(pushed: tuple[Bench, Judged]) -> Judge:
-    """Starts from the declared scene."""
-    bench, nothing = pushed
-    judge = Judge(bench, bench.intervals, most=24)
-    judge.start_from(nothing)
-    return judge
+    _, judge, nothing = struck(hammer, hammer, [BIAS])
+    return judge, nothing
 
 
 def test_declared_parameters_are_retuned_through_impacts(hammer: orbisim.Scene) -> None:
     true = retuned(hammer, {GAIN: 1.04, DAMPING: 0.97})
-    _, judge, _ = struck(hammer, true, [])
-    tuned = judge.judge(Hypothesis().tuned([GAIN, DAMPING]))
+    _, judge, nothing = struck(hammer, true, [])
+    tuned = judge.judge(Hypothesis().tuned([GAIN, DAMPING]), begin=judge.begin(nothing))
     assert tuned is not None and tuned.ratio < 1.3
     factors = dict(tuned.hypothesis.factors)
     assert factors[GAIN] == pytest.approx(1.04, abs=0.01)
     assert factors[DAMPING] == pytest.approx(0.97, abs=0.02)
 
 
-def test_a_glance_tells_how_large_an_effect_should_be(
-    pushed: tuple[Bench, Judged], judge: Judge
-) -> None:
-    _, nothing = pushed
+def test_a_glance_tells_how_large_an_effect_should_be(pushed: tuple[Judge, Judged]) -> None:
+    judge, nothing = pushed
+    begin = judge.begin(nothing)
     right = Hypothesis((BIAS,))
     for offset in (0.03, 0.12):
         other = Hypothesis((BIAS.replace(offset=offset),))
-        left, better = judge.sized_glance(other)
+        left, better = judge.sized_glance(other, begin)
         assert better == pytest.approx(0.06 / offset, rel=0.35)
         assert left < nothing.ratio**2
-    assert judge.sized_glance(right)[1] == pytest.approx(1.0, abs=0.15)
-    assert judge.glance(right) < judge.glance(Hypothesis((BIAS.replace(offset=-0.06),)))
+    assert judge.sized_glance(right, begin)[1] == pytest.approx(1.0, abs=0.15)
+    wrong = Hypothesis((BIAS.replace(offset=-0.06),))
+    assert judge.glance(right, begin) < judge.glance(wrong, begin)
 
 
 def test_a_glance_lets_retuned_parameters_move(hammer: orbisim.Scene) -> None:
     """Seen from parameters that made up for an effect, its true size leaves nothing."""
-    _, judge, _ = struck(hammer, retuned(hammer, {GAIN: 1.03}), [BIAS])
-    tuned = judge.judge(Hypothesis().tuned([GAIN, DAMPING]))
+    _, judge, nothing = struck(hammer, retuned(hammer, {GAIN: 1.03}), [BIAS])
+    tuned = judge.judge(Hypothesis().tuned([GAIN, DAMPING]), begin=judge.begin(nothing))
     assert tuned is not None and tuned.ratio > 1.5
-    judge.start_from(tuned)
+    begin = judge.begin(tuned)
     with_it = dataclasses.replace(tuned.hypothesis, effects=(BIAS,))
-    without = judge.glance(tuned.hypothesis)
-    assert judge.glance(with_it) < 0.3 * without
-    assert judge.tried(with_it) < 0.3 * without
+    without = judge.glance(tuned.hypothesis, begin)
+    assert judge.glance(with_it, begin) < 0.3 * without
+    assert judge.tried(with_it, begin) < 0.3 * without
 
 
-def test_without_a_start_a_glance_says_nothing(pushed: tuple[Bench, Judged]) -> None:
-    bench, _ = pushed
-    assert Judge(bench, bench.intervals).sized_glance(Hypothesis()) == (np.inf, 1.0)
+def test_without_a_start_a_glance_says_nothing(pushed: tuple[Judge, Judged]) -> None:
+    judge, _ = pushed
+    assert judge.sized_glance(Hypothesis(), judge.cold) == (np.inf, 1.0)
 
 
 def test_a_glance_does_without_derivatives_that_cannot_be_had(
-    pushed: tuple[Bench, Judged], judge: Judge, monkeypatch: pytest.MonkeyPatch
+    pushed: tuple[Judge, Judged], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _, nothing = pushed
+    judge, nothing = pushed
 
     def refuse(*_: Any) -> None:
         raise SceneError("hammer.xml", "MuJoCo refuses it")
 
-    monkeypatch.setattr("orbisim.diagnosis.refine.own_slopes", refuse)
-    for _ in range(2):
-        left, better = judge.sized_glance(Hypothesis((BIAS,)))
-        assert left < nothing.ratio**2 and better == 1.0
+    monkeypatch.setattr("orbisim.shooting.judge.own_slopes", refuse)
+    begin = dataclasses.replace(judge.begin(nothing))
+    left, better = judge.sized_glance(Hypothesis((BIAS,)), begin)
+    assert left < nothing.ratio**2 and better == 1.0
 
 
 def test_stribeck_friction_can_begin_at_coulomb_friction(hammer: orbisim.Scene) -> None:

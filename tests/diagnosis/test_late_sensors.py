@@ -3,11 +3,11 @@
 import pytest
 
 import orbisim
-from orbisim.diagnosis.refine import Judge
 from orbisim.effects import EffectInstance
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.judge import Judge
 from orbisim.testing import inject_effect
 
 LATE = EffectInstance("sensor_delay", "shoulder", {"delay": 0.08})

@@ -8,7 +8,6 @@ import pytest
 import orbisim
 from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.context import begun
-from orbisim.diagnosis.refine import Judged
 from orbisim.diagnosis.search import Found, named
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
@@ -16,6 +15,7 @@ from orbisim.effects.unnamed import OneSidedLaw
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.judge import Judged
 from orbisim.testing import inject_effect
 
 SPRING = EffectInstance("joint_spring", "elbow", {"stiffness": 0.3, "rest_position": 0.0})

@@ -136,11 +136,11 @@ def test_events_are_tried_where_something_is_left(arm: orbisim.Scene) -> None:
     samples = SimpleNamespace(absolute=absolute, usable=np.ones(201, bool))
     bench = SimpleNamespace(scene=arm, contacts=False, samples=[samples])
 
-    def quick_loss(hypothesis: Hypothesis) -> float:
+    def quick_loss(hypothesis: Hypothesis, begin: None) -> float:
         return abs(hypothesis.effects[-1].values["position"] - 1.44)
 
     context: Any = SimpleNamespace(
-        bench=bench, judge=SimpleNamespace(quick_loss=quick_loss),
+        bench=bench, judge=SimpleNamespace(quick_loss=quick_loss, begin=lambda judged: None),
         allowed=lambda one: one.effect == "hard_stop",
     )  # fmt: skip
     current: Any = SimpleNamespace(hypothesis=Hypothesis())

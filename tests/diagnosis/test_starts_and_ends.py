@@ -42,13 +42,13 @@ def context_of(bench: Bench) -> Context:
 def test_friction_that_makes_a_joint_stick_begins_smaller() -> None:
     left = {3.0: 50.0, 1.5: 12.0, 0.75: 4.0, 0.3: 7.0, 0.0: 10.0}
 
-    def glance(hypothesis: Hypothesis) -> float:
+    def glance(hypothesis: Hypothesis, begin: None) -> float:
         return left[hypothesis.effects[0].values["coefficient"] if hypothesis.effects else 0.0]
 
     def sized(size: float) -> EffectInstance:
         return dataclasses.replace(STUCK, values={"coefficient": 3.0 * size})
 
-    judge = SimpleNamespace(glance=glance, begin_with=lambda judged: None)
+    judge = SimpleNamespace(glance=glance, begin=lambda judged: None)
     context: Any = SimpleNamespace(judge=judge, bench=SimpleNamespace(contacts=False))
     current: Any = SimpleNamespace(hypothesis=Hypothesis())
 
@@ -67,7 +67,8 @@ def test_a_long_first_step_is_shortened_until_it_helps(arm: orbisim.Scene) -> No
     judge = context_of(bench_of(arm, truth)).judge
     nothing = judge.judge(Hypothesis())
     small = dataclasses.replace(STUCK, values={"coefficient": 0.3})
-    found = judge.judge(Hypothesis((small,)), 8, begin=nothing)
+    assert nothing is not None
+    found = judge.judge(Hypothesis((small,)), 8, begin=judge.begin(nothing))
     assert found is not None
     assert found.hypothesis.effects[0].values["coefficient"] == pytest.approx(0.8, rel=0.02)
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.refine import Judge
 from orbisim.diagnosis.search import quiet
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
@@ -17,6 +16,7 @@ from orbisim.motion.samples import prepare_all
 from orbisim.recording import bind
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.judge import Judge
 from orbisim.testing import inject_effect
 
 ASSETS = Path(__file__).parents[2] / "mjcf_assets"
@@ -53,8 +53,8 @@ def test_starts_of_a_poor_scene_are_not_insisted_on() -> None:
     cold, declared = judge.judge(held), judge.judge(Hypothesis())
     assert cold is not None and declared is not None and declared.ratio > 20
     far = dataclasses.replace(declared.fit, start=declared.fit.start + 0.3)
-    judge.start_from(dataclasses.replace(declared, fit=far))
-    warm = judge.judge(held)
+    begin = judge.begin(dataclasses.replace(declared, fit=far))
+    warm = judge.judge(held, begin=begin)
     assert warm is not None and warm.loss < cold.loss + 0.01
 
 
@@ -89,10 +89,11 @@ def test_starts_of_fitted_and_checked_windows_are_put_together(arm: orbisim.Scen
     apart = Judge(bench, bench.intervals).judge(Hypothesis())
     judge = Judge(bench.whole(), bench.intervals)
     assert apart is not None and judge.check is judge.fitted
-    judge.start_from(apart, bench.fit)
-    together = judge.score(Hypothesis(), judge.fitted, 0)
+    begin = judge.begin(apart, bench.fit.tobytes())
+    together = judge.score(Hypothesis(), begin, 0)
     assert together.square == pytest.approx(apart.fit.square + apart.check_fit.square, rel=1e-9)
     few = Judge(bench.whole(), bench.intervals, most=3)
-    few.start_from(apart, bench.fit)  # most windows are left out: a start from nothing
-    again = few.judge(Hypothesis())
+    begin = few.begin(apart, bench.fit.tobytes())
+    assert begin is few.cold  # most windows are left out: a start from nothing
+    again = few.judge(Hypothesis(), begin=begin)
     assert again is not None and len(again.windows) == 3

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.joint import propose
+from orbisim.diagnosis.together import propose
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.base import Extent, reach
 from orbisim.motion.samples import prepare_all

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,18 +14,19 @@ from orbisim.effects import find
 from orbisim.errors import OrbiSimError
 from orbisim.motion.linear import Intervals, linearize
 from orbisim.shooting.bench import Bench
-from orbisim.shooting.fits import Fit, Hints
+from orbisim.shooting.fits import Fit, Hints, Unknown
 from orbisim.shooting.gauss_newton import gauss_newton, start_derivatives
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.one_run import Own, glanced, own_slopes
 from orbisim.shooting.retune import Tunable
 from orbisim.shooting.shooter import Shooter, Variant
-from orbisim.shooting.windows import Windows
+from orbisim.shooting.windows import Windows, evenly
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
 _WEAK = 1e-7
+"""Change of the data by a parameter, over the largest, below which the data do not determine it."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -58,6 +60,37 @@ class Judged:
         return float(np.log1p(np.concatenate([self.fitted, self.checked])).mean())
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Beginning:
+    """Where fits begin: at windows' starts, with what these do, as far as that is known.
+
+    Attributes:
+      start: [W, 2 nv] of the fitted windows, None for the references. free: [W, data, 2 nv]
+        derivatives of their weighted data by it, None if they have to be found.
+      check_start, check_free: of the check windows.
+      build, unknowns: the parameters of the explanation that the starts are of, where glances
+        correct them too (where bodies touch); None otherwise. shooter: the fitted windows.
+    """
+
+    start: Floats | None = None
+    free: Floats | None = None
+    check_start: Floats | None = None
+    check_free: Floats | None = None
+    build: Callable[[Floats], Variant] | None = None
+    unknowns: Sequence[Unknown] = ()
+    shooter: Shooter | None = None
+
+    @functools.cached_property
+    def own(self) -> Own | None:
+        """What the explanation's own parameters change; None where that is not to be had."""
+        if self.build is None or self.shooter is None or self.start is None:
+            return None
+        try:
+            return own_slopes(self.shooter, self.build, self.unknowns, self.start)
+        except OrbiSimError:  # a difference step leads to no possible scene: glances do without
+            return None
+
+
 class Judge:
     """Fits and checks hypotheses on the same windows.
 
@@ -83,54 +116,84 @@ class Judge:
         self.bench = bench
         self.robust = _IMPACTS if bench.contacts else None
         self.heavy = heavy or bench.contacts
-        self.fitted = bench.shooter(thinned(bench.fit, most))
+        self.fitted = bench.shooter(evenly(bench.fit, most))
         check = bench.check if bench.check.any() else bench.fit
         if (check == bench.fit).all():
             self.check = self.fitted
         else:
-            self.check = bench.shooter(thinned(check, None if most is None else max(8, most // 2)))
-        self._free: dict[int, Floats] = {}
-        if not bench.contacts:
-            self._free = {id(s): s.chained(intervals) for s in (self.fitted, self.check)}
+            self.check = bench.shooter(evenly(check, None if most is None else max(8, most // 2)))
+        self.cold = Beginning() if bench.contacts else self._chained(intervals)
         self._slopes: dict[Tunable, Floats] = {}
         if columns is not None and not bench.contacts:
             response = self.fitted.respond(intervals, columns)
             self._slopes = {one: response[..., f] for f, one in enumerate(tunables)}
-        self._warm: dict[int, Floats] = {}
-        self._own: Own | None = None
-        self._told: tuple[Hypothesis, Floats] | None = None
-        self._begun: Judged | None = None
+        self.begin = functools.lru_cache(maxsize=2)(self._begin)
 
-    def begin_with(self, judged: Judged | None) -> None:
-        """Takes an explanation's window starts, and what they do, as first guesses; if None, none
-        where derivatives are known in advance, and else the last ones."""
-        if judged is self._begun:
-            return
-        if judged is not None:
-            self.start_from(judged)
-        elif not self.bench.contacts:
-            self._warm = {}
-        self._begun = judged
+    def _chained(self, intervals: Intervals) -> Beginning:
+        """At the references, with what starts do in linear approximation."""
+        free = self.fitted.chained(intervals)
+        same = self.check is self.fitted
+        return Beginning(free=free, check_free=free if same else self.check.chained(intervals))
+
+    def _begin(self, judged: Judged, fitted_to: bytes | None = None) -> Beginning:
+        """Where an explanation has windows start, with what that does: a first guess for others.
+
+        Args:
+          fitted_to: where all windows are fitted, which of them the explanation was fitted to (a
+            mask as bytes); it was checked on the others. None if the windows are the same.
+        """
+        start, check_start = judged.fit.start, judged.check_fit.start
+        if fitted_to is not None:
+            mask = np.frombuffer(fitted_to, bool)
+            if mask.sum() != len(start) or len(mask) != len(self.fitted):
+                return self.cold  # some were left out for speed
+            joined = np.zeros((len(mask), start.shape[1]))
+            joined[mask], joined[~mask] = start, check_start
+            start = check_start = joined
+        found = self.cold
+        declared, hypothesis = self.bench.scene, judged.hypothesis
+        variant = hypothesis.variant(declared)
+        if len(start) == len(self.fitted):
+            found = dataclasses.replace(found, start=start)
+            if self.bench.contacts:
+                free = start_derivatives(self.fitted, variant, start)
+                found = dataclasses.replace(found, free=free, shooter=self.fitted)
+                if not is_structural(hypothesis):
+                    found = dataclasses.replace(
+                        found,
+                        build=lambda values: hypothesis.at(declared, values).variant(declared),
+                        unknowns=hypothesis.unknowns(declared),
+                    )
+        if self.check is self.fitted:
+            return dataclasses.replace(found, check_start=found.start, check_free=found.free)
+        if len(check_start) == len(self.check):
+            found = dataclasses.replace(found, check_start=check_start)
+            if self.bench.contacts:
+                free = start_derivatives(self.check, variant, check_start)
+                found = dataclasses.replace(found, check_free=free)
+        return found
 
     def judge(
         self,
         hypothesis: Hypothesis,
         iterations: int = 5,
         polish: bool = True,
-        begin: Judged | None = None,
+        begin: Beginning | None = None,
     ) -> Judged | None:
         """Fits the hypothesis' free parameters; None if it cannot be simulated.
 
         Args:
           polish: whether parameters that act in steps are searched, which takes long.
-          begin: an explanation of the same windows whose starts are first guesses.
+          begin: where the windows start at first; at the references if None.
         """
+        begin = begin or self.cold
         try:
-            self.begin_with(begin)
-            fitted, fit = self._fitted(hypothesis, iterations)
+            fitted, fit = self._fitted(hypothesis, iterations, begin)
             if polish:
-                fitted, fit = self._polish(fitted, fit)
-            checked = fit if self.check is self.fitted else self.score(fitted, self.check)
+                fitted, fit = self._polish(fitted, fit, begin)
+            checked = fit
+            if self.check is not self.fitted:
+                checked = self._scored(fitted, self.check, begin.check_start, begin.check_free)
         except (OrbiSimError, np.linalg.LinAlgError):
             return None
         means = _means(self.check, checked)
@@ -164,171 +227,134 @@ class Judge:
         own scene, then as differences show. Along the declared scene it may be quite another thing.
         Where bodies touch, only the latter.
         """
-        kept = self._free, self._warm, self._own, self._told
         best = judged
-        try:
-            for own in (False,) if self.bench.contacts else (True, False):
-                if best.ratio < _REACHED and not self.bench.contacts:
-                    break
-                again = self._judged_anew(best, own, iterations)
-                if again is not None and again.loss < best.loss:
-                    best = again
-        finally:
-            self._free, self._warm, self._own, self._told = kept
+        for own in (False,) if self.bench.contacts else (True, False):
+            if best.ratio < _REACHED and not self.bench.contacts:
+                break
+            begin = self.begin(best)
+            if own:
+                begin = self._chained(linearize(self.bench.flow(best.hypothesis)))
+            elif not self.bench.contacts:
+                begin = dataclasses.replace(begin, free=None, check_free=None)
+            again = self.judge(best.hypothesis, iterations, begin=begin)
+            if again is not None and again.loss < best.loss:
+                best = again
         return best
 
-    def _judged_anew(self, judged: Judged, own: bool, iterations: int) -> Judged | None:
-        self._free, self._warm, self._own, self._told = {}, {}, None, None
-        if own:
-            intervals = linearize(self.bench.flow(judged.hypothesis))
-            self._free = {id(s): s.chained(intervals) for s in (self.fitted, self.check)}
-        else:
-            self.start_from(judged)
-        return self.judge(judged.hypothesis, iterations)
-
-    def glance(self, hypothesis: Hypothesis) -> float:
+    def glance(self, hypothesis: Hypothesis, begin: Beginning) -> float:
         """As `sized_glance`, without the size."""
-        return self.sized_glance(hypothesis)[0]
+        return self.sized_glance(hypothesis, begin)[0]
 
-    def sized_glance(self, hypothesis: Hypothesis) -> tuple[float, float]:
+    def sized_glance(self, hypothesis: Hypothesis, begin: Beginning) -> tuple[float, float]:
         """What a hypothesis would leave, at the price of one simulation: mean squared residual over
-        every other window, with starts, the numbers of the hypothesis that `start_from` was told,
-        and the size of the difference to that, corrected linearly, and this size; infinite if it
-        cannot be simulated, or if `start_from` was not called before.
+        every other window, with starts, the numbers of the explanation that they are of, and the
+        size of the difference to that, corrected linearly, and this size; infinite if it cannot be
+        simulated, or if `begin` has no starts.
         """
+        if begin.start is None or begin.free is None:
+            return np.inf, 1.0
         some = np.arange(len(self.fitted)) % 2 == 0 if len(self.fitted) >= _MANY else None
-        left, size = self._glanced(hypothesis, some)
-        return (np.inf if left is None else self._typical(self.fitted, left)), size
-
-    def _glanced(self, hypothesis: Hypothesis, some: Bools | None) -> tuple[Floats | None, float]:
-        """Mean square of some windows or all; None if that cannot be told; and the better size."""
-        start, free = self._warm.get(id(self.fitted)), self._free.get(id(self.fitted))
-        if start is None or free is None:
-            return None, 1.0
         try:
             variant = hypothesis.variant(self.bench.scene)
-            own = self._own_slopes()
-            left, size = glanced(self.fitted, variant, start, free, self.robust, own, some)
+            left, size = glanced(
+                self.fitted, variant, begin.start, begin.free, self.robust, begin.own, some
+            )
         except (OrbiSimError, np.linalg.LinAlgError):
-            return None, 1.0
+            return np.inf, 1.0
         dof = np.maximum(self.fitted.data - 2 * self.fitted.nv, 1)
-        return (left / dof)[slice(None) if some is None else some], size
+        means = (left / dof)[slice(None) if some is None else some]
+        return self._typical(self.fitted, means), size
 
-    def tried(self, hypothesis: Hypothesis) -> float:
+    def tried(self, hypothesis: Hypothesis, begin: Beginning) -> float:
         """What one step of a fit leaves, over all windows; with derivatives by the numbers of the
-        hypothesis that `start_from` was told as they are there."""
+        explanation that the starts are of as they are there."""
         try:
-            fit = self._fit(hypothesis, 1, quick=True)
+            fit = self._fit(hypothesis, 1, begin, quick=True)
         except (OrbiSimError, np.linalg.LinAlgError):
             return np.inf
         return self._typical(self.fitted, _means(self.fitted, fit))
 
-    def _own_slopes(self) -> Own | None:
-        """What the numbers of the hypothesis change that `start_from` was told; where bodies touch
-        alone, and not where joints were added."""
-        known, self._told = self._told, None
-        if known is not None:
-            self._own = self._slopes_of(*known)
-        return self._own
-
-    def _slopes_of(self, hypothesis: Hypothesis, start: Floats) -> Own | None:
-        if is_structural(hypothesis):
-            return None
-        declared = self.bench.scene
-
-        def build(values: Floats) -> Variant:
-            return hypothesis.at(declared, values).variant(declared)
-
-        try:
-            return own_slopes(self.fitted, build, hypothesis.unknowns(declared), start)
-        except OrbiSimError:  # a difference step leads to no possible scene: glances do without
-            return None
-
-    def start_from(self, judged: Judged, fitted: Bools | None = None) -> None:
-        """Takes a hypothesis' window starts, and what they do, as first guesses for others.
-
-        Args:
-          fitted: where all windows are fitted, which of them the hypothesis was fitted to; it was
-            checked on the others. None if the windows are the same.
-        """
-        starts = {self.fitted: judged.fit.start, self.check: judged.check_fit.start}
-        if fitted is not None:
-            joined = np.zeros((len(fitted), judged.fit.start.shape[1]))
-            if fitted.sum() != len(judged.fit.start) or len(fitted) != len(self.fitted):
-                return  # some were left out for speed
-            joined[fitted], joined[~fitted] = judged.fit.start, judged.check_fit.start
-            starts = {self.fitted: joined}
-        variant = judged.hypothesis.variant(self.bench.scene)
-        for shooter, start in starts.items():
-            if len(start) != len(shooter):
-                continue
-            self._warm[id(shooter)] = start
-            if self.bench.contacts:
-                self._free[id(shooter)] = start_derivatives(shooter, variant, start)
-                if shooter is self.fitted:
-                    self._own, self._told = None, (judged.hypothesis, start)
-
-    def quick_loss(self, hypothesis: Hypothesis) -> float:
+    def quick_loss(self, hypothesis: Hypothesis, begin: Beginning) -> float:
         """As `Judged.loss`, with starts alone fitted, and roughly.
 
         Raises:
           OrbiSimError: it cannot be simulated.
         """
-        fits = {s: self.score(hypothesis, s, 2) for s in dict.fromkeys((self.fitted, self.check))}
-        means = [_means(shooter, fit) for shooter, fit in fits.items()]
+        means = [_means(self.fitted, self.score(hypothesis, begin, 2))]
+        if self.check is not self.fitted:
+            fit = self._scored(hypothesis, self.check, begin.check_start, begin.check_free, 2)
+            means.append(_means(self.check, fit))
         return float(np.log1p(np.concatenate(means)).mean())
 
-    def score(self, hypothesis: Hypothesis, shooter: Shooter, iterations: int = 4) -> Fit:
-        """Residuals of fixed parameters, window starts fitted."""
+    def score(
+        self, hypothesis: Hypothesis, begin: Beginning | None = None, iterations: int = 4
+    ) -> Fit:
+        """Residuals of fixed parameters on the fitted windows, starts fitted."""
+        begin = begin or self.cold
+        return self._scored(hypothesis, self.fitted, begin.start, begin.free, iterations)
+
+    def _scored(
+        self,
+        hypothesis: Hypothesis,
+        shooter: Shooter,
+        start: Floats | None,
+        free: Floats | None,
+        iterations: int = 4,
+    ) -> Fit:
         variant = hypothesis.variant(self.bench.scene)
         return gauss_newton(
             shooter,
             lambda _: variant,
             [],
-            start=self._warm.get(id(shooter)),
-            hints=self._hints(shooter),
+            start=start,
+            hints=self._hints(free),
             iterations=2 * iterations if is_structural(hypothesis) else iterations,
             robust=self.robust,
         )
 
     def _hints(
-        self, shooter: Shooter, slopes: Mapping[int, Floats] | None = None, quick: bool = False
+        self,
+        free: Floats | None,
+        slopes: Mapping[int, Floats] | None = None,
+        quick: bool = False,
     ) -> Hints:
-        free = self._free.get(id(shooter))
         lenient = _LENIENT if self.heavy else 0.0
         exact, rough = free is None, self.bench.contacts
         return Hints(free, slopes or {}, exact=exact, rough=rough, quick=quick, lenient=lenient)
 
-    def _fitted(self, hypothesis: Hypothesis, iterations: int) -> tuple[Hypothesis, Fit]:
+    def _fitted(
+        self, hypothesis: Hypothesis, iterations: int, begin: Beginning
+    ) -> tuple[Hypothesis, Fit]:
         declared = self.bench.scene
-        fit = self._fit(hypothesis, iterations)
+        fit = self._fit(hypothesis, iterations, begin)
         fitted = hypothesis.at(declared, fit.values)
         weak = self._undetermined(fitted, fit)
         if weak:
             fitted = self._reset(hypothesis, fitted, weak)
-            fit = self._fit(fitted, iterations)
+            fit = self._fit(fitted, iterations, begin)
             fitted = fitted.at(declared, fit.values)
         return fitted, fit
 
-    def _fit(self, hypothesis: Hypothesis, iterations: int, quick: bool = False) -> Fit:
+    def _fit(
+        self, hypothesis: Hypothesis, iterations: int, begin: Beginning, quick: bool = False
+    ) -> Fit:
         declared = self.bench.scene
-        first = len(hypothesis.free(declared))
+        first, unknowns = len(hypothesis.free(declared)), hypothesis.unknowns(declared)
         slopes = {
             first + f: self._slopes[one]
             for f, (one, _) in enumerate(hypothesis.factors)
             if one in self._slopes
         }
-        own = self._own_slopes() if quick else None
-        if own is not None:
+        if quick and begin.own is not None:
+            own = begin.own
             known = {one.name: own.slopes[..., k] for k, one in enumerate(own.unknowns)}
-            names = [one.name for one in hypothesis.unknowns(declared)]
-            slopes |= {k: known[name] for k, name in enumerate(names) if name in known}
+            slopes |= {k: known[u.name] for k, u in enumerate(unknowns) if u.name in known}
         return gauss_newton(
             self.fitted,
             lambda values: hypothesis.at(declared, values).variant(declared),
-            hypothesis.unknowns(declared),
-            start=self._warm.get(id(self.fitted)),
-            hints=self._hints(self.fitted, slopes, quick),
+            unknowns,
+            start=begin.start,
+            hints=self._hints(begin.free, slopes, quick),
             iterations=iterations + 3 if is_structural(hypothesis) else iterations,
             robust=self.robust,
         )
@@ -345,7 +371,7 @@ class Judge:
         change = np.sqrt(np.maximum(information, 0.0)) * size
         weak = change < max(_WEAK * change.max(initial=0.0), 1e-3)
         weak |= np.array([u.ran_off(v) for u, v in zip(unknowns, values, strict=False)], bool)
-        weak &= np.array([not self._stepwise(fitted, i, name) for i, name in free], bool)
+        weak &= np.array([not _stepwise(fitted, i, name) for i, name in free], bool)
         if weak.all():
             return []
         return [name for name, w in zip(free, weak, strict=True) if w]
@@ -361,19 +387,13 @@ class Judge:
         held = fitted.at(declared, values)
         return dataclasses.replace(held, frozen=held.frozen | set(weak))
 
-    @staticmethod
-    def _stepwise(hypothesis: Hypothesis, number: int, name: str) -> bool:
-        effect = hypothesis.effects[number]
-        return find(effect.effect).stepwise(effect, name)
-
-    def _polish(self, hypothesis: Hypothesis, fit: Fit) -> tuple[Hypothesis, Fit]:
+    def _polish(self, hypothesis: Hypothesis, fit: Fit, begin: Beginning) -> tuple[Hypothesis, Fit]:
         """Searches parameters that act in steps (delays) on their grid, or on ever finer ones."""
         declared = self.bench.scene
         for index, (number, name) in enumerate(hypothesis.free(declared)):
             for grid in self._grids(hypothesis, number, name, float(fit.values[index])):
-                here = round(fit.values[index] / grid)
                 tried: dict[int, tuple[Hypothesis, Fit]] = {}
-                here = self._descend(hypothesis, fit, (number, name), index, grid, here, tried)
+                here = self._descend(hypothesis, fit, (number, name), index, grid, begin, tried)
                 if here not in tried or not tried[here][1].square < fit.square:
                     continue
                 held, other = tried[here]
@@ -389,7 +409,7 @@ class Judge:
         grid = find(hypothesis.effects[number].effect).resolution(model, name)
         if grid:
             return [grid]
-        if value and self._stepwise(hypothesis, number, name):
+        if value and _stepwise(hypothesis, number, name):
             return [share * abs(value) for share in _FINER]
         return []
 
@@ -400,10 +420,10 @@ class Judge:
         which: tuple[int, str],
         index: int,
         grid: float,
-        here: int,
+        begin: Beginning,
         tried: dict[int, tuple[Hypothesis, Fit]],
     ) -> int:
-        """Goes downhill on the grid from `here`."""
+        """Goes downhill on the grid from where the fit is."""
 
         def square(k: int) -> float:
             if k < 0:
@@ -413,9 +433,10 @@ class Judge:
                 values[index] = k * grid
                 trial = hypothesis.at(self.bench.scene, values)
                 held = dataclasses.replace(trial, frozen=trial.frozen | {which})
-                tried[k] = (held, self._fit(held, 2))
+                tried[k] = (held, self._fit(held, 2, begin))
             return tried[k][1].square
 
+        here = round(fit.values[index] / grid)
         for _ in range(_GRID_STEPS_IN_CONTACT if self.bench.contacts else _GRID_STEPS):
             best = min((here - 1, here, here + 1), key=square)
             if best == here:
@@ -430,6 +451,11 @@ def is_structural(hypothesis: Hypothesis) -> bool:
     return any(kind.structural and kind.kind == "joint" for kind in kinds)
 
 
+def _stepwise(hypothesis: Hypothesis, number: int, name: str) -> bool:
+    effect = hypothesis.effects[number]
+    return find(effect.effect).stepwise(effect, name)
+
+
 def _means(shooter: Shooter, fit: Fit) -> Floats:
     """Mean squared weighted residual of each window, its start's numbers counted."""
     return np.asarray(fit.per_window / np.maximum(shooter.data - 2 * shooter.nv, 1))
@@ -440,11 +466,16 @@ _IMPACTS = 4.0
 _REACHED = 1.05
 """Residual over noise below which a fit is not made better."""
 _GRID_STEPS = 12
+"""Steps along a grid at most, each a fit."""
 _FINER = (0.12, 0.03, 0.008)
 """Grids for what acts in steps, of its value."""
 _GRID_STEPS_IN_CONTACT = 2
+"""The same where bodies touch, where a fit takes long."""
 _LENIENT = 4.0
+"""Mean square of a window, over what is typical of windows, at which it counts half."""
 _TRIMMED = 0.15
+"""Share of the windows, the worst, that `Judged.ratio` leaves out where bodies touch: some impacts
+no start brings about. Decisions count all windows."""
 _MANY = 24
 """Windows of which every other one does for a glance."""
 
@@ -456,14 +487,3 @@ def _padded(fit: Fit, index: int) -> dict[str, Any]:
         "information": np.insert(np.insert(fit.information, index, 0, 1), index, 0, 2),
         "score": np.insert(fit.score, index, 0, 1),
     }
-
-
-def thinned(keep: Bools, most: int | None) -> Bools:
-    """At most so many of the chosen windows, spread evenly."""
-    chosen = np.flatnonzero(keep)
-    if most is None or len(chosen) <= most:
-        return keep
-    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, most).round().astype(int))]
-    kept = np.zeros_like(keep)
-    kept[chosen] = True
-    return kept

@@ -1,0 +1,136 @@
+"""Several effects at once, chosen by what windows of free runs, or joints' forces, say of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from orbisim.diagnosis.screening import bounded_instance, candidates_of
+from orbisim.diagnosis.selection import Selected, data_of, groups_of, select
+from orbisim.effects import EffectInstance, effect_names, find
+from orbisim.effects.screening import Candidate
+from orbisim.evidence import Blocks, Gain, independent_share
+from orbisim.host.deadline import NEVER, Deadline
+from orbisim.motion.linear import Intervals, missing_force
+from orbisim.motion.regressors import MotionView
+from orbisim.motion.samples import Samples, extent
+from orbisim.scene import Scene
+from orbisim.shooting.bench import Bench
+from orbisim.shooting.holding import holding
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.regress import Normal
+from orbisim.shooting.windows import evenly
+
+Floats = npt.NDArray[np.float64]
+Left = TypeVar("Left")
+
+
+def select_in_rounds(
+    scene: Scene,
+    samples: Sequence[Samples],
+    found: Sequence[Candidate],
+    left: Left,
+    blocks: Callable[[Left], tuple[list[Normal], Blocks]],
+    after: Callable[[Selected], Left],
+    settled: Callable[[Left, Left], bool],
+    most: int = 40,
+    deadline: Deadline = NEVER,
+) -> Selected:
+    """Effects, chosen with data that count by what the effects chosen before leave of them.
+
+    Args:
+      found: whose columns stand in the blocks one after the other.
+      left: what is known of what will be left, at first. blocks: of normal equations, weighted by
+        that. after: what a selection leaves. settled: whether two of them weigh alike.
+      most: effects at most. deadline: when a selection ends with what it has.
+    """
+    known = extent(samples)
+
+    def prior(instance: EffectInstance) -> float:
+        return find(instance.effect).log_prior(scene.model, instance, known)
+
+    for _ in range(_ROUNDS):
+        data = data_of(*blocks(left), deadline=deadline)
+        chosen = select(data, groups_of(scene.model, found, data.whole(), prior), most)
+        before, left = left, after(chosen)
+        if settled(before, left) or deadline.passed:
+            break
+    return chosen
+
+
+_ROUNDS = 3
+"""The second selection has weights by effects that are there, and rarely differs from the third."""
+
+
+def instances(scene: Scene, chosen: Selected) -> list[tuple[EffectInstance, Gain]]:
+    """The effects that were chosen, within their bounds, with their worth."""
+    found = []
+    for group, x, gain in zip(chosen.groups, chosen.coefficients, chosen.gains, strict=True):
+        one = group.instance(x)
+        bounded = None if one is None else bounded_instance(scene, one)
+        found += [] if bounded is None else [(bounded, gain)]
+    return found
+
+
+def left_of(chosen: Selected, columns: Floats, target: Floats) -> Floats:
+    """What is left of data [...] without what chosen effects' columns [..., C] say."""
+    left = target.copy()
+    for group, x in zip(chosen.groups, chosen.coefficients, strict=True):
+        left -= columns[..., list(group.index)] @ x
+    return left
+
+
+# -- windows of free runs ----------------------------------------------------------------------
+
+
+def propose(
+    bench: Bench, intervals: Intervals, only: Sequence[str] | None, most: int
+) -> tuple[EffectInstance, ...]:
+    """Effects that together predict windows they were not fitted to, those that bring most first.
+
+    Args:
+      intervals: the linear system along the declared scene.
+      only: names of the effects to consider; all if None.
+      most: effects at most.
+    """
+    declared = Hypothesis()
+    flow = bench.flow(declared)
+    view = MotionView(flow, bench.samples)
+    view.missing_force = missing_force(intervals)
+    names = [n for n in effect_names() if (only is None or n in only) and not find(n).stated]
+    found = list(candidates_of(view, bench, declared, flow, names))
+    if not found:
+        return ()
+    columns = [column for candidate in found for column in candidate.columns]
+    windows = bench.windows.some(evenly(bench.fit, _MOST_WINDOWS))
+    data = holding(bench, intervals, windows, columns)
+    # dry friction may hold a joint at rest with any force that is usual of it
+    normals = data.normals(3 * np.sqrt(np.nanmean(view.missing_force**2, axis=0)) + 1e-12)
+
+    def blocks(share: float) -> tuple[list[Normal], Blocks]:
+        size = np.maximum(data.count * share, 1.0)
+        return normals, Blocks(size, np.zeros(len(size), np.int64), np.ones(len(size)))
+
+    def after(chosen: Selected) -> float:
+        left = left_of(chosen, data.design, data.target)
+        course = left.reshape(len(left), windows.length + 1, -1)
+        return independent_share([c for window in course for c in window.T])
+
+    def settled(before: float, share: float) -> bool:
+        return bool(abs(np.log(share / before)) < _ALIKE)
+
+    chosen = select_in_rounds(
+        bench.scene, bench.samples, found, _SHARE, blocks, after, settled, most, bench.deadline
+    )
+    return tuple(one for one, _ in instances(bench.scene, chosen))
+
+
+_MOST_WINDOWS = 120
+"""Their normal equations with all effects' columns take some 100 MB."""
+_SHARE = 0.05
+"""Share of data that counts as independent, until it is known what is left."""
+_ALIKE = 0.5
+"""Logarithm of the ratio of two shares of independent data that select alike."""
