@@ -1,6 +1,6 @@
 """Strips of rollouts: the true images above, the diffusion renderer's below, their difference last.
 
-python tools/vision_pictures.py DATA.h5 --out docs/images/vision.png [--episodes 0 3]
+python tools/vision_pictures.py DATA.h5 --out docs/images/vision.webp [--episodes 0 3]
 """
 
 from __future__ import annotations

@@ -15,6 +15,6 @@ def names() -> tuple[str, ...]:
 
 
 def resolved(folder: str | Path) -> Path:
-    """The folder; the zoo's policy of that name, if there is no such folder."""
+    """The folder; the zoo's policy of that name, if no folder of that name holds one."""
     path = Path(folder)
-    return FOLDER / path if not path.exists() and str(folder) in names() else path
+    return FOLDER / path if not (path / MANIFEST).exists() and str(folder) in names() else path

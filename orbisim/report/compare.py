@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -88,9 +89,10 @@ def _rows(comparison: Comparison) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for group, values in comparison.error.items():
         median, p95 = metrics.quantiles(values)
-        rounding = None
+        rounding = ratio = None
         if comparison.rounding is not None:
-            rounding = metrics.quantiles(comparison.rounding[group], (0.5,))[0][-1]
+            rounded = metrics.quantiles(comparison.rounding[group], (0.5,))[0]
+            rounding, ratio = rounded[-1], _beside_rounding(median, rounded)
         rows.append(
             {
                 "name": _TITLES[group],
@@ -99,6 +101,7 @@ def _rows(comparison: Comparison) -> list[dict[str, Any]]:
                 "last": median[-1],
                 "p95": p95[-1],
                 "rounding": rounding,
+                "ratio": ratio,
             }
         )
     return rows
@@ -117,7 +120,7 @@ def _summary(comparison: Comparison) -> str:
     )
     if group["rounding"] is not None:
         text += f" (float32 rounding of the initial state alone: {group['rounding']:.2g})"
-        text += f". {_verdict(group['last'], group['rounding'], comparison)}"
+        text += f". {_verdict(group['ratio'], comparison)}"
     else:
         text += "."
     fast, slow = sorted((comparison.a, comparison.b), key=lambda s: -s.steps_per_s)
@@ -129,14 +132,21 @@ _SAME, _CLOSE = 10.0, 1000.0
 """Error over rounding up to which two backends are called the same, and close."""
 
 
-def _verdict(error: float, rounding: float, comparison: Comparison) -> str:
+_FLOOR = 1e-6
+"""SI units: what float32 rounds positions of some metres or radians to."""
+
+
+def _beside_rounding(error: Sequence[float], rounding: Sequence[float]) -> float:
+    """How many times the error of rounding, where over the horizon that is most: in the end, what
+    scatters is as far apart from itself as from anything else."""
+    return float(np.max(np.asarray(error) / np.maximum(rounding, _FLOOR)))
+
+
+def _verdict(ratio: float, comparison: Comparison) -> str:
     """What the error means beside that of rounding."""
     a, b = comparison.a.backend, comparison.b.backend
-    if error == 0:
+    if ratio == 0:
         return f"{b} gives exactly what {a} gives."
-    if rounding <= 0:
-        return f"{b} differs from {a}."
-    ratio = error / rounding
     if ratio <= _SAME:
         return f"{b} agrees with {a} as well as float32 allows in this scene."
     if ratio <= _CLOSE:

@@ -14,6 +14,7 @@ from orbisim import load_scene, make_renderer, metrics
 from orbisim.compare import Comparison, compare
 from orbisim.errors import RenderingUnavailableError
 from orbisim.report.compare import (
+    _beside_rounding,
     _command,
     _identical_to_the_eye,
     _qpos_names,
@@ -76,13 +77,20 @@ def test_one_sentence_says_how_far_apart(comparison: Comparison) -> None:
 
 
 def test_the_verdict_follows_the_ratio(comparison: Comparison) -> None:
-    said = [_verdict(error, 1e-6, comparison) for error in (0.0, 5e-6, 2e-4, 1.0)]
+    said = [_verdict(ratio, comparison) for ratio in (0.0, 5.0, 200.0, 1e6)]
     assert said == [
         "drift gives exactly what mujoco gives.",
         "drift agrees with mujoco as well as float32 allows in this scene.",
         "drift agrees with mujoco to 2e+02 times what rounding does in this scene.",
         "drift and mujoco differ: 1e+06 times what rounding does in this scene.",
     ]
+
+
+def test_what_rounding_scatters_in_the_end_does_not_excuse_the_beginning() -> None:
+    rounding = [0.0, 1e-9, 1e-3, 0.1]
+    assert _beside_rounding([0.3, 0.4, 0.5, 0.5], rounding) == pytest.approx(4e5)
+    assert _beside_rounding([1e-7, 1e-6, 2e-3, 0.1], rounding) == pytest.approx(2)
+    assert _beside_rounding([0.0] * 4, rounding) == 0
 
 
 def test_lines_that_cover_each_other_are_drawn_as_their_difference() -> None:

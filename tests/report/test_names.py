@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from orbisim.diagnosis import Settings
 from orbisim.recording import capture
 from orbisim.report import figures
 from tests.recording.scenes import simulate
+from tests.view.chromium import Chromium, executable
 
 HINGE, BODY = r"hinge$\frac{$", r"$^_arm\$$"
 """Formulas, if anything is: neither can be drawn as one."""
@@ -64,6 +66,51 @@ def test_diagnosis(recordings: list[Path], tmp_path: Path, residual: str) -> Non
     text = (tmp_path / "report.html").read_text()
     assert f"Missing force at {HINGE}" in text
     assert recordings[2].name in text
+
+
+WIDE = """
+(() => {
+  const cut = [...document.querySelectorAll("td.n, th.n")].filter((cell) => {
+    const range = document.createRange();
+    range.selectNodeContents(cell);
+    const words = cell.innerText.trim().split(/\\s+/).length;
+    const lines = new Set([...range.getClientRects()].map((one) => Math.round(one.top)));
+    return lines.size > words;
+  });
+  return {
+    page: document.documentElement.scrollWidth - innerWidth,
+    cut: cut.map((cell) => cell.innerText),
+    hidden: [...document.querySelectorAll(".scroll > table")].filter(
+      (table) => getComputedStyle(table.parentElement).overflowX !== "auto"
+        && table.scrollWidth > table.parentElement.clientWidth).length,
+  };
+})()
+"""
+"""By how much a page is wider than the screen, cells in which a word or number is cut in two, and
+tables that are too wide and cannot be moved."""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(executable() is None, reason="no Chromium here")
+def test_on_a_phone_no_number_is_cut(recordings: list[Path], tmp_path: Path) -> None:
+    named = orbisim.load_scene(ARM)
+    long = dataclasses.replace(named, source="robot.urdf?actuators=position&actuate=all" * 3)
+    pages = [
+        compare(long, "mujoco", "mujoco", count=2, horizon=0.1).report(tmp_path / "a"),
+        orbisim.replay(ARM, list(recordings)).report(tmp_path / "b"),
+    ]
+    only = Settings(effects=("coulomb_friction",), retune=False)
+    found = orbisim.diagnose(ARM, recordings[:2], recordings[2:], settings=only, progress=False)
+    found.save(tmp_path / "c")
+    with Chromium(tmp_path / "profile", 375, 667) as browser:
+        for page in (*pages, tmp_path / "c" / "report.html"):
+            browser.visit(page.as_uri())
+            assert browser.evaluate(WIDE) == {"page": 0, "cut": [], "hidden": 0}
+            assert browser.errors == []
+            assert browser.requests == [page.as_uri()]
+            if browser.evaluate("document.querySelectorAll('video').length"):
+                browser.evaluate("document.querySelector('video').play().then(() => 0)")
+                browser.wait_for("document.querySelector('video').currentTime > 0")
 
 
 def test_ticks_of_powers_of_ten_stay_formulas() -> None:

@@ -146,11 +146,19 @@ class Chromium:
         """Opens a page of the viewer and waits until it has drawn everything."""
         self._loop.run_until_complete(self._open(url))
 
-    async def _open(self, url: str) -> None:
+    def visit(self, url: str) -> None:
+        """Opens any page and waits until it is complete."""
+        self._loop.run_until_complete(self._go(url))
+        self.wait_for(f"document.readyState === 'complete' && location.href === {json.dumps(url)}")
+
+    async def _go(self, url: str) -> None:
         self.errors.clear()
         self.requests.clear()
         await self._call("Page.navigate", url="about:blank")
         await self._call("Page.navigate", url=url)
+
+    async def _open(self, url: str) -> None:
+        await self._go(url)
         await self._evaluate(
             "new Promise((done) => { const look = () => window.orbisim ? done() : "
             "setTimeout(look, 20); look(); }).then(() => window.orbisim.ready)"

@@ -3,19 +3,21 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from orbisim_policies.checkpoint import load_policy, read_manifest
+from orbisim_policies.checkpoint import MANIFEST, load_policy, read_manifest
 from orbisim_policies.problems import make_problem
 from orbisim_policies.zoo import FOLDER, names, resolved
 
 
-def test_a_name_is_the_zoos_unless_there_is_such_a_folder(
+def test_a_name_is_the_zoos_unless_such_a_folder_holds_a_policy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert resolved("nothing") == Path("nothing")
     for name in names():
         assert resolved(name) == FOLDER / name
-        (tmp_path / name).mkdir()
+        (tmp_path / name).mkdir()  # of videos, say
+        assert resolved(name) == FOLDER / name
+        (tmp_path / name / MANIFEST).touch()
         assert resolved(name) == Path(name)
 
 
