@@ -65,7 +65,7 @@ PLUGINS = (
 
 BESIDE = {
     ("orbisim_world_model", "orbisim_mujoco"): "the hybrid corrects C MuJoCo's own step",
-    ("orbisim_diffusion", "orbisim_world_model"): "manifests are read by the same checks",
+    ("orbisim_diffusion", "orbisim_world_model"): "manifests and weights are read alike",
     ("orbisim_policies", "orbisim_world_model"): "policies learn in the learned step",
 }
 

@@ -1,10 +1,11 @@
-"""Writes checkpoints of learned dynamics again with few bits a weight.
+"""Writes checkpoints of learned dynamics, or of vision, again with few bits a weight.
 
     python tools/shrink_zoo.py --zoo ZOO --data DATA --out OUT [--only push,ball] [--bits 8]
 
 DATA has some of what tools/collect_all.py collects for training; a twenty-fifth is enough
-(`--scale 0.04`). Without, weights are rounded to the nearest. Whether nothing is lost,
-tools/eval_dynamics.py --tails says of both folders.
+(`--scale 0.04`). Without, and for vision always, weights are rounded to the nearest. Whether
+nothing is lost, tools/eval_dynamics.py --tails says of both folders, and of vision `orbisim eval
+vision` or tools/bench_vision.py.
 """
 
 from __future__ import annotations
@@ -31,17 +32,26 @@ def main() -> int:
     parser.add_argument("--only", help="names; all of the zoo by default")
     parser.add_argument("--bits", type=int, default=8)
     options = parser.parse_args()
-    from orbisim_world_model.checkpoint import WEIGHTS
+    from orbisim_diffusion.checkpoint import SCHEMA as VISION
+    from orbisim_diffusion.shrinking import shrink
     from orbisim_world_model.shrinking import save_in_few_bits
+
+    from orbisim.files.reading import read_json
 
     known = sorted(path.parent.name for path in options.zoo.glob("*/manifest.json"))
     for name in options.only.split(",") if options.only else known:
         began, source, target = time.monotonic(), options.zoo / name, options.out / name
-        parts = tuple(f"{part}_train" for part in train_all.JOBS[name].data)
-        packs = train_all.read_named(options.data, parts) if options.data else None
         shutil.copytree(source, target, dirs_exist_ok=True)
-        save_in_few_bits(source, target, packs, options.bits)
-        sizes = [(folder / WEIGHTS).stat().st_size for folder in (source, target)]
+        if read_json(source / "manifest.json").get("schema") == VISION:
+            shrink(source, target, options.bits)
+        else:
+            parts = tuple(f"{part}_train" for part in train_all.JOBS[name].data)
+            packs = train_all.read_named(options.data, parts) if options.data else None
+            save_in_few_bits(source, target, packs, options.bits)
+        sizes = [
+            sum(path.stat().st_size for path in folder.glob("*.safetensors"))
+            for folder in (source, target)
+        ]
         seconds = round(time.monotonic() - began)
         print(json.dumps({"name": name, "bytes": sizes, "seconds": seconds}), flush=True)
     return 0

@@ -1,4 +1,4 @@
-"""Checkpoints: fp16 weights in safetensors, a file a part, and a manifest with their hashes."""
+"""Checkpoints: weights in safetensors, fp16 or few bits, a file a part, and their manifest."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 
 import torch
 from orbisim_world_model.plain import checked
+from orbisim_world_model.quantization import quantized, read_weights
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
@@ -29,7 +30,6 @@ INFERENCE = "inference"
 _MOST_PARAMETERS = 2**28
 """A gigabyte; what has been trained has some millions."""
 _MOST_WIDTH, _MOST_BLOCKS = 4096, 64
-_TYPES = ("F16", "F32")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -86,11 +86,33 @@ def add_part(folder: Path, name: str, module: nn.Module, metrics: dict[str, Any]
     write_json(folder / MANIFEST, manifest, announce=False)
 
 
-def _write_part(folder: Path, name: str, module: nn.Module) -> dict[str, Any]:
-    """What the manifest says of the file."""
+def save_in_few_bits(
+    folder: Path, parts: dict[str, nn.Module], manifest: dict[str, Any], bits: int
+) -> None:
+    """Writes a checkpoint whose matrices have few bits, each weight rounded to the nearest.
+
+    Args:
+      folder: where to. parts: by their names. manifest: what else is known of them.
+      bits: of a weight (see `orbisim_world_model.quantization`).
+    """
+    make_folder(folder)
+    files = {name: _write_part(folder, name, module, bits) for name, module in parts.items()}
+    write_json(folder / MANIFEST, {**manifest, "files": files}, announce=False)
+
+
+def _write_part(
+    folder: Path, name: str, module: nn.Module, bits: int | None = None
+) -> dict[str, Any]:
+    """What the manifest says of the file; `bits` of a matrix' weights, None for fp16."""
     path = folder / f"{name}.safetensors"
+    tensors: dict[str, Tensor] = {}
+    for key, tensor in module.state_dict().items():
+        if bits is not None and tensor.dim() > 1:
+            tensors |= quantized(tensor, bits).tensors(key)
+        else:
+            tensors[key] = _stored(tensor)
     with writing(path, announce=False) as part:
-        save_file({n: _stored(t) for n, t in module.state_dict().items()}, str(part))
+        save_file(tensors, str(part))
     return {"sha256": digest(path), "bytes": path.stat().st_size}
 
 
@@ -195,25 +217,15 @@ def load_part(folder: Path, name: str, entry: Any, make: Any) -> nn.Module:
         tensors = _weights(path, expected)
         module: nn.Module = make()
         module.load_state_dict({n: t.float() for n, t in tensors.items()})
-    except (OSError, SafetensorError, LookupError, ValueError, RuntimeError) as error:
+    except (OSError, SafetensorError, InputError, LookupError, ValueError, RuntimeError) as error:
         raise InputError(f"{path}: damaged ({' '.join(str(error).split())[:200]})") from None
     return module.eval().requires_grad_(False)
 
 
 def _weights(path: Path, expected: dict[str, tuple[int, ...]]) -> dict[str, Tensor]:
     with safe_open(str(path), framework="pt") as file:
-        names = set(file.keys())
-        if strange := sorted(names ^ expected.keys()):
-            raise ValueError(f"{strange[0]} is in the file or in the model alone")
-        for name in names:
-            part = file.get_slice(name)
-            if tuple(part.get_shape()) != expected[name] or part.get_dtype() not in _TYPES:
-                raise ValueError(f"{name} is {part.get_dtype()} of shape {part.get_shape()}")
-        tensors = {name: file.get_tensor(name) for name in names}
-    for name, tensor in tensors.items():
-        if not torch.isfinite(tensor).all():
-            raise ValueError(f"{name} is not finite")
-    return tensors
+        found: dict[str, Tensor] = read_weights(file, {n: n for n in file.keys()}, expected)  # noqa: SIM118
+        return found
 
 
 def digest(path: Path) -> str:

@@ -18,7 +18,7 @@ _SIDE = {"camera": "side", "height": 128, "width": 128}
 
 def test_all_of_them_together_are_small() -> None:
     sizes = [path.stat().st_size for path in FOLDER.rglob("*") if path.is_file()]
-    assert 0 < sum(sizes) <= 16e6
+    assert 0 < sum(sizes) <= 9e6
 
 
 def test_an_episodes_start_is_shown_as_mujoco_shows_it() -> None:
