@@ -120,6 +120,13 @@ _SUITE_SETTINGS = {
 }
 _SUITE_WEIGHTS = {"acrobot": 3.0, "finger": 3.0, "cheetah": 5.0, "hopper": 3.0, "walker": 6.0}
 BASELINES = ("paper", "global", "dreamer")
+_FAIR = (
+    ("loss.scaled", True),
+    ("train.noise", 0.03),
+    ("train.stages", "0.3x16x512,0.4x36x256arw8,0.3x108x128arw8/36"),
+)
+"""For a comparison in which only models differ: one loss, in units of a step's change, one noise,
+and windows up to an episode's length whose first 8 steps are ground truth, as in the evaluation."""
 ABLATIONS = (
     "recurrent",
     "no_residual",
@@ -155,6 +162,10 @@ JOBS: dict[str, Job] = {
     **{
         f"push_{name}": Job(("push",), name, weight=2.0)
         for name in ("default", *BASELINES, *ABLATIONS)
+    },
+    **{
+        f"push_fair_{name}": Job(("push",), name, settings=_FAIR, weight=2.0)
+        for name in ("default", "recurrent", *BASELINES)
     },
 }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping
 from typing import Any, Literal
 
@@ -193,23 +194,29 @@ def _converted(path: str, value: Any, like: Any) -> Any:
     raise InputError(f"setting {path} is {value!r}; expected something like {like!r}")
 
 
+_STAGE = re.compile(r"([\d.]+)x(\d+)x(\d+)(ar)?(f)?(?:w(\d+))?(?:/(\d+))?")
+
+
 def _stages(text: str) -> tuple[Stage, ...]:
     """`0.4x4x2048,0.6x16x512ar`: fraction x length x batch, `ar` for autoregressive.
 
-    `arf` has a ratio of 1 from the start; `0.2x100x256arf/10` cuts gradients every 10 steps.
+    `arf` has a ratio of 1 from the start; in `0.2x100x256arw8/10` the first 8 steps of a sequence
+    see ground truth and gradients are cut every 10 steps.
     """
     stages = []
     for part in text.split(","):
-        part, _, reach = part.partition("/")
-        body, ends = part.rstrip("arf"), part[len(part.rstrip("arf")) :]
-        fraction, length, batch = body.split("x")
+        found = _STAGE.fullmatch(part.strip())
+        if found is None:
+            raise ValueError(part)
+        fraction, length, batch, auto, full, warm, reach = found.groups()
         stages.append(
             Stage(
                 float(fraction),
                 int(length),
                 int(batch),
-                autoregressive="ar" in ends,
-                full=ends.endswith("f"),
+                autoregressive=auto is not None,
+                warm=int(warm or 1),
+                full=full is not None,
                 reach=int(reach or 0),
             )
         )

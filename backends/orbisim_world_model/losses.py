@@ -107,32 +107,38 @@ def scaled_state_loss(
     layout: Layout,
     scales: Scales,
     beta: float = 1.0,
+    extended: bool = True,
 ) -> Tensor:
-    """L_state [B] of the extended state, each error in units of its change over one step.
+    """L_state [B], each error in units of its change over one step.
 
-    Smooth-L1 throughout; rotations by the rotation vector between them; angular velocities, joint
-    coordinates and activations beside what the paper has. Errors below `beta` count quadratically.
+    Smooth-L1 throughout; rotations by the rotation vector between them. Of the extended state
+    angular velocities, joint coordinates and activations beside what the paper has; of the paper's
+    state (`extended=False`) its own entries alone, the hand's velocity among them. Errors below
+    `beta` count quadratically.
     """
 
     def near(a: Tensor, b: Tensor) -> Tensor:
         return smooth_l1_loss(a, b, reduction="none", beta=beta).mean(-1)
 
     total = x.pos.new_zeros(len(x.pos))
-    if layout.has_robot:
+    if layout.has_robot and extended:
         total = total + near(predicted.q / scales.q, x.q / scales.q)
         total = total + near(predicted.v / scales.v, x.v / scales.v)
         if layout.na:
             total = total + near(predicted.act / scales.act, x.act / scales.act)
     if layout.hand:
-        pos, rot, _, _ = scales.hand
+        pos, rot, vel, _ = scales.hand
         total = total + near(predicted.hand_pos / pos, x.hand_pos / pos)
+        if not extended:
+            total = total + near(predicted.hand_vel / vel, x.hand_vel / vel)
         total = total + geodesic_distance(predicted.hand_rot, x.hand_rot).div(rot).clamp(max=10.0)
     if mask.shape[1]:
         pos, rot, vel, ang = scales.objects
         turn = logarithm(multiply(predicted.quat, conjugate(x.quat)))
         each = near(predicted.pos / pos, x.pos / pos) + near(predicted.vel / vel, x.vel / vel)
         each = each + near(turn / rot, torch.zeros_like(turn))
-        each = each + near(predicted.ang / ang, x.ang / ang)
+        if extended:
+            each = each + near(predicted.ang / ang, x.ang / ang)
         total = total + (each * mask).sum(1) / mask.sum(1).clamp_min(1.0)
     return total
 

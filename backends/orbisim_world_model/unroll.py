@@ -109,7 +109,8 @@ def moment_loss(objective: Objective, moment: Moment, context: Context) -> Momen
     mask, target = context.mask, moment.target
     assert mask is not None
     if config.scaled:
-        state = scaled_state_loss(step.state, target, mask, layout, scales, config.beta).mean()
+        units = (scales, config.beta, model.config.extended)
+        state = scaled_state_loss(step.state, target, mask, layout, *units).mean()
     else:
         state = state_loss(step.state, target, mask, layout).mean()
     total = state + step.penalty

@@ -29,11 +29,13 @@ def test_settings_as_text() -> None:
 
 
 def test_stages_as_text() -> None:
-    found = replaced(Config(), {"train.stages": "0.4x4x2048,0.6x16x512ar,1x2x3arf"}).train.stages
+    text = "0.4x4x2048, 0.6x16x512ar,1x2x3arf,0.5x108x256arw8/36"
+    found = replaced(Config(), {"train.stages": text}).train.stages
     assert found == (
         Stage(0.4, 4, 2048),
         Stage(0.6, 16, 512, autoregressive=True),
         Stage(1.0, 2, 3, autoregressive=True, full=True),
+        Stage(0.5, 108, 256, autoregressive=True, warm=8, reach=36),
     )
 
 
@@ -43,6 +45,8 @@ def test_stages_as_text() -> None:
         ("model.width", "wide"),
         ("model.touch", "perhaps"),
         ("train.stages", "1x2"),
+        ("train.stages", "1x2x3ra"),
+        ("train.stages", "1x2x3arw"),
         ("train.rate", ""),
     ],
 )

@@ -90,3 +90,34 @@ def test_the_ratio_follows_the_cosine() -> None:
     stage = Stage(1.0, 4, 8, autoregressive=True)
     assert [autoregressive_ratio(stage, p) for p in (0.0, 0.5, 1.0)] == pytest.approx([0, 0.5, 1])
     assert autoregressive_ratio(Stage(1.0, 4, 8), 0.7) == 0.0
+
+
+@pytest.mark.parametrize("extended", [True, False])
+def test_the_scaled_loss_is_of_what_the_state_has(extended: bool) -> None:
+    """The paper's state has the hand's velocity, the extended one joints and spins in its place."""
+    pack = simulate(TABLE, 2, 6, 4)
+    row, episode = pack.transitions()
+    x, after, mask = pack.states(row), pack.states(row + 1), pack.context(episode).mask
+    assert mask is not None
+    scales = measure_scales(x, after, mask, pack.layout)
+    moved = type(x)(*(field.clone().requires_grad_() for field in x))
+    loss = scaled_state_loss(moved, after, mask, pack.layout, scales, 0.3, extended).sum()
+    names = ("q", "v", "hand", "pos", "vel", "ang")
+    slopes = torch.autograd.grad(loss, [getattr(moved, n) for n in names], allow_unused=True)
+    felt = dict(zip(names, slopes, strict=True))
+    assert all((felt[n] is not None) == extended for n in ("q", "v", "ang"))
+    assert all(felt[n].abs().sum() > 0 for n in ("pos", "vel"))
+    hand = felt["hand"].abs().sum(0)
+    assert hand[:3].sum() > 0
+    assert bool(hand[12:15].sum() > 0) != extended
+    if not extended:  # the same errors in SI units and in those of a step, by hand
+        off = smooth_l1((moved.hand_vel - after.hand_vel) / scales.hand[2], 0.3).mean(-1)
+        still = moved._replace(hand=torch.cat([moved.hand[:, :12], after.hand[:, 12:]], 1))
+        rest = scaled_state_loss(still, after, mask, pack.layout, scales, 0.3, extended)
+        whole = scaled_state_loss(moved, after, mask, pack.layout, scales, 0.3, extended)
+        torch.testing.assert_close(whole - rest, off, atol=1e-5, rtol=1e-4)
+
+
+def smooth_l1(error: torch.Tensor, beta: float) -> torch.Tensor:
+    size = error.abs()
+    return torch.where(size < beta, 0.5 * size**2 / beta, size - 0.5 * beta)
