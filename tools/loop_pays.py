@@ -163,7 +163,8 @@ def train(condition: str, seed: int, options: argparse.Namespace) -> dict[str, A
         # here, so that the tool says what it does where Stable-Baselines3 is missing
         from orbisim_policies.baselines import Baseline, train_baseline
 
-        config = Baseline("ppo", batch=16, window=128, network=NetworkConfig((64, 64)))
+        network = NetworkConfig((64, 64))
+        config = Baseline("ppo", batch=32, window=128, rate=1e-3, network=network)
         train_baseline(problem, config, job)
         policy = load_policy(Path(folder) / "p", problem)
     trial = Balance(real)
@@ -200,10 +201,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("out/loop_pays.json"))
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--steps", type=int, default=200_000, help="of MuJoCo, for each policy")
+    parser.add_argument("--steps", type=int, default=128_000, help="of MuJoCo, for each policy")
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--friction", type=float, default=1.0, help="of the rail, N")
-    parser.add_argument("--delay", type=float, default=0.06, help="of the motor, s")
+    parser.add_argument("--delay", type=float, default=0.08, help="of the motor, s")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--only", nargs="*", default=CONDITIONS, choices=CONDITIONS)
     options = parser.parse_args()

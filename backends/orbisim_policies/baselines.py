@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
 import torch
+from orbisim_world_model.progress_file import load_progress, save_progress
+from torch import Tensor
 
 from orbisim.errors import InputError, MissingDependencyError
 from orbisim.files.locking import claimed
 from orbisim.files.writing import make_folder
 from orbisim.vector.stable_baselines import AlikeWorlds
 from orbisim.version import VERSION
+from orbisim_policies import learner_state
 from orbisim_policies.checkpoint import save_policy
 from orbisim_policies.evaluate import in_mujoco, starts_of, summary
 from orbisim_policies.network import NetworkConfig, Policy
@@ -59,6 +63,10 @@ class Baseline:
     curiosity: float = 0.05
 
 
+_DTYPES = (torch.float32, torch.float64, torch.int64, torch.uint8, torch.bool)
+"""Of what a training goes on from."""
+
+
 class ProblemVecEnv(AlikeWorlds):
     """A problem's episodes in C MuJoCo, as Stable-Baselines3 sees them.
 
@@ -76,7 +84,8 @@ class ProblemVecEnv(AlikeWorlds):
     ) -> None:
         self.problem, self.starts = problem, starts
         self.worlds = TrueWorlds(problem, nworld, nthread)
-        self._rng = np.random.default_rng(seed)
+        self._seed, self._draws = seed, 0
+        self._index = np.zeros(nworld, np.int64)
         self._action: Any = None
         self._before = torch.zeros(nworld)
         box = gymnasium.spaces.Box
@@ -132,6 +141,23 @@ class ProblemVecEnv(AlikeWorlds):
             view = self.worlds.observation().numpy()
         return view, reward.astype(np.float32), done, infos
 
+    def state(self) -> dict[str, Tensor]:
+        """All that episodes go on from, by name."""
+        mine = {
+            "index": torch.as_tensor(self._index),
+            "before": self._before,
+            "draws": torch.tensor(self._draws),
+        }
+        return mine | self.worlds.state()
+
+    def restore(self, tensors: Mapping[str, Tensor]) -> None:
+        """Takes what `state` gave."""
+        self._index = tensors["index"].numpy()
+        self.worlds.begin(np.arange(self.num_envs), self.starts.at(self._index))
+        self.worlds.restore(tensors)
+        self._before = tensors["before"].clone()
+        self._draws = int(tensors["draws"])
+
     def close(self) -> None:
         """Frees the worlds."""
         self.worlds.close()
@@ -142,8 +168,10 @@ class ProblemVecEnv(AlikeWorlds):
         return [value for _ in self._get_indices(indices)]
 
     def _begin(self, worlds: npt.NDArray[np.int64]) -> None:
-        index = self._rng.integers(len(self.starts), size=len(worlds))
-        self.worlds.begin(worlds, self.starts.at(index))
+        rng = np.random.default_rng((self._seed, self._draws))
+        self._draws += 1
+        self._index[worlds] = rng.integers(len(self.starts), size=len(worlds))
+        self.worlds.begin(worlds, self.starts.at(self._index[worlds]))
         self._before[torch.as_tensor(worlds)] = 0.0
 
 
@@ -174,9 +202,29 @@ class Curiosity:
         self._square += (float(np.square(new).sum()) - len(new) * self._square) / self._count
         return np.asarray(new / np.sqrt(self._square + 1e-12))
 
+    def state(self) -> dict[str, Tensor]:
+        """What it goes on from, by name."""
+        found = {"running": torch.tensor([self._square, self._count], dtype=torch.float64)}
+        found |= {f"guess/{name}": tensor for name, tensor in self.guess.state_dict().items()}
+        entries = self._optimizer.state_dict()["state"]
+        return found | {f"adam/{i}/{n}": t for i, row in entries.items() for n, t in row.items()}
+
+    def restore(self, tensors: Mapping[str, Tensor]) -> None:
+        """Takes what `state` gave."""
+        self._square, self._count = tensors["running"].tolist()
+        names = self.guess.state_dict()
+        self.guess.load_state_dict({name: tensors[f"guess/{name}"] for name in names})
+        optimizer = self._optimizer.state_dict()
+        rows: dict[int, dict[str, Tensor]] = {}
+        for name, tensor in tensors.items():
+            kind, _, rest = name.partition("/")
+            if kind == "adam":
+                rows.setdefault(int(rest.split("/")[0]), {})[rest.split("/")[1]] = tensor
+        self._optimizer.load_state_dict({**optimizer, "state": rows})
+
 
 class _Progress(BaseCallback):
-    """Budget, metrics and live estimates of a training."""
+    """Budget, saves, metrics and live estimates of a training."""
 
     def __init__(
         self,
@@ -186,12 +234,65 @@ class _Progress(BaseCallback):
         policy_of: Callable[[Any], Policy],
         curiosity: Curiosity | None,
         weight: float,
+        settings: Mapping[str, Any],
     ) -> None:
         super().__init__()
         self._problem, self._run, self._report = problem, run, report
         self._policy_of, self._curiosity, self._weight = policy_of, curiosity, weight
+        self._settings = json.loads(json.dumps(settings))
         self._parts: list[dict[str, float]] = []
-        self._began = self._logged = self._checked = time.monotonic()
+        self._spent, self.stopped = 0.0, False
+        self._began = self._logged = self._checked = self._saved = time.monotonic()
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds of training, those before a resumption included."""
+        return self._spent + time.monotonic() - self._began
+
+    def resume(self, model: Any, environment: ProblemVecEnv) -> int:
+        """Gives a learner and its worlds what was saved; how many steps were done by then.
+
+        Raises:
+          InputError: what stands in the folder is damaged or of another training.
+        """
+        out, found = self._run.out, load_progress(self._run.out, _DTYPES)
+        if found is None:
+            return 0  # killed before the first save: the same as a fresh start
+        notes = found[1]
+        if notes["config"] != self._settings:
+            raise InputError(f"{out}: was trained with other settings; use another --out")
+        if notes["seed"] != self._run.seed:
+            raise InputError(
+                f"{out}: was trained with --seed {notes['seed']}, not {self._run.seed}"
+            )
+        # copies: where in memory a row begins decides about the last bit of a product
+        tensors = {name: tensor.clone() for name, tensor in found[0].items()}
+        try:
+            environment.restore(_part(tensors, "worlds"))
+            if self._curiosity is not None:
+                self._curiosity.restore(_part(tensors, "curiosity"))
+            learner_state.restore(model, _part(tensors, "learner"), notes["learner"])
+        except (KeyError, RuntimeError, TypeError, ValueError) as error:
+            raise InputError(f"{out}: its training cannot be gone on with ({error})") from None
+        self._spent = float(notes["seconds"])
+        return int(notes["step"])
+
+    def save(self) -> None:
+        """Writes all that the training goes on from; between two rollouts only."""
+        tensors, notes = learner_state.state_of(self.model)
+        parts = {"learner": tensors, "worlds": self.training_env.state()}
+        if self._curiosity is not None:
+            parts["curiosity"] = self._curiosity.state()
+        together = {f"{kind}/{n}": t for kind, part in parts.items() for n, t in part.items()}
+        where = {"seed": self._run.seed, "step": notes["timesteps"], "seconds": self.elapsed}
+        save_progress(
+            self._run.out, together, {"config": self._settings, **where, "learner": notes}
+        )
+        self._saved = time.monotonic()
+
+    def _on_rollout_start(self) -> None:
+        if time.monotonic() - self._saved > self._run.save_every:
+            self.save()
 
     def _on_step(self) -> bool:
         self._parts += [info["parts"] for info in self.locals["infos"] if "parts" in info]
@@ -202,12 +303,13 @@ class _Progress(BaseCallback):
         if now - self._logged > run.check_every / 4:
             self.log(run.check > 0 and now - self._checked > run.check_every)
             self._logged = time.monotonic()
-        return run.limit is None or now - self._began < run.limit
+        self.stopped = run.limit is not None and self.elapsed >= run.limit
+        return not self.stopped
 
     def log(self, check: bool) -> None:
         """A line of metrics."""
-        elapsed = time.monotonic() - self._began
-        line: dict[str, Any] = {"step": int(self.num_timesteps), "seconds": round(elapsed, 3)}
+        done, seconds = int(self.model.num_timesteps), round(self.elapsed, 3)
+        line: dict[str, Any] = {"step": done, "seconds": seconds}
         for name in self._problem.parts if self._parts else ():
             line[name] = float(np.mean([part[name] for part in self._parts]))
         self._parts.clear()
@@ -229,34 +331,37 @@ def train_baseline(
     """Trains a baseline in C MuJoCo; returns the manifest of the policy that it leaves.
 
     Raises:
-      InputError: no budget, `out` holds a training, or it is to be resumed: these cannot be.
+      InputError: no budget, or `out` holds another training.
     """
-    if run.resume:
-        raise InputError(f"--method {config.method} cannot be resumed; train it in one go")
     check_run(run)
+    settings = {"method": config.method, "config": dataclasses.asdict(config)}
+    settings |= problem.conditions
     with claimed(make_folder(run.out), "another training", "wait for it, or choose another --out"):
-        begin_metrics(run.out / METRICS, 0)
         starts = problem.draw(training_seeds(problem, run))
         environment = ProblemVecEnv(problem, config.batch, starts, run.seed, run.nthread)
         model, policy_of = _learner(config, environment, run.seed)
         curiosity = None
         if config.method == "ppo_rnd":
             curiosity = Curiosity(problem.observations, run.seed)
-        progress = _Progress(problem, run, report, policy_of, curiosity, config.curiosity)
-        began = time.monotonic()
-        model.learn(run.steps or 10**12, callback=progress)
-        seconds = time.monotonic() - began
+        weight = config.curiosity
+        progress = _Progress(problem, run, report, policy_of, curiosity, weight, settings)
+        progress.init_callback(model)
+        done = progress.resume(model, environment) if run.resume else 0
+        begin_metrics(run.out / METRICS, done)
+        left = (run.steps or 10**12) - done
+        if left > 0:
+            model.learn(left, callback=progress, reset_num_timesteps=not done)
+        if not progress.stopped:
+            progress.save()
         progress.log(run.check > 0)
         policy = policy_of(model)
         notes = {
-            "method": config.method,
-            "config": dataclasses.asdict(config),
+            **settings,
             "true_steps": int(environment.worlds.steps),
-            **problem.conditions,
             "training": {
                 "seed": run.seed,
                 "step": int(model.num_timesteps),
-                "seconds": round(seconds, 1),
+                "seconds": round(progress.elapsed, 1),
                 "device": "cpu",
                 "finished": True,
                 "diverged": int(environment.diverged.sum()),
@@ -315,10 +420,16 @@ def _from_ppo(model: Any, problem: Problem, config: Baseline) -> Policy:
 
 def _copied(problem: Problem, shape: NetworkConfig, body: Any, head: Any) -> Policy:
     """A policy with the weights of a trained actor."""
-    policy = Policy(problem.observations, problem.actions, shape)
+    with torch.random.fork_rng(devices=[]):  # an estimate on the way changes no training
+        policy = Policy(problem.observations, problem.actions, shape)
     policy.body.load_state_dict(body.state_dict())
     policy.head.load_state_dict(head.state_dict())
     return policy.eval()
+
+
+def _part(tensors: Mapping[str, Tensor], kind: str) -> dict[str, Tensor]:
+    """The tensors of one part, without its name."""
+    return {n.removeprefix(f"{kind}/"): t for n, t in tensors.items() if n.startswith(f"{kind}/")}
 
 
 def _small(observations: int) -> torch.nn.Sequential:

@@ -45,7 +45,8 @@ def in_mujoco(
 ) -> tuple[Floats, Floats, int]:
     """Episodes in C MuJoCo: qpos at the end, `measure` [N, parts], and how many diverged.
 
-    What diverges ends where it was, with no value.
+    What diverges, or has no finite reward, counts as if nothing had been done: it ends where it
+    began, with no value.
     """
     ends, values, lost = [], [], 0
     for first in range(0, len(starts), _AT_ONCE):
@@ -61,7 +62,9 @@ def in_mujoco(
             if not len(alive):
                 break
         value = worlds.measure().double().numpy()
-        gone = np.setdiff1d(np.arange(len(part)), alive)
+        well = alive[np.isfinite(value[alive]).all(axis=1)]
+        gone = np.setdiff1d(np.arange(len(part)), well)
+        end[gone] = part.qpos[gone]
         value[gone] = 0.0
         lost += len(gone)
         ends.append(end)

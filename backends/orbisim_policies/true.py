@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
@@ -117,6 +118,25 @@ class TrueWorlds:
     def over(self) -> npt.NDArray[np.bool_]:
         """[nworld]: whose episode has come to its end."""
         return np.asarray(self._done.numpy() >= self.problem.steps)
+
+    def state(self) -> dict[str, Tensor]:
+        """All that episodes go on from but their scenes, by name."""
+        return {
+            "physics": torch.as_tensor(self._threads.physics),
+            "command": self._command,
+            "score": self._score,
+            "done": self._done,
+            "diverged": torch.as_tensor(self.diverged),
+            "steps": torch.tensor(self.steps),
+        }
+
+    def restore(self, tensors: Mapping[str, Tensor]) -> None:
+        """Takes what `state` gave, in worlds that were begun in the same scenes."""
+        self._threads.physics = tensors["physics"].numpy()
+        for name in ("command", "score", "done"):
+            getattr(self, f"_{name}").copy_(tensors[name])
+        self.diverged[:] = tensors["diverged"].numpy()
+        self.steps = int(tensors["steps"])
 
     def close(self) -> None:
         """Frees the worlds."""

@@ -47,6 +47,12 @@ def train(
     def report(line: dict[str, Any]) -> None:
         note(sentence(line))
 
+    if method == "dreamer":
+        raise InputError(
+            "--method dreamer: DreamerV3 is not part of OrbiSim (docs/policies.md says what was "
+            "tried); use ppo, ppo_rnd or sac, or give orbisim.vector.gym(...) to a package that "
+            "has it, as sheeprl or ray[rllib]"
+        )
     backend = options["backend"] or ("learned" if method == "apg" else "mujoco")
     kind, _, path = backend.partition(":")
     if kind != ("learned" if method == "apg" else "mujoco"):

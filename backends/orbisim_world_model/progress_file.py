@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Container
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,13 @@ def save_progress(folder: Path, tensors: dict[str, Tensor], notes: dict[str, Any
         save_file(host, str(part), metadata={"notes": json.dumps(notes)})
 
 
-def load_progress(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
+def load_progress(
+    folder: Path, dtypes: Container[torch.dtype] = (torch.float32,)
+) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
     """What `save_progress` wrote, or None if nothing was.
+
+    Args:
+      folder: of the training. dtypes: which its tensors may have.
 
     Raises:
       InputError: the file is damaged.
@@ -47,8 +53,8 @@ def load_progress(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]] | No
             if not 0 <= notes[name] < math.inf:
                 raise ValueError(f"its notes say {name} {notes[name]}")
         for name, tensor in tensors.items():
-            if tensor.dtype != torch.float32 or not torch.isfinite(tensor).all():
-                raise ValueError(f"{name} is not finite numbers in float32")
+            if tensor.dtype not in dtypes or not torch.isfinite(tensor).all():
+                raise ValueError(f"{name} is not finite numbers of a known type")
     except (OSError, SafetensorError, ValueError, RuntimeError) as error:
         said = " ".join(str(error).split())[:300]
         raise InputError(f"{path}: damaged; delete it to start afresh ({said})") from None

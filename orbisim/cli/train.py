@@ -342,7 +342,7 @@ _POLICY = "Example: orbisim train policy push --method apg --out policies/push -
 @click.argument("task")
 @click.option(
     "--method",
-    type=click.Choice(["apg", "bc", "sac", "ppo", "ppo_rnd"]),
+    type=click.Choice(["apg", "bc", "sac", "ppo", "ppo_rnd", "dreamer"]),
     default="apg",
     show_default=True,
     help="Analytic gradients, behaviour cloning, or reinforcement learning.",
@@ -394,7 +394,8 @@ def policy(task: str, method: str, as_json: bool, **options: Any) -> None:
 
     apg differentiates the reward through the learned step; the others learn in C MuJoCo. Leaves a
     policy in --out (policy.safetensors, manifest.json) with metrics and curves; success is
-    estimated in MuJoCo on the way. apg and bc go on with --resume exactly where they were killed.
+    estimated in MuJoCo on the way. With --resume a training goes on exactly where it was last
+    saved.
     """
     try:
         from orbisim_policies import workflows

@@ -102,6 +102,15 @@ class Threads:
         """Copies a world's whole MjData."""
         self._batch.get_data(world, data)
 
+    @property
+    def physics(self) -> npt.NDArray[np.float64]:
+        """[nworld, n] MuJoCo's own state of all worlds (mjSTATE_INTEGRATION), a copy."""
+        return np.array(self._batch.state)
+
+    @physics.setter
+    def physics(self, rows: npt.NDArray[np.float64]) -> None:
+        self._batch.state[:] = rows
+
     def close(self) -> None:
         """Frees the worlds and the threads."""
         del self._batch

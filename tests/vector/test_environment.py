@@ -182,6 +182,28 @@ def test_one_world_diverges(harm: Callable[[VectorEnvironment], None]) -> None:
     assert np.isfinite(environment.step(action).reward).all()
 
 
+def test_a_reward_that_is_no_number_in_one_world() -> None:
+    """That world is reset and counted as one that diverges; the others go on."""
+    xml = own.XML
+
+    def reward(physics: Any) -> Any:
+        return np.sqrt(0.5 - physics.named.data.qpos["x"][0])
+
+    def begin(physics: Any, random: Any) -> None:
+        physics.named.data.qpos["x"] = random.uniform(-0.2, 0.2)
+
+    environment = orbisim.vector.from_scene(xml, 3, reward=reward, initialize=begin, seed=0)
+    environment.reset()
+    environment._simulator._batch.bind("qpos")[1, 0] = 0.7
+    step = environment.step(np.zeros((3, 1)))
+    assert environment.diverged.tolist() == [0, 1, 0]
+    assert step.truncated.tolist() == [False, True, False] and not step.terminated.any()
+    assert step.reward[1] == 0.0 and (step.reward[[0, 2]] > 0.0).all()
+    step = environment.step(np.zeros((3, 1)))
+    assert environment.state.time[1] == 0.0 and environment.state.time[0] > 0.0
+    assert environment.diverged.sum() == 1 and not step.truncated.any()
+
+
 def test_restart_of_some_worlds() -> None:
     environment = orbisim.vector.load("cartpole", "balance", 3, seed=0)
     with pytest.raises(InputError, match="after a reset of all"):

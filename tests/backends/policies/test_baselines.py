@@ -74,8 +74,37 @@ def test_a_baseline_leaves_a_policy_that_acts_as_the_library_does(
     view = np.random.default_rng(0).normal(size=(5, cartpole.observations)).astype(np.float32)
     expected, _ = kept["model"].predict(view, deterministic=True)
     np.testing.assert_allclose(policy(torch.tensor(view)).detach(), expected, atol=1e-5)
-    with pytest.raises(InputError, match="resumed"):
-        train_baseline(cartpole, config, dataclasses.replace(job, resume=True))
+    with pytest.raises(InputError, match="other settings"):
+        other = dataclasses.replace(config, rate=1e-2)
+        train_baseline(cartpole, other, dataclasses.replace(job, resume=True))
+    with pytest.raises(InputError, match="--seed 0, not 1"):
+        train_baseline(cartpole, config, dataclasses.replace(job, resume=True, seed=1))
+
+
+@pytest.mark.parametrize("method", ["sac", "ppo_rnd"])
+def test_a_killed_training_goes_on_exactly(
+    cartpole: SuiteProblem, tmp_path: Path, method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the middle of episodes, with live estimates at other times."""
+    config = Baseline(method, batch=2, window=33, network=NetworkConfig((8,)))
+    job = Run(tmp_path / "whole", steps=198, starts=3, check=0, nthread=1, save_every=0.0)
+    train_baseline(cartpole, config, job)
+    step, parts = ProblemVecEnv.step_wait, dataclasses.replace(job, out=tmp_path / "parts")
+
+    def killed(self: ProblemVecEnv) -> object:
+        if self.worlds.steps == 150:
+            raise KeyboardInterrupt
+        return step(self)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(ProblemVecEnv, "step_wait", killed)
+        train_baseline(cartpole, config, dataclasses.replace(parts, check=2, check_every=0.0))
+    torch.manual_seed(5)
+    again = dataclasses.replace(parts, resume=True)
+    manifest = train_baseline(cartpole, config, again)
+    weights = [(out / "policy.safetensors").read_bytes() for out in (job.out, parts.out)]
+    assert weights[0] == weights[1]
+    assert manifest["true_steps"] == 198 == manifest["training"]["step"]
 
 
 def test_what_was_seen_is_no_longer_new() -> None:

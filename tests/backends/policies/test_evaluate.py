@@ -40,5 +40,20 @@ def test_a_policy_that_says_nothing_finite_ends_its_episodes(cartpole: SuiteProb
         action[0] = float("nan")
         return action
 
-    _, value, lost = in_mujoco(cartpole, act, starts_of(cartpole, 3, 0), nthread=1)
+    starts = starts_of(cartpole, 3, 0)
+    end, value, lost = in_mujoco(cartpole, act, starts, nthread=1)
     assert lost == 1 and value[0] == 0.0 and np.isfinite(value).all()
+    np.testing.assert_array_equal(end[0], starts.qpos[0])
+    assert (end[1:] != starts.qpos[1:]).any()
+
+
+def test_an_episode_whose_reward_is_no_number_has_failed(
+    cartpole: SuiteProblem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(score: torch.Tensor, qpos: torch.Tensor) -> torch.Tensor:
+        return torch.tensor([[0.9], [float("nan")], [0.2]])
+
+    monkeypatch.setattr(cartpole, "measure", broken)
+    starts = starts_of(cartpole, 3, 0)
+    _, value, lost = in_mujoco(cartpole, lambda view: torch.zeros(3, 1), starts, nthread=1)
+    assert lost == 1 and value[:, 0].tolist() == pytest.approx([0.9, 0.0, 0.2])
