@@ -50,6 +50,16 @@ class Blocks:
     floor: Floats
 
 
+def counted(data: npt.NDArray[np.generic], share: float) -> Blocks:
+    """Blocks of one signal in units of its noise, if such a share of their data is independent.
+
+    Args:
+      data: [B] their numbers.
+    """
+    size = np.maximum(share * np.asarray(data, np.float64), 1.0)
+    return Blocks(size, np.zeros(len(size), np.int64), np.ones(len(size)))
+
+
 @dataclasses.dataclass(frozen=True)
 class Gain:
     """What one explanation is worth more than another.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from orbisim.diagnosis.context import Context, Progress
 from orbisim.diagnosis.found import Rival
-from orbisim.diagnosis.search import Found, Tried, search
+from orbisim.diagnosis.search import Found, Sure, Tried, only_sure, search
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.worth import worth
@@ -104,7 +104,7 @@ def concluded(found: Found, deadline: Deadline) -> Attribution:
     """
     context = found.context.whole(deadline, _MOST_WINDOWS)
     before = _finally(found, context, found.declared, Hypothesis()) or found.declared
-    after, gains = before, list[Gain]()
+    after, gains = before, tuple[Gain, ...]()
     rejected: list[tuple[EffectInstance, str]] = []
     changed = found.best.hypothesis
     if found.law:
@@ -113,7 +113,8 @@ def concluded(found: Found, deadline: Deadline) -> Attribution:
         for one in [found.best, *_runners_up(found)]:
             after = _finally(found, context, one, one.hypothesis) or one
             after = _resized(context, after)
-            after, gains = _sure(context, before, after, rejected)
+            after, gains, doubted = _sure(context, before, after)
+            rejected += doubted
             if after.hypothesis.effects or after.hypothesis.factors:
                 break
     return Attribution(
@@ -153,33 +154,18 @@ def _finally(
     return min((one for one in (cold, warm) if one), key=lambda one: one.loss, default=None)
 
 
-def _sure(
-    context: Context, before: Judged, after: Judged, rejected: list[tuple[EffectInstance, str]]
-) -> tuple[Judged, list[Gain]]:
-    """With those effects only that are surely worth it beside the others, with their worth."""
-    while after.hypothesis.effects:
-        effects, fewer = after.hypothesis.effects, list[Judged]()
-        begin = context.judge.begin(after)
-        for index in range(len(effects)):
-            less = after.hypothesis.without(index)
-            bare = not less.effects and not less.factors
-            one = before if bare else context.judge.judge(less, 3, begin=begin)
-            fewer.append(one or before)
-        gains = [worth(context.bench, one, after) for one in fewer]
-        number = min(range(len(gains)), key=lambda i: gains[i].sure)
-        if gains[number].sure > 0:
-            return after, gains
-        rejected.append(
-            (
-                effects[number],
-                f"beside the others it is worth {gains[number].total:.3g} +- "
-                f"{gains[number].error:.2g} in the logarithm of the odds, which is not sure",
-            )
-        )
-        after = fewer[number]
-    if after.hypothesis.factors and after.ratio > NEAR:
-        return before, []
-    return after, []
+def _sure(context: Context, before: Judged, after: Judged) -> Sure:
+    """With those effects only that are surely worth it, on all windows."""
+    judge = context.judge
+
+    def refit(less: Hypothesis, now: Judged) -> Judged | None:
+        return judge.judge(less, 3, begin=judge.begin(now))
+
+    sure = only_sure(context, after, refit, before)
+    hypothesis = sure.judged.hypothesis
+    if not hypothesis.effects and hypothesis.factors and sure.judged.ratio > NEAR:
+        return sure._replace(judged=before)
+    return sure
 
 
 def _on_contacts(context: Context, after: Judged) -> list[int]:

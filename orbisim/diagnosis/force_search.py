@@ -278,6 +278,6 @@ def _fit_of(data: ForceData, left: Floats, slopes: Floats, values: Floats) -> Fi
     inverse = np.linalg.pinv(information.sum(axis=0), rcond=1e-12, hermitian=True)
     covariance = inverse @ (score.T @ score) @ inverse
     return Fit(
-        values, np.zeros((blocks, 0)), float(per.sum()), 0.0, left.size, covariance,
+        values, np.zeros((blocks, 0)), float(per.sum()), left.size, covariance,
         left.reshape(left.shape[0], -1), per, information, score,
     )  # fmt: skip

@@ -9,10 +9,9 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from orbisim.diagnosis.context import Context
-from orbisim.diagnosis.screening import bounded_instance, cleaned
+from orbisim.diagnosis.screening import bounded_instance
 from orbisim.diagnosis.suspects import Suspect, in_turns
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.host.deadline import Deadline
@@ -21,43 +20,22 @@ from orbisim.shooting.hypothesis import clean
 from orbisim.shooting.judge import Judged, is_structural
 
 
-class Candidate(NamedTuple):
-    """An effect to fit.
-
-    Attributes:
-      instance: with the values to start from.
-      slow: whether that takes long: it adds a joint, and no screening ranked it.
-      moved: by how much the parameters of the effects before may change then; None if not known.
-      sized: the effect so many times as large; None if that cannot be.
-    """
-
-    instance: EffectInstance
-    slow: bool = False
-    moved: npt.NDArray[np.float64] | None = None
-    sized: Callable[[float], EffectInstance | None] = lambda _: None
-
-
-def shortlist(context: Context, current: Judged, suspects: Sequence[Suspect]) -> list[Candidate]:
+def shortlist(context: Context, current: Judged, suspects: Sequence[Suspect]) -> list[Suspect]:
     """The best to add to a hypothesis. Where there are contacts, one simulation of each of many
     decides, and the first few are fitted from two starts."""
     hypothesis = current.hypothesis
-    possible = [
-        Candidate(instance, moved=suspect.moved, sized=suspect.sized)
-        for suspect in suspects
-        if (instance := cleaned(context.bench, suspect)) is not None
-    ]
     most = context.settings.shortlist + (_MORE if hypothesis.effects else 0)
     if not context.bench.contacts or is_structural(hypothesis):
-        return possible[:most]
-    more = usual(context, [one.instance for one in possible])
-    both = in_turns(varied(possible, 2)[:_GLANCES], more, id)
+        return list(suspects[:most])
+    more = usual(context, [one.instance for one in suspects])
+    both = in_turns(varied(suspects, 2)[:_GLANCES], more, id)
     glances = _resized(context, current, both)
     ranked = _tried(context, current, glances)
     first = varied(ranked, 1)[:most]
     if hypothesis.factors:  # each fit takes long
         return first
-    few = {_place(one) for one in first[:_FEW]}
-    again = [one for one in ranked if _place(one) in few]
+    few = {one.place for one in first[:_FEW]}
+    again = [one for one in ranked if one.place in few]
     return [*first, *(one for one in varied(again, 2) if not any(one is f for f in first))]
 
 
@@ -68,16 +46,16 @@ class _Glance(NamedTuple):
     left: float
     size: float
     better: float
-    one: Candidate
+    one: Suspect
 
 
-def _resized(context: Context, current: Judged, found: Sequence[Candidate]) -> list[_Glance]:
+def _resized(context: Context, current: Judged, found: Sequence[Suspect]) -> list[_Glance]:
     """Best first, and the best as large as simulation wants them: chained through impacts,
     regressions overshoot."""
 
     begin = context.judge.begin(current)
 
-    def glanced(one: Candidate) -> _Glance:
+    def glanced(one: Suspect) -> _Glance:
         left, better = context.judge.sized_glance(current.hypothesis.plus(one.instance), begin)
         return _Glance(left, 1.0, better, one)
 
@@ -99,17 +77,17 @@ def _again(context: Context, current: Judged, glance: _Glance) -> _Glance:
     left, better = context.judge.sized_glance(current.hypothesis.plus(other), begin)
     if not left < glance.left:
         return glance._replace(better=1.0)
-    return _Glance(left, size, better, glance.one._replace(instance=other))
+    return _Glance(left, size, better, dataclasses.replace(glance.one, instance=other))
 
 
-def _tried(context: Context, current: Judged, glances: Sequence[_Glance]) -> list[Candidate]:
+def _tried(context: Context, current: Judged, glances: Sequence[_Glance]) -> list[Suspect]:
     """Ranked by what the first step of a fit leaves, or the glance where that is less."""
     left = {id(glance.one): glance.left for glance in glances}
     hypothesis, begin = current.hypothesis, context.judge.begin(current)
     most = _TRIED if hypothesis.effects else _TRIED_FIRST
     few = varied([glance.one for glance in glances], 2)[:most]
 
-    def least(one: Candidate) -> float:
+    def least(one: Suspect) -> float:
         return min(left[id(one)], context.judge.tried(hypothesis.plus(one.instance), begin))
 
     tried = _in_time(context, few, least)
@@ -138,7 +116,7 @@ _LEAST = 8
 """Suspects that a pass looks at in any case."""
 
 
-def usual(context: Context, possible: Sequence[EffectInstance]) -> list[Candidate]:
+def usual(context: Context, possible: Sequence[EffectInstance]) -> list[Suspect]:
     """Effects on bodies at usual sizes, whatever a regression says: payloads and forces in
     proportion to masses; and what does the same as a suspect, and more."""
     bodies = {(e.effect, e.target) for e in possible if find(e.effect).kind == "body"}
@@ -149,7 +127,7 @@ def usual(context: Context, possible: Sequence[EffectInstance]) -> list[Candidat
     first = {(e.effect, e.target): e for e in reversed(possible)}
     made += [more for one in first.values() for more in generalizations(context, one)]
     return [
-        Candidate(clean(scene, one), sized=functools.partial(_scaled, scene, one)) for one in made
+        Suspect(clean(scene, one), sized=functools.partial(_scaled, scene, one)) for one in made
     ]
 
 
@@ -158,7 +136,8 @@ def generalizations(context: Context, special: EffectInstance) -> list[EffectIns
     model, only = context.bench.scene.model, context.settings.effects
     return [
         EffectInstance(name, special.target, dict(values))
-        for name in (effect_names() if only is None else only)
+        for name in effect_names()
+        if only is None or name in only
         for values in find(name).generalized(model, special)
         if special.target in find(name).targets(model)
     ]
@@ -170,19 +149,15 @@ def _scaled(scene: Scene, one: EffectInstance, size: float) -> EffectInstance | 
     return bounded_instance(scene, dataclasses.replace(one, values=dict(values)))
 
 
-def varied(found: Sequence[Candidate], most: int) -> list[Candidate]:
+def varied(found: Sequence[Suspect], most: int) -> list[Suspect]:
     """The first few forms of each effect at a target."""
     count: Counter[tuple[str, str]] = Counter()
     kept = []
     for one in found:
-        count[_place(one)] += 1
-        if count[_place(one)] <= most:
+        count[one.place] += 1
+        if count[one.place] <= most:
             kept.append(one)
     return kept
-
-
-def _place(one: Candidate) -> tuple[str, str]:
-    return (one.instance.effect, one.instance.target)
 
 
 _GLANCES = 100

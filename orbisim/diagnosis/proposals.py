@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.context import Context
-from orbisim.diagnosis.glances import Candidate, generalizations, shortlist, usual
-from orbisim.diagnosis.screening import cleaned, screen
+from orbisim.diagnosis.glances import generalizations, shortlist, usual
+from orbisim.diagnosis.screening import screen
 from orbisim.diagnosis.suspects import Screening, Suspect
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.effects.base import index_of, names_of_kind
@@ -32,7 +32,7 @@ Floats = npt.NDArray[np.float64]
 
 def additions(
     context: Context, current: Judged, screening: Screening, first: Sequence[EffectInstance]
-) -> Iterator[Candidate]:
+) -> Iterator[Suspect]:
     """Effects to add: those that the screening ranks, best first, then events.
 
     Args:
@@ -42,7 +42,7 @@ def additions(
     hypothesis = current.hypothesis
     if is_structural(hypothesis):
         taken = {(one.effect, one.target) for one in hypothesis.effects}
-        yield from (Candidate(e) for e in first if (e.effect, e.target) not in taken)
+        yield from (Suspect(e) for e in first if (e.effect, e.target) not in taken)
     suspects = screening.tuned if hypothesis.factors else screening.suspects
     listed = shortlist(context, current, suspects)
     yield from listed
@@ -51,22 +51,17 @@ def additions(
 
 
 def unranked(
-    context: Context, suspects: Sequence[Suspect], listed: Sequence[Candidate]
-) -> Iterator[Candidate]:
+    context: Context, suspects: Sequence[Suspect], listed: Sequence[Suspect]
+) -> Iterator[Suspect]:
     """The best suspects of effects whose rank says little and that are not on the list."""
-    there = {(one.instance.effect, one.instance.target) for one in listed}
-    kept = (
-        s
-        for s in suspects
-        if find(s.instance.effect).unranked and (s.instance.effect, s.instance.target) not in there
-    )
+    there = {one.place for one in listed}
+    kept = (s for s in suspects if find(s.instance.effect).unranked and s.place not in there)
     for suspect in itertools.islice(kept, _FEW):
-        instance = cleaned(context.bench, suspect)
-        if instance is not None and context.allowed(instance):
-            yield Candidate(instance, moved=suspect.moved, sized=suspect.sized)
+        if context.allowed(suspect.instance):
+            yield suspect
 
 
-def begin(context: Context, current: Judged, candidate: Candidate) -> Hypothesis:
+def begin(context: Context, current: Judged, candidate: Suspect) -> Hypothesis:
     """Where a fit with an effect more begins: with the effects before as they are or, if that
     leaves less, moved; and with the effect smaller than suspected where that leaves more than there
     is without it: with more friction than the true one a joint sticks, and a fit does not find
@@ -94,7 +89,7 @@ def begin(context: Context, current: Judged, candidate: Candidate) -> Hypothesis
 _SMALLER = (0.5, 0.25, 0.1)
 
 
-def events(context: Context, current: Judged, shares: Floats) -> Iterator[Candidate]:
+def events(context: Context, current: Judged, shares: Floats) -> Iterator[Suspect]:
     """Effects that no regression sees, at the joints where something is left, each with those of
     its stated values that leave least."""
     model, hypothesis = context.bench.scene.model, current.hypothesis
@@ -113,7 +108,7 @@ def events(context: Context, current: Judged, shares: Floats) -> Iterator[Candid
                 every = [EffectInstance(name, target, dict(one)) for one in values]
                 best = _least(context, current, every)
                 if best is not None:
-                    yield Candidate(best, slow=effect.structural)
+                    yield Suspect(best, slow=effect.structural)
 
 
 _SHARE = 0.08
@@ -138,10 +133,8 @@ def _least(
 
 def pairs(context: Context, screening: Screening) -> Iterator[Hypothesis]:
     """Two effects at once: each may look small as long as the other is missing."""
-    for pair in screening.pairs[: context.settings.shortlist]:
-        one, other = (cleaned(context.bench, suspect) for suspect in pair)
-        if one is not None and other is not None:
-            yield Hypothesis((one, other))
+    for one, other in screening.pairs[: context.settings.shortlist]:
+        yield Hypothesis((one.instance, other.instance))
 
 
 def exchanges(
@@ -180,10 +173,8 @@ def exchanges(
     if len(current.hypothesis.effects) < 2 or is_structural(current.hypothesis):
         return
     for suspect in _screened(context, fewer)[:_FEW]:
-        instance = cleaned(context.bench, suspect)
-        if instance is not None and (instance.effect, instance.target) not in seen:
-            found = Candidate(instance, moved=suspect.moved, sized=suspect.sized)
-            yield begin(context, fewer, found)
+        if suspect.place not in seen:
+            yield begin(context, fewer, suspect)
 
 
 def _numbers(scene: Scene, one: EffectInstance) -> int:
@@ -205,8 +196,8 @@ def merged(context: Context, current: Judged, one: int, other: int) -> Iterator[
     first: dict[tuple[str, str], EffectInstance] = {}
     left = {id(c): context.judge.glance(fewer.hypothesis.plus(c.instance), begin) for c in loads}
     for candidate in sorted(loads, key=lambda c: left[id(c)]):
-        first.setdefault((candidate.instance.effect, candidate.instance.target), candidate.instance)
-    ranked = [e for s in _screened(context, fewer)[:_FEW] if (e := cleaned(context.bench, s))]
+        first.setdefault(candidate.place, candidate.instance)
+    ranked = [suspect.instance for suspect in _screened(context, fewer)[:_FEW]]
     for instance in [*ranked, *list(first.values())[:_FEW]]:
         if (instance.effect, instance.target) not in taken and context.allowed(instance):
             yield fewer.hypothesis.plus(instance)

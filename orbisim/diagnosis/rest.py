@@ -15,8 +15,10 @@ import numpy.typing as npt
 from orbisim.backend import Backend
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.scoring import score
+from orbisim.diagnosis.worth import courses, data_in
 from orbisim.effects import find
 from orbisim.effects.residual_network import Network, with_rest
+from orbisim.evidence import counted, gain, independent_share
 from orbisim.learned_rest.learning import (
     WithRest,
     joints_with_force,
@@ -33,10 +35,6 @@ from orbisim.shooting.judge import Judge
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
 
-_GAIN = 0.1
-"""Share of the excess over the noise that a learned force must take away: less is not worth it."""
-_CERTAINTY = 2.0
-"""Standard errors over windows by which the mean must fall, unless the median falls as much."""
 _MOST_WINDOWS = 192
 """Of those a share is simulated for speed; more hardly change which is better."""
 
@@ -88,21 +86,14 @@ def learn_rest(
 
 
 def _better(bench: Bench, hypothesis: Hypothesis, added: WithRest) -> tuple[bool, dict[str, float]]:
-    """Whether free runs get better on check windows, by enough and surely; residual over noise."""
+    """Whether free runs surely get better on windows; residual over noise without and with it."""
     judge = Judge(bench, bench.intervals, most=_MOST_WINDOWS)
-    means = [
-        np.asarray(judge.score(one).per_window / np.maximum(judge.fitted.data, 1))
-        for one in (hypothesis, added)
-    ]
-    drop = means[0] - means[1]
-    certain = float(drop.mean()) > _CERTAINTY * float(drop.std()) / np.sqrt(len(drop))
-    excess = max(float(means[0].mean()) - 1.0, 0.0)
-    ratio = {
-        name: float(np.sqrt(part.mean()))
-        for name, part in zip(("without", "with"), means, strict=True)
-    }
-    typical = float(np.median(means[0]) - np.median(means[1]))
-    return bool(drop.mean() > _GAIN * excess and (certain or typical > _GAIN * excess)), ratio
+    fits = [judge.score(one) for one in (hypothesis, added)]
+    means = [fit.per_window / np.maximum(judge.fitted.data, 1) for fit in fits]
+    share = independent_share(courses(fits[1], judge.fitted.windows.length))
+    sure = gain(means[0], means[1], counted(data_in([fits[1]]), share)).sure > 0
+    without, with_it = (float(np.sqrt(part.mean())) for part in means)
+    return sure, {"without": without, "with": with_it}
 
 
 def _errors(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,15 @@ from orbisim.motion.regressors import MotionView
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.hypothesis import Hypothesis, clean, completed
-from orbisim.shooting.regress import Normal, fit, force_columns, normal_equations, profiled, total
+from orbisim.shooting.regress import (
+    Normal,
+    fit,
+    force_columns,
+    normal_equations,
+    profiled,
+    total,
+    with_ones,
+)
 from orbisim.shooting.retune import SPREAD
 
 Floats = npt.NDArray[np.float64]
@@ -74,8 +83,6 @@ def screen(
     return Screening(
         suspects=tuple(suspects),
         shares=_shares(normal, first, len(columns) - first),
-        force=view.missing_force,
-        intervals=intervals,
         tuned=tuple(tuned),
         pairs=tuple(_pairs(found, normal, bench)),
     )
@@ -137,58 +144,88 @@ def _constant(values: Mapping[str, float], _: Floats) -> Mapping[str, float]:
     return values
 
 
-def _rank(
-    found: Sequence[Candidate], normal: Normal, bench: Bench, apart: Apart | None = None
-) -> list[Suspect]:
-    """Suspects by information criterion; the best shape of each effect at each target."""
-    best: dict[tuple[str, ...], Suspect] = {}
+class _Form(NamedTuple):
+    """A candidate with the numbers of its columns, their coefficients, and what it leaves alone."""
+
+    candidate: Candidate
+    columns: list[int]
+    coefficients: Floats
+    left: float
+
+    @property
+    def key(self) -> tuple[str, ...]:
+        """Forms of the same key differ in shape alone."""
+        one = self.candidate
+        return (one.effect, one.target, *sorted(one.options.values()))
+
+
+def _forms(found: Sequence[Candidate], normal: Normal) -> Iterator[_Form]:
     start = 0
     for candidate in found:
         index = list(range(start, start + len(candidate.columns)))
         start += len(candidate.columns)
         coefficients, left = _solve(candidate, normal, index)
-        values = candidate.solve(coefficients)
-        if values is None or not np.isfinite(left):
+        if np.isfinite(left):
+            yield _Form(candidate, index, coefficients, left)
+
+
+def _rank(
+    found: Sequence[Candidate], normal: Normal, bench: Bench, apart: Apart | None = None
+) -> list[Suspect]:
+    """Possible suspects by information criterion; the best shape of each effect at each target."""
+    best: dict[tuple[str, ...], tuple[float, _Form]] = {}
+    for form in _forms(found, normal):
+        if form.candidate.solve(form.coefficients) is None:
             continue
-        moved = None if apart is None else apart.moved(index, coefficients)
-        suspect = _suspect(candidate, values, left, normal, bench, moved)
+        bic = _bic(form.left, _numbers(form.candidate, bench), normal)
+        if form.key not in best or bic < best[form.key][0]:
+            best[form.key] = bic, form
+    ranked = []
+    for bic, form in sorted(best.values(), key=lambda one: one[0]):
+        candidate, index, coefficients, _ = form
+        instance = _instance(bench.scene, candidate, coefficients)
+        if instance is None:
+            continue
+        suspect = Suspect(instance, bic)
+        if apart is not None:
+            suspect = dataclasses.replace(suspect, moved=apart.moved(index, coefficients))
         if not candidate.fixed:
             sized = functools.partial(_sized, bench.scene, candidate, coefficients)
             suspect = dataclasses.replace(suspect, sized=sized)
-        key = (candidate.effect, candidate.target, *sorted(candidate.options.values()))
-        if key not in best or suspect.bic < best[key].bic:
-            best[key] = suspect
-    return sorted(best.values(), key=lambda s: s.bic)
+        ranked.append(suspect)
+    return ranked
+
+
+def _bic(left: float, numbers: int, normal: Normal) -> float:
+    """Difference of the Bayesian information criterion to nothing."""
+    before, after = (max(x, normal.count) for x in (normal.square, left))
+    penalty = numbers * np.log(max(normal.count, 2))
+    if before > normal.count:
+        return float(normal.count * np.log(after / before) + penalty)
+    return float(left - normal.square + penalty)
 
 
 def _pairs(
     found: Sequence[Candidate], normal: Normal, bench: Bench
 ) -> list[tuple[Suspect, Suspect]]:
     """Two effects at once, best first: each may look small as long as the other is missing."""
-    best: dict[tuple[str, ...], tuple[float, Candidate, list[int]]] = {}
-    start = 0
-    for candidate in found:
-        index = list(range(start, start + len(candidate.columns)))
-        start += len(candidate.columns)
-        left = _solve(candidate, normal, index)[1]
-        key = (candidate.effect, candidate.target, *sorted(candidate.options.values()))
-        if np.isfinite(left) and (key not in best or left < best[key][0]):
-            best[key] = (left, candidate, index)
-    few = sorted(best.values(), key=lambda one: one[0])[:_PAIRED]
+    best: dict[tuple[str, ...], _Form] = {}
+    for form in _forms(found, normal):
+        if form.key not in best or form.left < best[form.key].left:
+            best[form.key] = form
+    few = sorted(best.values(), key=lambda one: one.left)[:_PAIRED]
     result: list[tuple[float, Suspect, Suspect]] = []
-    for (_, a, at_a), (_, b, at_b) in itertools.combinations(few, 2):
+    for (a, at_a, _, _), (b, at_b, _, _) in itertools.combinations(few, 2):
         if (a.effect, a.target) == (b.effect, b.target):
             continue
         both, left = _together(a, at_a, b, at_b, normal)
-        first, second = a.solve(both[: len(at_a)]), b.solve(both[len(at_a) :])
-        if first is None or second is None or not np.isfinite(left):
+        if not np.isfinite(left):
             continue
-        one = _suspect(a, first, left, normal, bench)
-        other = _suspect(b, second, left, normal, bench)
-        numbers = _numbers(a, bench) + _numbers(b, bench)
-        misfit = max(left, normal.count) / max(normal.count, 1)
-        worth = normal.count * np.log(misfit) + numbers * np.log(max(normal.count, 2))
-        result.append((worth, one, other))
+        one = _instance(bench.scene, a, both[: len(at_a)])
+        other = _instance(bench.scene, b, both[len(at_a) :])
+        if one is not None and other is not None:
+            bic = _bic(left, _numbers(a, bench) + _numbers(b, bench), normal)
+            result.append((bic, Suspect(one, bic), Suspect(other, bic)))
     result.sort(key=lambda pair: pair[0])
     return [(one, other) for _, one, other in result[:_PAIRED]]
 
@@ -199,17 +236,10 @@ def _together(
     """Coefficients of two candidates' columns and what is left; those of fixed ones are 1."""
     fixed = [i for one, at in ((a, at_a), (b, at_b)) if one.fixed for i in at]
     free = [i for one, at in ((a, at_a), (b, at_b)) if not one.fixed for i in at]
-    taken = normal.gram[:, fixed].sum(axis=1)
-    less = Normal(
-        normal.gram,
-        normal.moment - taken,
-        float(normal.square - 2 * normal.moment[fixed].sum() + taken[fixed].sum()),
-        normal.count,
-    )
-    found, left = fit(less, free)
+    found, left = fit(with_ones(normal, fixed), free)
     both = np.ones(len(at_a) + len(at_b))
     both[[k for k, i in enumerate([*at_a, *at_b]) if i in free]] = found
-    return both, max(left, 0.0)
+    return both, left
 
 
 _PAIRED = 14
@@ -223,33 +253,7 @@ def _solve(candidate: Candidate, normal: Normal, index: list[int]) -> tuple[Floa
         coefficients = np.zeros(len(index))
         coefficients[felt], left = fit(normal, [i for i, f in zip(index, felt, strict=True) if f])
         return coefficients, left
-    i = index[0]
-    left = normal.square - 2 * normal.moment[i] + normal.gram[i, i]
-    return np.ones(1), float(max(left, 0.0))
-
-
-def _suspect(
-    candidate: Candidate,
-    values: Mapping[str, float],
-    left: float,
-    normal: Normal,
-    bench: Bench,
-    moved: Floats | None = None,
-) -> Suspect:
-    instance = EffectInstance(
-        candidate.effect,
-        candidate.target,
-        dict(values),
-        dict(candidate.options),
-    )
-    penalty = _numbers(candidate, bench) * np.log(max(normal.count, 2))
-    before, after = (max(x, normal.count) for x in (normal.square, left))
-    bic = (
-        normal.count * np.log(after / before) + penalty
-        if before > normal.count
-        else (left - normal.square + penalty)
-    )
-    return Suspect(instance, float(bic), float(np.sqrt(left / max(normal.count, 1))), moved)
+    return np.ones(1), max(with_ones(normal, index).square, 0.0)
 
 
 def _numbers(candidate: Candidate, bench: Bench) -> int:
@@ -262,20 +266,20 @@ def _shares(normal: Normal, first: int, count: int) -> Floats:
     return gains / gains.sum() if gains.sum() > 0 else gains
 
 
+def _instance(scene: Scene, one: Candidate, coefficients: Floats) -> EffectInstance | None:
+    """A candidate's effect with such coefficients; None if it is not possible."""
+    values = one.solve(coefficients)
+    if values is None:
+        return None
+    made = EffectInstance(one.effect, one.target, dict(values), dict(one.options))
+    return bounded_instance(scene, made)
+
+
 def _sized(
     scene: Scene, candidate: Candidate, coefficients: Floats, size: float
 ) -> EffectInstance | None:
     """A candidate's effect where its coefficients are so many times as large."""
-    values = candidate.solve(size * coefficients)
-    if values is None:
-        return None
-    made = EffectInstance(candidate.effect, candidate.target, dict(values), dict(candidate.options))
-    return bounded_instance(scene, made)
-
-
-def cleaned(bench: Bench, suspect: Suspect) -> EffectInstance | None:
-    """The suspect's effect with all parameters within their bounds; None if it is not possible."""
-    return bounded_instance(bench.scene, suspect.instance)
+    return _instance(scene, candidate, size * coefficients)
 
 
 def bounded_instance(scene: Scene, instance: EffectInstance) -> EffectInstance | None:

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from orbisim.diagnosis.context import Context, Progress, begun
+from orbisim.diagnosis.glances import generalizations
 from orbisim.diagnosis.proposals import additions, begin, exchanges, laws, merged, pairs
-from orbisim.diagnosis.screening import cleaned
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.together import propose
@@ -321,18 +322,13 @@ def _best(context: Context, current: Judged, fitted: Sequence[Judged]) -> list[J
 def _generalized(context: Context, current: Judged, fitted: Sequence[Judged]) -> Iterator[Judged]:
     """What is more general than one of the best, fitted from there: a fit begun at a poor place may
     end at one."""
-    model = context.bench.scene.model
     for special in _best(context, current, fitted):
         own = special.hypothesis.effects[-1]
         less = special.hypothesis.without(len(special.hypothesis.effects) - 1)
         starts: dict[str, list[Hypothesis]] = {}
-        for name in effect_names():
-            if name == own.effect or own.target not in find(name).targets(model):
-                continue
-            for values in find(name).generalized(model, own):
-                one = EffectInstance(name, own.target, dict(values))
-                if context.allowed(one):
-                    starts.setdefault(name, []).append(less.plus(one))
+        for one in generalizations(context, own):
+            if one.effect != own.effect and context.allowed(one):
+                starts.setdefault(one.effect, []).append(less.plus(one))
         for same in starts.values():
             begin = context.judge.begin(special)
             left = [context.judge.glance(one, begin) for one in same]
@@ -355,8 +351,7 @@ def _retuned(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Ju
     near = [one.hypothesis for one in _best(context, current, fitted)]
     if number == 1 and found.screening is not None:
         suspects = found.screening.tuned[: context.settings.shortlist]
-        every = [e for s in suspects if (e := cleaned(context.bench, s)) is not None]
-        near += [current.hypothesis.plus(one) for one in every]
+        near += [current.hypothesis.plus(one.instance) for one in suspects]
     seen: set[tuple[str, str]] = set()
     for hypothesis in near:
         last = hypothesis.effects[-1]
@@ -416,18 +411,57 @@ def _simplified(found: Found, number: int) -> Found:
 
 
 def _removed(found: Found, number: int) -> Found:
-    context, current = found.context, found.best
-    while len(current.hypothesis.effects) > 1:
-        without = [current.hypothesis.without(i) for i in range(len(current.hypothesis.effects))]
-        fewer = _all(context, without, current)
-        if not fewer:
+    context = found.context
+
+    def refit(less: Hypothesis, now: Judged) -> Judged | None:
+        return _fit(context, less, now)
+
+    return dataclasses.replace(found, best=only_sure(context, found.best, refit).judged)
+
+
+class Sure(NamedTuple):
+    """An explanation without needless effects, the worth of each beside the others, and what went,
+    with the reason."""
+
+    judged: Judged
+    gains: tuple[Gain, ...] = ()
+    rejected: tuple[tuple[EffectInstance, str], ...] = ()
+
+
+def only_sure(
+    context: Context,
+    judged: Judged,
+    refit: Callable[[Hypothesis, Judged], Judged | None],
+    bare: Judged | None = None,
+) -> Sure:
+    """With those effects only that are surely worth it beside the others; what is least so goes
+    first.
+
+    Args:
+      refit: fits an explanation with an effect less, from where the one with it is.
+      bare: without any effect, if it may come to that; else one effect stays.
+    """
+    rejected: list[tuple[EffectInstance, str]] = []
+    while len(judged.hypothesis.effects) > (1 if bare is None else 0):
+        doubt: list[tuple[Gain, EffectInstance, Judged]] = []
+        for index, effect in enumerate(judged.hypothesis.effects):
+            less = judged.hypothesis.without(index)
+            nothing = bare is not None and not less.effects and not less.factors
+            fewer = bare if nothing else refit(less, judged) or bare
+            if fewer is not None:
+                doubt.append((worth(context.bench, fewer, judged), effect, fewer))
+        if not doubt:
             break
-        doubt = [(worth(context.bench, one, current).sure, one) for one in fewer]
-        sure, simpler = min(doubt, key=lambda pair: pair[0])
-        if sure > 0:
-            break
-        current = simpler
-    return dataclasses.replace(found, best=current)
+        gain, effect, simpler = min(doubt, key=lambda one: one[0].sure)
+        if gain.sure > 0:
+            return Sure(judged, tuple(one[0] for one in doubt), tuple(rejected))
+        reason = (
+            f"beside the others it is worth {gain.total:.3g} +- {gain.error:.2g} in the logarithm "
+            "of the odds, which is not sure"
+        )
+        rejected.append((effect, reason))
+        judged = simpler
+    return Sure(judged, (), tuple(rejected))
 
 
 def _exchanged(found: Found, number: int) -> Found:

@@ -23,7 +23,7 @@ from orbisim.effects import EffectInstance, find
 from orbisim.effects.screening import Candidate
 from orbisim.evidence import EFFECT, Blocks, Gain, gain, weights
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
-from orbisim.shooting.regress import Normal, fit, profiled
+from orbisim.shooting.regress import Normal, fit, profiled, with_ones
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -280,16 +280,8 @@ def coefficients(whole: Normal, chosen: Sequence[Group]) -> list[Floats]:
     """Coefficients of each group's columns, all fitted together."""
     free = [i for group in chosen if not group.fixed for i in group.index]
     ones = [i for group in chosen if group.fixed for i in group.index]
-    x = dict(zip(free, _free(whole, ones, free), strict=True))
+    x = dict(zip(free, fit(with_ones(whole, ones), free)[0], strict=True))
     return [np.array([x.get(i, 1.0) for i in group.index]) for group in chosen]
-
-
-def _free(normal: Normal, ones: Sequence[int], free: Sequence[int]) -> Floats:
-    """Coefficients of the free columns while those in `ones` have a coefficient of one."""
-    if ones:
-        taken = normal.gram[:, list(ones)].sum(axis=1)
-        normal = dataclasses.replace(normal, moment=normal.moment - taken)
-    return fit(normal, free)[0]
 
 
 class _Search:
@@ -368,7 +360,7 @@ class _Search:
         free = [group for group in chosen if not group.fixed]
         index = [i for group in free for i in group.index]
         ones = [i for group in chosen if group.fixed for i in group.index]
-        x = _free(self.whole, ones, index)
+        x = fit(with_ones(self.whole, ones), index)[0]
         gram = self.whole.gram[np.ix_(index, index)]
         scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
         inverse = np.linalg.inv(gram / np.outer(scale, scale) + _RIDGE * np.eye(len(index)))
@@ -428,12 +420,7 @@ class _Search:
         taken = {group.key for group in chosen}
         ones = [i for group in chosen if group.fixed for i in group.index]
         index = [i for group in chosen if not group.fixed for i in group.index]
-        normal = self.whole
-        if ones:
-            less = normal.gram[:, ones].sum(axis=1)
-            square = normal.square - 2 * normal.moment[ones].sum() + less[ones].sum()
-            normal = Normal(normal.gram, normal.moment - less, float(square), normal.count)
-        rest = profiled(normal, index, np.full(len(index), 0.0))
+        rest = profiled(with_ones(self.whole, ones), index, np.zeros(len(index)))
         scored: list[tuple[float, int, Group]] = []
         for group in self.groups:
             if group.key in taken:
@@ -442,11 +429,7 @@ class _Search:
             strength = np.diag(rest.gram)[at] / np.maximum(np.diag(self.whole.gram)[at], 1e-300)
             if strength.max(initial=0.0) < _NEW:
                 continue
-            if group.fixed:
-                inner = rest.gram[np.ix_(at, at)].sum()
-                left = float(rest.square - 2 * rest.moment[at].sum() + inner)
-            else:
-                left = fit(rest, at)[1]
+            left = with_ones(rest, at).square if group.fixed else fit(rest, at)[1]
             scored.append((left, len(scored), group))
         found: list[list[Group]] = []
         for _, _, group in sorted(scored, key=lambda s: s[:2])[:_FITTED]:

@@ -11,47 +11,48 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.effects import EffectInstance
-from orbisim.motion.linear import Intervals
 
 Floats = npt.NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Suspect:
-    """An effect with first estimates of its parameters.
+    """An effect that may be missing, with values to start a fit from.
 
     Attributes:
       instance: the effect. bic: difference of the Bayesian information criterion to no effect, in
-        linear approximation (negative is better). ratio: residual over noise with it.
+        linear approximation (negative is better); zero where no regression has ranked it.
       moved: what the free parameters of the effects that are there already change by then; None if
         that is not known.
       sized: the effect so many times as large; None if that cannot be.
+      slow: whether a fit takes long: it adds a joint, and no screening ranked it.
     """
 
     instance: EffectInstance
-    bic: float
-    ratio: float
+    bic: float = 0.0
     moved: Floats | None = None
     sized: Callable[[float], EffectInstance | None] = lambda _: None
+    slow: bool = False
+
+    @property
+    def place(self) -> tuple[str, str]:
+        """Effect and target."""
+        return (self.instance.effect, self.instance.target)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Screening:
-    """Result of a screening.
+    """Result of a screening. All suspects are possible, with values within their bounds.
 
     Attributes:
       suspects: best first, one for each effect, target and options.
-      pairs: of effects, best first.
       shares: [nv] share of the residual that a missing force at each degree of freedom explains.
-      force: [N, nv] missing generalized force over every sampling interval.
-      intervals: the linear system along the scene that was screened.
       tuned: suspects when declared parameters may be retuned too.
+      pairs: of effects, best first.
     """
 
     suspects: tuple[Suspect, ...]
     shares: Floats
-    force: Floats
-    intervals: Intervals
     tuned: tuple[Suspect, ...] = ()
     pairs: tuple[tuple[Suspect, Suspect], ...] = ()
 

@@ -12,7 +12,7 @@ from orbisim.diagnosis.screening import bounded_instance, candidates_of
 from orbisim.diagnosis.selection import Selected, data_of, groups_of, select
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.effects.screening import Candidate
-from orbisim.evidence import Blocks, Gain, independent_share
+from orbisim.evidence import Blocks, Gain, counted, independent_share
 from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.linear import Intervals, missing_force
 from orbisim.motion.regressors import MotionView
@@ -111,8 +111,7 @@ def propose(
     normals = data.normals(3 * np.sqrt(np.nanmean(view.missing_force**2, axis=0)) + 1e-12)
 
     def blocks(share: float) -> tuple[list[Normal], Blocks]:
-        size = np.maximum(data.count * share, 1.0)
-        return normals, Blocks(size, np.zeros(len(size), np.int64), np.ones(len(size)))
+        return normals, counted(data.count, share)
 
     def after(chosen: Selected) -> float:
         left = left_of(chosen, data.design, data.target)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.effects import find
-from orbisim.evidence import EFFECT, Blocks, Gain, gain, independent_share
+from orbisim.evidence import EFFECT, Gain, counted, gain, independent_share
 from orbisim.motion.samples import extent
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.fits import Fit
@@ -37,10 +37,11 @@ def gains(bench: Bench, before: Judged, others: Sequence[Judged]) -> list[Gain]:
       bench: the data. before, others: judged on the same windows.
     """
     best = min([before, *others], key=lambda one: one.loss)
-    share = independent_share(_courses(best))
-    fits = [best.fit] if best.check_fit is best.fit else [best.fit, best.check_fit]
-    size = np.concatenate([np.maximum(share * _data(fit), 1.0) for fit in fits])
-    blocks = Blocks(size, np.zeros(len(size), np.int64), np.ones(len(size)))
+    share = independent_share(courses(best.fit, best.windows.length))
+    blocks = counted(
+        data_in([best.fit] if best.check_fit is best.fit else [best.fit, best.check_fit]), share
+    )
+    size = blocks.size
     data = max(float(size.sum()), 2.0)
     starts = 0.5 * float(np.log(size).sum())  # of one number more in each window
 
@@ -94,13 +95,12 @@ def prior(bench: Bench, hypothesis: Hypothesis) -> float:
     return found
 
 
-def _data(fit: Fit) -> Floats:
-    """[W]: number of data of each window."""
-    return np.asarray((fit.residual != 0).sum(axis=1), np.float64)
+def data_in(fits: Sequence[Fit]) -> Floats:
+    """[B]: number of data of each window of some fits."""
+    return np.concatenate([(fit.residual != 0).sum(axis=1) for fit in fits]).astype(np.float64)
 
 
-def _courses(judged: Judged) -> list[Floats]:
-    """What is left of each signal in each window."""
-    residual = judged.fit.residual
-    course = residual.reshape(len(residual), judged.windows.length + 1, -1)
-    return [course[w, :, c] for w in range(course.shape[0]) for c in range(course.shape[2])]
+def courses(fit: Fit, length: int) -> list[Floats]:
+    """What is left of each signal in each window of so many intervals."""
+    course = fit.residual.reshape(len(fit.residual), length + 1, -1)
+    return [one for window in course for one in window.T]

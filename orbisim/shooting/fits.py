@@ -18,7 +18,6 @@ class Fit:
     Attributes:
       values: the parameters. start: [W, 2 nv] deviations at the windows' starts.
       square: sum of squared weighted residuals, large ones limited if the fit is robust.
-      penalty: what the priors charge on top.
       count: data minus fitted numbers.
       covariance: [P, P] of the parameters, by the Jacobian.
       residual: [W, data] weighted. per_window: [W] its parts.
@@ -28,18 +27,12 @@ class Fit:
     values: Floats
     start: Floats
     square: float
-    penalty: float
     count: int
     covariance: Floats
     residual: Floats
     per_window: Floats
     information: Floats
     score: Floats
-
-    @property
-    def ratio(self) -> float:
-        """Residual over noise: root of the reduced sum of squares."""
-        return float(np.sqrt(self.square / max(self.count, 1)))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -421,7 +421,6 @@ class Problem:
             values=values,
             start=xi,
             square=square,
-            penalty=self.penalty(values),
             count=count,
             covariance=covariance * max(square / count, 1.0),
             residual=residual,

@@ -39,7 +39,7 @@ class Judged:
       ratio: residual over noise, on the fitted or on the check windows, whichever is larger.
       pooled: the same over all windows, with none left out.
       check_fit: window starts on the check windows.
-      windows: those that it was fitted to. touching: whether bodies touch in the data.
+      windows: those that it was fitted to.
       fitted: as `checked`, of the windows that it was fitted to.
     """
 
@@ -50,7 +50,6 @@ class Judged:
     pooled: float
     check_fit: Fit
     windows: Windows
-    touching: bool = False
     fitted: Floats = dataclasses.field(default_factory=lambda: np.zeros(0))
 
     @property
@@ -206,7 +205,7 @@ class Judge:
         pooled = float(np.mean([*fit_means, *means]))
         return Judged(
             fitted, fit, means, float(np.sqrt(square)), float(np.sqrt(pooled)),
-            checked, self.fitted.windows, self.bench.contacts, fit_means,
+            checked, self.fitted.windows, fit_means,
         )  # fmt: skip
 
     def _typical(self, shooter: Shooter, means: Floats, trimmed: bool = True) -> float:

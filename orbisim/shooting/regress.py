@@ -256,6 +256,16 @@ def fit(
     return x, float(max(left, 0.0))
 
 
+def with_ones(normal: Normal, columns: Sequence[int]) -> Normal:
+    """Normal equations of what is left where some columns have a coefficient of one."""
+    index = list(columns)
+    if not index:
+        return normal
+    taken = normal.gram[:, index].sum(axis=1)
+    square = normal.square - 2 * normal.moment[index].sum() + taken[index].sum()
+    return Normal(normal.gram, normal.moment - taken, float(square), normal.count)
+
+
 def profiled(normal: Normal, nuisance: Sequence[int], ridge: Floats) -> Normal:
     """Normal equations after some columns, with priors about zero, have been fitted away.
 

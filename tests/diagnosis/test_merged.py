@@ -6,20 +6,14 @@ import numpy as np
 
 from orbisim.diagnosis.suspects import Screening, Suspect, merged
 from orbisim.effects import EffectInstance
-from orbisim.motion.linear import Intervals
 
 
 def screening(*names: str) -> Screening:
-    nothing = np.zeros((0, 2, 2))
-    intervals = Intervals(
-        np.zeros(0, np.int64), np.zeros(0, np.int64), nothing, np.zeros((0, 2, 1)),
-        np.zeros((0, 2)), np.zeros(0, bool),
-    )  # fmt: skip
     suspects = tuple(
-        Suspect(EffectInstance(name, "hinge", {}), -float(len(names) - i), 1.0)
+        Suspect(EffectInstance(name, "hinge", {}), -float(len(names) - i))
         for i, name in enumerate(names)
     )
-    return Screening(suspects, np.zeros(1), np.zeros((0, 1)), intervals)
+    return Screening(suspects, np.zeros(1))
 
 
 def test_in_turns_and_each_once_where_it_is_first() -> None:

@@ -12,11 +12,11 @@ import pytest
 import orbisim
 from orbisim.diagnosis.conclusion import concluded
 from orbisim.diagnosis.context import Context, begun
-from orbisim.diagnosis.glances import Candidate
 from orbisim.diagnosis.proposals import begin
 from orbisim.diagnosis.run import bad_windows
 from orbisim.diagnosis.search import Found
 from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.suspects import Suspect
 from orbisim.effects import EffectInstance
 from orbisim.host.deadline import NEVER
 from orbisim.motion.samples import prepare_all
@@ -52,13 +52,13 @@ def test_friction_that_makes_a_joint_stick_begins_smaller() -> None:
     context: Any = SimpleNamespace(judge=judge, bench=SimpleNamespace(contacts=False))
     current: Any = SimpleNamespace(hypothesis=Hypothesis())
 
-    def first(candidate: Candidate) -> EffectInstance:
+    def first(candidate: Suspect) -> EffectInstance:
         return begin(context, current, candidate).effects[0]
 
-    assert first(Candidate(STUCK, sized=sized)).values["coefficient"] == 0.75
+    assert first(Suspect(STUCK, sized=sized)).values["coefficient"] == 0.75
     small = sized(0.25)
-    assert first(Candidate(small, sized=sized)) is small
-    assert first(Candidate(STUCK)) is STUCK  # no other size is known
+    assert first(Suspect(small, sized=sized)) is small
+    assert first(Suspect(STUCK)) is STUCK  # no other size is known
 
 
 def test_a_long_first_step_is_shortened_until_it_helps(arm: orbisim.Scene) -> None:

@@ -12,7 +12,7 @@ def test_a_resample_without_what_feels_a_parameter_says_nothing() -> None:
     information = np.full((windows, 1, 1), 1e-12)
     information[3] = 100.0
     fit = Fit(
-        values=np.array([2.0]), start=np.zeros((windows, 2)), square=1.0, penalty=0.0, count=100,
+        values=np.array([2.0]), start=np.zeros((windows, 2)), square=1.0, count=100,
         covariance=np.array([[0.01]]), residual=np.zeros((windows, 4)),
         per_window=np.ones(windows), information=information,
         score=np.where(np.arange(windows)[:, None] == 3, 0.5, 1e-3),
