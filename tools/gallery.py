@@ -52,6 +52,7 @@ def _sim(scene: str, rest: str, renderer: str = "mujoco", size: str = SIZE) -> s
 _CHEETAH = "--controls random --duration 2.5"
 _PUSH = "--policy push --duration 3"
 _SQUARE = f"--size 128x128 --fps {FPS} --seed 0"  # the only size that the checkpoint draws
+_SLOW = "--size 120x160 --fps 2 --seed 0"  # shown five times as fast
 
 PICTURES: dict[str, tuple[Panel, ...]] = {
     "engines": (
@@ -71,8 +72,8 @@ PICTURES: dict[str, tuple[Panel, ...]] = {
         Panel("pendulum", _sim("suite:pendulum-swingup", "--policy pendulum --duration 4")),
     ),
     "mechanisms": (
-        Panel("door", _sim("task:mechanism:door", "")),
-        Panel("bottle", _sim("task:mechanism:bottle", "")),
+        Panel("door", _sim("task:mechanism:door", "--camera front --duration 14", size=_SLOW)),
+        Panel("bottle", _sim("task:mechanism:bottle", "--camera side --duration 14", size=_SLOW)),
     ),
     "cloth": (Panel("drape", _sim("task:drape", "--duration 2")),),
 }
