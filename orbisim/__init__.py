@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from orbisim.diagnosis import Diagnosis as Diagnosis
     from orbisim.diagnosis import diagnose as diagnose
     from orbisim.errors import OrbiSimError as OrbiSimError
+    from orbisim.fleet import Fleet as Fleet
+    from orbisim.fleet import diagnose_fleet as diagnose_fleet
     from orbisim.identification import identify as identify
     from orbisim.physics import Physics as Physics
     from orbisim.physics import hybrid as hybrid
@@ -47,6 +49,7 @@ _HOMES = {
     "Backend": "orbisim.backend",
     "Capability": "orbisim.backend",
     "Diagnosis": "orbisim.diagnosis",
+    "Fleet": "orbisim.fleet",
     "OrbiSimError": "orbisim.errors",
     "Physics": "orbisim.physics",
     "Recording": "orbisim.recording",
@@ -55,6 +58,7 @@ _HOMES = {
     "State": "orbisim.state",
     "Trajectory": "orbisim.trajectory",
     "diagnose": "orbisim.diagnosis",
+    "diagnose_fleet": "orbisim.fleet",
     "available_backends": "orbisim.registry",
     "available_renderers": "orbisim.registry",
     "hybrid": "orbisim.physics",

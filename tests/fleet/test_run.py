@@ -11,11 +11,12 @@ from typing import Any
 import pytest
 
 import orbisim
+from orbisim import Fleet, diagnose_fleet
 from orbisim.cli.main import run
 from orbisim.diagnosis import Settings
 from orbisim.effects import EffectInstance
 from orbisim.fleet import run as fleet
-from orbisim.fleet.run import Options, diagnose_fleet
+from orbisim.fleet.run import Options
 from orbisim.testing import inject_effect
 
 SCENE = Path(__file__).parents[2] / "mjcf_assets" / "arm2" / "scene.xml"
@@ -59,6 +60,7 @@ def test_a_bad_robot_does_not_stop_the_others(
     robots: Path, tmp_path: Path, done: list[str]
 ) -> None:
     found = diagnose_fleet(SCENE, robots, tmp_path / "out")
+    assert isinstance(found, Fleet)
     assert done == ["a", "b", "c"]
     problems = {one.name: one.problem for one in found.robots}
     assert problems["empty"] == "no recordings" and "run.npz" in problems["bad"]
