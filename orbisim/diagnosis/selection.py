@@ -391,14 +391,16 @@ class _Search:
             self.chosen, self.now, _ = max(found, key=lambda one: one[2].total)
 
     def remove(self) -> None:
-        """Drops groups that are not surely worth it beside the others, the least useful first."""
+        """Drops groups that are not surely worth it beside the others, the least useful first; of
+        two of which either is enough, that with more columns."""
         while len(self.chosen) > 1:
             trials: list[tuple[float, int, list[Group], Floats]] = []
             for number in np.argsort(self._costs(self.chosen), kind="stable")[:_LEAST]:
-                kept = self._possible(_less(self.chosen, self.chosen[number]))
+                out = self.chosen[number]
+                kept = self._possible(_less(self.chosen, out))
                 left = predicted(self.data, kept)
                 worth = self.gain(left, self.now, self.chosen, kept).sure
-                trials.append((worth, len(trials), kept, left))
+                trials.append((worth, -len(out.index), kept, left))
             least, _, kept, left = min(trials, key=lambda one: one[:2])
             if least > 0:
                 return

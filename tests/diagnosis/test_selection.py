@@ -85,6 +85,16 @@ def test_what_one_group_makes_possible_goes_only_with_both() -> None:
     assert found.predicted.sum() < 0.2 * found.before.sum()
 
 
+def test_of_two_that_reach_the_noise_that_with_fewer_columns_stays() -> None:
+    """Below the noise nothing gains, and either of them is worth as much."""
+    truth = np.zeros(COLUMNS)
+    truth[3] = 1.0
+    floor = Blocks(COUNTS.size, COUNTS.signal, np.full(BLOCKS, 0.5))
+    for groups in ([group(3), group(4, 3)], [group(4, 3), group(3)]):
+        found = select(data_of(data(truth, 0.3, 2), floor), groups)
+        assert [g.index for g in found.groups] == [(3,)]
+
+
 def test_what_could_stand_in_the_place_of_a_choice_is_told() -> None:
     truth = np.zeros(COLUMNS)
     truth[3] = 1.0
