@@ -9,12 +9,12 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.findings import effects_of, noise_of, suspected
+from orbisim.diagnosis.alternatives import known_alike, suspected
+from orbisim.diagnosis.findings import effects_of, noise_of
 from orbisim.diagnosis.force_search import ForceAttribution, attribute_forces
 from orbisim.diagnosis.found import Alternative, Verdict
 from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.settings import Settings
-from orbisim.effects.confounds import standing
 from orbisim.evidence import NEAR
 from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.force import force_residual
@@ -130,13 +130,8 @@ def _residual(scene: Scene, found: ForceAttribution, settings: Settings) -> dict
 
 def _alternatives(found: ForceAttribution) -> tuple[Alternative, ...]:
     """Suspects with their probabilities, and effects that are known to look like those found."""
-    result = suspected(found.suspects)
-    chosen = {effect.effect for effect in found.hypothesis.effects}
-    for name in sorted(chosen):
-        for other, text in standing(name)[:2]:
-            if other not in chosen and not any(a.effect == other for a in result):
-                result.append(Alternative(other, "", None, f"known to look alike; {text}"))
-    return tuple(result)
+    listed = suspected(found.suspects)
+    return (*listed, *known_alike([e.effect for e in found.hypothesis.effects], listed))
 
 
 def _error(scene: Scene, found: ForceAttribution, fitted: _Errors, kept: _Errors) -> dict[str, Any]:

@@ -24,7 +24,6 @@ from orbisim.diagnosis.force_data import (
     normals,
     spread,
 )
-from orbisim.diagnosis.found import Rival
 from orbisim.diagnosis.selection import BEGINNINGS, Group, Selected
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.together import instances, left_of, select_in_rounds
@@ -74,11 +73,6 @@ class ForceAttribution:
     def evidence(self) -> tuple[float, ...]:
         """For each effect twice the log predictive score that it brings."""
         return tuple(2 * one.total for one in self.gains)
-
-    @property
-    def rivals(self) -> tuple[Rival, ...]:
-        """None: suspects are not simulated one by one."""
-        return ()
 
     @property
     def samples(self) -> tuple[Samples, ...]:

@@ -14,12 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.backend import Backend
+from orbisim.diagnosis.alternatives import alternatives_of, candidates_of
 from orbisim.diagnosis.checks import coarse_timestep, disabled
 from orbisim.diagnosis.conclusion import Attribution, attribute
 from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.findings import (
-    alternatives_of,
-    candidates_of,
     effects_of,
     errors_of,
     free_run_error,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orbisim.diagnosis.findings import alternatives_of
+from orbisim.diagnosis.alternatives import alternatives_of
 from orbisim.diagnosis.found import Rival
 from orbisim.effects import EffectInstance
 from orbisim.shooting.hypothesis import Hypothesis
