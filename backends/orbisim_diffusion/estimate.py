@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import imageio.v3 as iio
 import mujoco
@@ -20,13 +19,13 @@ from orbisim.scene import Scene, matrices
 from orbisim_diffusion.autoencoder import to_float
 from orbisim_diffusion.checkpoint import INFERENCE, Checkpoint, load_checkpoint, load_part
 from orbisim_diffusion.inference import JOINTS, OBJECTS, Inferred, StateInference
+from orbisim_diffusion.likeness import continuous, like_turns, unlikeness
 from orbisim_diffusion.own import bounded, squares
-from orbisim_diffusion.symmetry import cube_rotations, unlike
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-_COLOUR, _SIZE, _STEP = 0.1, 0.15, 0.05
-"""What counts as one unit of unlikeness: of a colour, of a size (relative), of a place (m)."""
+_SURE = 3.0
+"""Logit from which on more certainty that there is an object counts no more."""
 _BATCH = 64  # images at once, so that memory does not grow with a video's length
 
 Floats = npt.NDArray[np.float64]
@@ -83,7 +82,8 @@ def infer(
 
     Which of the found objects is which body is decided by colour, size and the way they move;
     which of a box's like orientations it has, by the frame before (in the first: the smallest
-    turn). Bodies that are not found in a frame have NaN there.
+    turn). As many are taken as the scene declares, whether they are seen or not: see
+    `orbisim_diffusion.tracking` for what tells them apart.
 
     Args:
       scene: with the bodies and their colours. frames: [T, H, W, 3] of the checkpoint's size.
@@ -93,7 +93,7 @@ def infer(
       UnsupportedSceneError: the scene has more joints or objects than StaInf knows.
     """
     joints, bodies = _parts(scene)
-    found = _inferred(frames, checkpoint, model)
+    found = read_frames(frames, checkpoint, model)
     signals: dict[str, Floats] = {
         f"qpos/{name}": found.joints[:, i].double().numpy() for i, name in enumerate(joints)
     }
@@ -128,7 +128,8 @@ def _parts(scene: Scene) -> tuple[list[str], list[str]]:
 
 
 @torch.no_grad()  # type: ignore[untyped-decorator]
-def _inferred(frames: npt.NDArray[np.uint8], point: Checkpoint, model: nn.Module) -> Inferred:
+def read_frames(frames: npt.NDArray[np.uint8], point: Checkpoint, model: nn.Module) -> Inferred:
+    """What StaInf reads off frames [T, H, W, 3] of the checkpoint's size."""
     parts = []
     for first in range(0, len(frames), _BATCH):
         images = to_float(torch.as_tensor(frames[first : first + _BATCH]))
@@ -141,43 +142,19 @@ def _tracks(found: Inferred, rows: Floats) -> tuple[Floats, Floats]:
     column = matrices.OBJECT_COLUMNS.index
     sizes, colours = rows[:, :3], rows[:, column("red") : column("blue") + 1]
     pos, size, colour = (v.double().numpy() for v in (found.pos, found.size, found.colour))
-    rot, present = found.rot.double().numpy(), found.present.numpy() > 0
+    rot, present = found.rot.double().numpy(), found.present.double().numpy()
     count, bodies = len(pos), len(rows)
     places, turns = np.full((count, bodies, 3), np.nan), np.full((count, bodies, 4), np.nan)
     last, turned = np.full((bodies, 3), np.nan), np.tile(np.eye(3), (bodies, 1, 1))
-    groups = [_like_turns(one) for one in sizes]
+    groups = [like_turns(one) for one in sizes]
     for t in range(count):
-        cost = _unlikeness(pos[t], size[t], colour[t], last, sizes, colours)
-        cost[:, ~present[t]] += 1e3
+        cost = unlikeness(pos[t], size[t], colour[t], last, sizes, colours)
+        cost -= np.minimum(present[t], _SURE)
         for body, slot in zip(*linear_sum_assignment(cost), strict=True):
-            if not present[t, slot]:
-                continue
             places[t, body] = last[body] = pos[t, slot]
             choices = rot[t, slot] @ groups[body]
             nearest = int(np.argmax(np.einsum("kij,ij->k", choices, turned[body])))
             turned[body] = choices[nearest]
             x, y, z, w = Rotation.from_matrix(turned[body]).as_quat()
-            turns[t, body] = _continuous(np.array([w, x, y, z]), turns[t - 1, body] if t else None)
+            turns[t, body] = continuous(np.array([w, x, y, z]), turns[t - 1, body] if t else None)
     return places, turns
-
-
-def _unlikeness(
-    pos: Floats, size: Floats, colour: Floats, last: Floats, sizes: Floats, colours: Floats
-) -> Floats:
-    """[M, slots]: how little each found object is like each body."""
-    apart = np.nan_to_num(np.linalg.norm(last[:, None] - pos[None], axis=-1)) / _STEP
-    shade = np.abs(colours[:, None] - colour[None]).mean(-1) / _COLOUR
-    ratio = np.abs(np.log(np.maximum(size[None], 1e-4) / np.maximum(sizes[:, None], 1e-4)))
-    found: Floats = np.minimum(apart, 10.0) + shade + ratio.mean(-1) / _SIZE
-    return found
-
-
-def _like_turns(size: Floats) -> Floats:
-    """[K, 3, 3]: the rotations that take a box of these half sizes to itself."""
-    half = torch.as_tensor(size)
-    found: Floats = cube_rotations().double()[~unlike(half)].numpy()
-    return found
-
-
-def _continuous(quat: Floats, before: Any) -> Floats:
-    return -quat if before is not None and float(quat @ np.nan_to_num(before)) < 0 else quat

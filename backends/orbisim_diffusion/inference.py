@@ -293,7 +293,8 @@ def errors(found: Inferred, true: Truth) -> dict[str, float]:
     hand = angle((found.hand_rot - true.hand_rot).square().sum((-1, -2)))
     share = (chosen.size / true.size.clamp_min(1e-6) - 1.0).abs().mean(-1)
     found_all = ((chosen.present > 0) == there).all(1)
-    joint = (found.joints - true.joints).abs() * true.jointed
+    joint = (found.joints - true.joints + torch.pi).remainder(2 * torch.pi) - torch.pi
+    joint = joint.abs() * true.jointed  # a turn more or less looks the same
     values = {
         "object_position_mm": 1e3 * (chosen.pos - true.pos).norm(dim=-1)[there].mean(),
         "object_position_mm_median": 1e3 * (chosen.pos - true.pos).norm(dim=-1)[there].median(),

@@ -41,6 +41,21 @@ class Buffers(NamedTuple):
     weight: Tensor
 
 
+class Surfaces(NamedTuple):
+    """What P rays of each view see, as `Buffers` but ray by ray.
+
+    Attributes:
+      depth: [B, P]. normal: [B, P, 3] in the camera's frame. colour: [B, P, 3].
+      point: [B, P, 3]. weight: [B, G, P].
+    """
+
+    depth: Tensor
+    normal: Tensor
+    colour: Tensor
+    point: Tensor
+    weight: Tensor
+
+
 def cast(
     solids: Solids,
     view: View,
@@ -59,6 +74,30 @@ def cast(
       primitives: `orbisim_diffusion.shapes.PRIMITIVES`, or the same compiled.
     """
     ray = rays(view, height, width)  # [B, P, 3]
+    seen = look(solids, view, ray, height, meshes, primitives)
+
+    def image(values: Tensor) -> Tensor:
+        """Of [B, P, C] to [B, C, H, W]."""
+        return values.transpose(1, 2).unflatten(-1, (height, width))
+
+    return Buffers(
+        depth=image(seen.depth[..., None])[:, 0],
+        normal=image(seen.normal),
+        colour=image(seen.colour),
+        point=image(seen.point),
+        weight=seen.weight.unflatten(-1, (height, width)),
+    )
+
+
+def look(
+    solids: Solids,
+    view: View,
+    ray: Tensor,
+    height: int,
+    meshes: Mapping[int, Tensor] | None = None,
+    primitives: Mapping[int, Meet] = PRIMITIVES,
+) -> Surfaces:
+    """What some rays [B, P, 3] from the cameras see, in an image of `height` pixels."""
     eye = view.pos[:, None].expand_as(ray)
     t, inside, normal = _meet(solids, eye, ray, meshes or {}, primitives)  # [B, G, P (, 3)]
     pixel = t.abs() / (height * view.focal[:, None, 1:])  # m at that depth
@@ -67,21 +106,18 @@ def cast(
     weights, order = _layers(torch.where(seen, t, torch.inf), torch.where(seen, cover, 0.0))
 
     def blended(values: Tensor) -> Tensor:
-        """Of [B, G, P, C] to [B, C, H, W]."""
+        """Of [B, G, P, C] to [B, P, C]."""
         index = order[..., None].expand(*order.shape, values.shape[-1])
-        found = (weights[..., None] * values.gather(1, index)).sum(1)
-        return found.transpose(1, 2).unflatten(-1, (height, width))
+        return (weights[..., None] * values.gather(1, index)).sum(1)
 
-    count = ray.shape[1]
-    colour = solids.colour[:, :, None].expand(-1, -1, count, -1)
+    colour = solids.colour[:, :, None].expand(-1, -1, ray.shape[1], -1)
     point = view.pos[:, None, None] + t[..., None] * ray[:, None]
-    share = torch.zeros_like(t).scatter_add(1, order, weights)
-    return Buffers(
-        depth=blended(t[..., None])[:, 0],
+    return Surfaces(
+        depth=blended(t[..., None])[..., 0],
         normal=blended(normal @ view.rot[:, None]),
         colour=blended(colour),
         point=blended(point),
-        weight=share.unflatten(-1, (height, width)),
+        weight=torch.zeros_like(t).scatter_add(1, order, weights),
     )
 
 
@@ -100,23 +136,45 @@ def shade(
       the angle of incidence.
     """
     height, width = buffers.depth.shape[-2:]
-    normal = view.rot @ buffers.normal.flatten(2)  # [B, 3, P], world frame
-    point = (buffers.point.flatten(2) + _LIFT * normal).transpose(1, 2)
+    normal = (view.rot @ buffers.normal.flatten(2)).transpose(1, 2)  # [B, P, 3], world frame
+    point = buffers.point.flatten(2).transpose(1, 2)
     size = buffers.depth.flatten(1).clamp_min(0.1) / (height * view.focal[:, 1:])
     free, lit = torch.zeros_like(size), torch.zeros_like(size)
     for light in range(lamps.rows.shape[1]):
-        far = -_FAR * lamps.direction[:, light, None]
-        near = lamps.pos[:, light, None] - point
-        ray = torch.where(lamps.directional[:, light, None, None] > 0, far, near)
-        t, inside, _ = _meet(solids, point, ray, meshes or {}, primitives)
-        cover = torch.sigmoid(inside / (_EDGE * size[:, None]))
-        blocked = torch.where((t > _NEAR) & (t < 1.0), cover, 0.0)
-        open_ = 1.0 - lamps.shadow[:, light, None] * (1.0 - (1.0 - blocked).prod(1))
-        cosine = (ray * normal.transpose(1, 2)).sum(-1) / ray.norm(dim=-1).clamp_min(1e-6)
+        lamp = Lamps(lamps.rows[:, light : light + 1])
+        open_, ray = unblocked(point, normal, size, solids, lamp, meshes, primitives)
+        cosine = (ray * normal).sum(-1) / ray.norm(dim=-1).clamp_min(1e-6)
         free, lit = free + open_, lit + open_ * cosine.clamp_min(0.0)
     count = max(1, lamps.rows.shape[1])
     there = buffers.weight.sum(1)
     return tuple(x.unflatten(-1, (height, width)) * there / count for x in (free, lit))
+
+
+def unblocked(
+    point: Tensor,
+    normal: Tensor,
+    size: Tensor,
+    solids: Solids,
+    lamp: Lamps,
+    meshes: Mapping[int, Tensor] | None = None,
+    primitives: Mapping[int, Meet] = PRIMITIVES,
+) -> tuple[Tensor, Tensor]:
+    """How much of the first light reaches points.
+
+    Args:
+      point, normal: [B, P, 3] of the surfaces, world frame, m. size: [B, P] of a pixel there, m.
+      solids: what may be in the way. lamp: the light.
+
+    Returns:
+      The share [B, P] that nothing is in the way of, and the way to the light [B, P, 3], m.
+    """
+    start = point + _LIFT * normal
+    far = -_FAR * lamp.direction[:, :1]
+    ray = torch.where(lamp.directional[:, :1, None] > 0, far, lamp.pos[:, :1] - start)
+    t, inside, _ = _meet(solids, start, ray, meshes or {}, primitives)
+    cover = torch.sigmoid(inside / (_EDGE * size[:, None]))
+    blocked = torch.where((t > _NEAR) & (t < 1.0), cover, 0.0)
+    return 1.0 - lamp.shadow[:, :1] * (1.0 - (1.0 - blocked).prod(1)), ray
 
 
 def _layers(t: Tensor, cover: Tensor) -> tuple[Tensor, Tensor]:

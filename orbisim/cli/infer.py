@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from orbisim.cli.common import emit_json, engine_command, json_option, note, scene_options
-from orbisim.errors import MissingDependencyError
+from orbisim.errors import MissingDependencyError, UnsupportedSceneError
 
 
 @click.command(
@@ -24,30 +24,83 @@ from orbisim.errors import MissingDependencyError
     "--checkpoint",
     default=None,
     type=click.Path(path_type=Path),
-    help="A vision checkpoint with StaInf. Default: the zoo's for the scene.",
+    help="A vision checkpoint with StaInf. Default: the zoo's for the scene, if there is one.",
+)
+@click.option(
+    "--refine/--no-refine",
+    default=True,
+    show_default=True,
+    help="Fit each frame by analysis by synthesis.",
+)
+@click.option("--camera", default="", help="Name or number of the camera. Default: the first.")
+@click.option(
+    "--pixels",
+    default=128,
+    show_default=True,
+    type=click.IntRange(32, 1024),
+    help="Height and width of the frames that are fitted.",
 )
 @json_option
 @scene_options()
 @engine_command
-def command(video: Path, scene: str, out: Path, checkpoint: Path | None, as_json: bool) -> None:
+def command(
+    video: Path,
+    scene: str,
+    out: Path,
+    checkpoint: Path | None,
+    refine: bool,
+    camera: str,
+    pixels: int,
+    as_json: bool,
+) -> None:
     """Read the states of robot and objects off VIDEO; write them as a recording.
 
-    The video must be taken by the camera that the checkpoint was trained with; the middle square
-    of each frame is used. The recording has positions alone: `replay` and `diagnose` differentiate
-    and smooth them. It has no controls, which no image shows.
+    A network (StaInf) reads joints and poses off each frame; then states are fitted to the frames
+    by drawing the scene as it is declared, each frame from the one before. A scene without a
+    checkpoint starts from its first keyframe, and objects from where the image has their colours.
+    The middle square of each frame is used.
+
+    Objects have NaN where no frame shows them. The recording has positions alone: `replay` and
+    `diagnose` differentiate and smooth them. Controls of position servos follow from the motion of
+    their joints.
     """
+    from orbisim.cameras import camera_number
+    from orbisim.recording.servo import with_controls
     from orbisim.scene import load_scene, visible
 
     try:
         from orbisim_diffusion import zoo
-        from orbisim_diffusion.estimate import infer, load_inference, read_video
+        from orbisim_diffusion.estimate import infer, load_inference, read_frames, read_video
+        from orbisim_diffusion.own import squares
+        from orbisim_diffusion.refine import Refiner
+        from orbisim_diffusion.tracking import follow, reading, recording_of
     except ImportError as error:
         raise MissingDependencyError("orbisim infer", "learned", str(error)) from error
     loaded = load_scene(scene)
-    folder = checkpoint or zoo.find(loaded, visible.rows(loaded.model))
-    point, model = load_inference(folder)
-    frames, times = read_video(video, point.config.size)
-    recording = infer(loaded, frames, times, point, model)
+    network = None
+    try:
+        folder = checkpoint or zoo.find(loaded, visible.rows(loaded.model))
+        network = load_inference(folder)
+    except UnsupportedSceneError as error:
+        if not refine:
+            raise
+        note(f"without a network: {error}")
+    if refine:
+        number = camera_number(loaded.model, int(camera) if camera.isdigit() else camera or 0)
+        refiner = Refiner(loaded, number, pixels)
+        frames, times = read_video(video, pixels)
+        read = None
+        if network is not None:
+            point, model = network
+            small = squares(frames, point.config.size)
+            read = reading(read_frames(small, point, model), len(refiner.scalar.qpos))
+        recording = recording_of(loaded, refiner, times, follow(refiner, frames, read))
+    else:
+        assert network is not None
+        point, model = network
+        frames, times = read_video(video, point.config.size)
+        recording = infer(loaded, frames, times, point, model)
+    recording = with_controls(recording, loaded.model)
     recording.save(out)
     result = {
         "schema": "orbisim.infer/1",
@@ -55,9 +108,16 @@ def command(video: Path, scene: str, out: Path, checkpoint: Path | None, as_json
         "recording": str(out),
         "frames": len(frames),
         "signals": sorted(recording.signals),
-        "errors_on_test_frames": recording.metadata["noise"],
+        "refined": refine,
+        "noise" if refine else "errors_on_test_frames": recording.metadata["noise"],
+        "not_seen": recording.metadata.get("not_seen", []),
+        "notes": list(recording.notes),
     }
     if as_json:
         emit_json(result)
         return
     note(f"{out}: {len(frames)} frames, {', '.join(result['signals'])}")
+    for line in recording.notes:
+        note(line)
+    for gap in result["not_seen"]:
+        note(f"{gap['body']} is not seen from {gap['from']:.3g} to {gap['to']:.3g} s")

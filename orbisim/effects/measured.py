@@ -106,7 +106,10 @@ def _places(recording: Recording, scene: Scene, one: EffectInstance) -> list[Pla
       InputError: it is not recorded.
     """
     joint = by_name(scene.model).get(one.target)
-    found = _of_sensor(recording, scene, one) if joint is None else _of_joint(recording, joint)
+    if joint is None:
+        found = _of_sensor(recording, scene, one)
+    else:
+        found = _of_joint(recording, joint) or _of_body(recording, scene, joint)
     if joint is not None and not found:
         found = _of_joint_sensors(recording, scene, joint)
     if not found:
@@ -123,6 +126,14 @@ def _of_joint(recording: Recording, joint: Joint) -> list[Place]:
         elif kind in recording.signals:
             found.append(Place(kind, slice(own.start, own.start + width), kind == "qvel"))
     return found
+
+
+def _of_body(recording: Recording, scene: Scene, joint: Joint) -> list[Place]:
+    """A free joint that is known by where its body is."""
+    signal = f"xpos/{scene.model.body(joint.body).name}"
+    if joint.kind is not Kind.FREE or signal not in recording.signals:
+        return []
+    return [Place(signal, slice(0, 3), False)]
 
 
 def _of_joint_sensors(recording: Recording, scene: Scene, joint: Joint) -> list[Place]:

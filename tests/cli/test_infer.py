@@ -8,9 +8,12 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 import pytest
+from orbisim_diffusion.refine import Refiner
 
 from orbisim.cli.main import run
 from orbisim.recording import Recording, bind
+from orbisim.scene import load_scene
+from tests.backends.diffusion.test_refine import SIZE, TABLE, drawn, state
 from tests.backends.diffusion.tiny import ARM, add_inference, arm, save_tiny
 
 
@@ -22,9 +25,32 @@ def test_the_command_writes_a_recording(tmp_path: Path, capsys: pytest.CaptureFi
     iio.imwrite(tmp_path / "video.mp4", frames, plugin="FFMPEG", fps=20, macro_block_size=2)
     command = ["infer", str(tmp_path / "video.mp4"), "--scene", str(tmp_path / "scene.xml")]
     options = ["--checkpoint", str(folder), "--out", str(tmp_path / "rec.npz"), "--json"]
+    options.append("--no-refine")  # the frames are noise
     assert run([*command, *options]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["signals"] == ["qpos/reach", "qpos/swing", "xpos/cube", "xquat/cube"]
     recording = Recording.load(tmp_path / "rec.npz")
     np.testing.assert_allclose(recording.time, np.arange(5) / 20)
     assert bind(recording, arm()).qpos.shape == (5, 9)
+
+
+@pytest.mark.slow
+def test_a_scene_without_a_network_is_read_by_fitting(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = tmp_path / "table.xml"
+    servo = '<actuator><position name="swing" joint="swing" kp="50" kv="5"/></actuator></mujoco>'
+    scene.write_text(TABLE.replace("</mujoco>", servo))
+    refiner = Refiner(load_scene(scene), 0, SIZE)
+    states = np.array([state(0.05 + 0.004 * i, 0.02, 0.3, 0.02 * i) for i in range(6)])
+    frames = np.stack([drawn(refiner, one) for one in states])
+    video = str(tmp_path / "video.mp4")
+    iio.imwrite(video, frames.repeat(2, 1).repeat(2, 2), plugin="FFMPEG", fps=20, quality=9)
+    out = ["--out", str(tmp_path / "rec.npz"), "--pixels", str(SIZE), "--json"]
+    assert run(["infer", video, "--scene", str(scene), *out]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["signals"] == ["ctrl/swing", "qpos/swing", "xpos/cube", "xquat/cube"]
+    assert printed["refined"] and printed["not_seen"] == []
+    bound = bind(Recording.load(tmp_path / "rec.npz"), load_scene(scene))
+    np.testing.assert_allclose(bound.qpos[:, 1:4], states[:, 1:4], atol=4e-3)
+    np.testing.assert_allclose(bound.qpos[:, 0], states[:, 0], atol=0.05)

@@ -69,6 +69,15 @@ def sine(names: tuple[str, ...] = ("qpos/elbow", "qvel/elbow")) -> Recording:
     return Recording(time, {name: signals[name] for name in names})
 
 
+def test_a_body_that_is_known_by_its_place_is_scaled_there() -> None:
+    ball = load_scene(ASSETS / "bouncing_ball" / "scene.xml")
+    place = np.arange(12.0).reshape(4, 3)
+    seen = Recording(np.arange(4.0), {"xpos/ball": place, "xquat/ball": np.eye(4)})
+    scale = [effect("sensor_scale", "ball", factor=0.5)]
+    assert np.allclose(distort(seen, scale, ball)["xpos/ball"], 0.5 * place)
+    assert np.allclose(correct(distort(seen, scale, ball), scale, ball)["xpos/ball"], place)
+
+
 def test_each_distortion_is_its_formula(arm: Scene) -> None:
     """s x(t - d) + b, and then the clock."""
     every = [

@@ -66,6 +66,8 @@ def test_the_right_answer_costs_nothing_and_is_read_off_again() -> None:
     model.dense = lambda _: found  # type: ignore[method-assign]
     read = errors(model(torch.zeros(3, 4, 4, 4)), true)
     assert read["object_position_mm"] < 1e-2 and read["count_right_percent"] == 100.0
+    around = true._replace(joints=true.joints + 2 * torch.pi)  # a turn more looks the same
+    assert errors(model(torch.zeros(3, 4, 4, 4)), around)["joint_rad"] < 1e-4
 
 
 def test_only_frames_of_one_camera_are_alike() -> None:

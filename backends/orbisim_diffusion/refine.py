@@ -1,0 +1,417 @@
+"""Analysis by synthesis: poses and joints whose image is the frame, near what a network reads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from scipy import ndimage
+from scipy.spatial.transform import Rotation
+
+from orbisim.scene import Scene
+from orbisim.scene.visible import ROBOT
+from orbisim_diffusion.levenberg import Fit, fit, losses
+from orbisim_diffusion.resting import Body, at_rest, free_bodies, scalar_joints, surfaces
+from orbisim_diffusion.solids import rays
+from orbisim_diffusion.synthesis import Eye
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+_NOISE = 0.02
+"""Of a pixel's value, 0 to 1; what drawing cannot say of a rendered image is 0.03 rms."""
+_ALIKE = 4.0
+"""Neighbouring pixels err together: so many count as one where uncertainties are stated."""
+_MARGIN = 5
+"""Pixels around an object's outline that count in its fit."""
+_SEEN_PIXELS, _SEEN_SHARE, _EXPLAINED = 6.0, 0.15, 0.5
+"""What counts as seen: at least so many pixels (of 128 x 128) of an object that are right with it
+and wrong without, that share of its outline, and that share of the improvement which a perfect
+match would be."""
+_RIGHT = 0.1
+"""Difference of a pixel's value from which on it is wrong."""
+_BIAS = 0.2
+"""Pixels by which outlines are off whatever the curvature says: they are drawn otherwise."""
+_LIES, _FREE = 0.9, 0.15
+"""A body that rests on a surface and explains so much of the improvement does rest. Else it may be
+anywhere, if that lowers the cost by such a share."""
+_ROBOT_PIXELS = 700
+"""Pixels that a robot's fit looks at, at most."""
+_SURE, _SAME = 0.75, 0.015
+"""Share of the improvement from which on no other place is tried; places so near, m, are one."""
+_ROUGH, _STEPS = 6, 12
+"""Steps of a fit that shows whether a place is worth it, and of one to the end."""
+
+
+class Pose(NamedTuple):
+    """An object in a frame.
+
+    Attributes:
+      qpos: [7] of its free joint. seen: whether the frame shows it. explained: share of the
+        improvement that a perfect match would be. std: [6] of position, m, and turn, rad.
+    """
+
+    qpos: Floats
+    seen: bool
+    explained: float
+    std: Floats
+
+
+class Frame(NamedTuple):
+    """What one frame shows.
+
+    Attributes:
+      qpos: [nq] of the scene; objects that are not seen stay where they were looked for.
+      joints_std: [joints] of the scalar joints, rad or m. objects: of each free body in order.
+    """
+
+    qpos: Floats
+    joints_std: Floats
+    objects: tuple[Pose, ...]
+
+
+class Refiner:
+    """Fits states to frames.
+
+    Args:
+      scene: with the objects that are looked for. camera: number of the camera. size: height and
+        width of the frames, pixels.
+    """
+
+    def __init__(self, scene: Scene, camera: int, size: int) -> None:
+        self.eye, self.model, self.size = Eye(scene, camera, size), scene.model, size
+        keyed = scene.model.nkey > 0
+        self.rest = np.array(scene.model.key_qpos[0] if keyed else scene.model.qpos0)
+        self.bodies = tuple(free_bodies(self.eye))
+        self.scalar = scalar_joints(scene.model)
+        self.surfaces = surfaces(self.eye)
+        self._all = torch.arange(size * size)
+        entity = self.eye.entity
+        self._fixed = torch.nonzero(entity <= ROBOT)[:, 0]
+        self._robot = entity == ROBOT
+        self.view = self.eye.placed(scene.model.qpos0[None])[1]
+        self._ray = rays(self.view, size, size)[0].double().numpy()
+        self._eye = self.view.pos[0].double().numpy()
+
+    def first(
+        self, frame: npt.NDArray[np.uint8], joints: Floats, places: Sequence[Sequence[Floats]]
+    ) -> Frame:
+        """A frame by itself.
+
+        Args:
+          frame: [H, W, 3]. joints: [joints] where the network sees the scalar joints.
+          places: for each body, poses [7] of what the
+            network sees that it might be; none is fine, too.
+        """
+        return self._frame(frame, joints, None, places, None)
+
+    def following(
+        self,
+        frame: npt.NDArray[np.uint8],
+        joints: Floats,
+        places: Sequence[Sequence[Floats]],
+        before: Frame,
+        known: Floats | None = None,
+    ) -> Frame:
+        """The next frame of a video (see `first`); `known` are joints that need no fit."""
+        return self._frame(frame, joints, known, places, before)
+
+    def _frame(
+        self,
+        frame: npt.NDArray[np.uint8],
+        joints: Floats,
+        known: Floats | None,
+        places: Sequence[Sequence[Floats]],
+        before: Frame | None,
+    ) -> Frame:
+        image = torch.as_tensor(frame).double() / 255.0
+        qpos = np.array(self.rest if before is None else before.qpos)
+        qpos[self.scalar.qpos] = joints if known is None else known
+        std = np.zeros(len(joints))
+        present: list[int] = []
+        if before is not None:
+            present = [i for i, pose in enumerate(before.objects) if pose.seen]
+        if known is None and len(joints):
+            qpos, std = self._arm(image, qpos, present, steps=20 if before is None else 6)
+        found: list[Pose | None] = [None] * len(self.bodies)
+        order = self._order(before)
+        for i in order:
+            others = [j for j in range(len(self.bodies)) if j != i and j in present]
+            last = before.objects[i] if before is not None else None
+            pose = self._object(image, qpos, i, others, places[i], last)
+            found[i] = pose
+            body = self.bodies[i]
+            qpos[body.qpos : body.qpos + 7] = pose.qpos
+            present = sorted({*others, *([i] if pose.seen else [])})
+        if before is None and len(present):
+            if known is None and len(joints):
+                qpos, std = self._arm(image, qpos, present, steps=6)
+            for i in present:
+                others = [j for j in present if j != i]
+                body = self.bodies[i]
+                here = qpos[body.qpos : body.qpos + 7]
+                found[i] = self._object(image, qpos, i, others, [here], found[i])
+                qpos[body.qpos : body.qpos + 7] = found[i].qpos  # type: ignore[union-attr]
+        return Frame(qpos, std, tuple(pose for pose in found if pose is not None))
+
+    def _order(self, before: Frame | None) -> list[int]:
+        """Bodies in the order of their fit: large and sure ones first."""
+        sizes = [float(body.half.prod()) for body in self.bodies]
+        sure = [before.objects[i].explained if before else 0.0 for i in range(len(sizes))]
+        return sorted(range(len(sizes)), key=lambda i: (-sure[i], -sizes[i]))
+
+    # -- the robot ---------------------------------------------------------------------------------
+
+    def _arm(
+        self, image: torch.Tensor, qpos: Floats, present: list[int], steps: int
+    ) -> tuple[Floats, Floats]:
+        """The joints, and their standard deviations."""
+        geoms = self._with(present)
+        static = geoms[~self._robot[geoms]]
+        drawn = self.eye.draw(qpos[None], self._all, geoms)
+        without = self.eye.draw(qpos[None], self._all, static)
+        touched = (drawn.pixels - without.pixels).abs().amax(-1)[0] > 0.03
+        near = ndimage.binary_dilation(
+            touched.reshape(self.size, self.size).numpy(), iterations=_MARGIN
+        )
+        pixels = torch.as_tensor(np.flatnonzero(near))
+        pixels = pixels[:: max(1, len(pixels) // _ROBOT_PIXELS)]
+        if not len(pixels):
+            return qpos, np.full(len(self.scalar.qpos), np.inf)
+        directions = np.zeros((1, self.model.nv, len(self.scalar.dof)))
+        directions[0, self.scalar.dof, np.arange(len(self.scalar.dof))] = 1.0
+        # noise grows with the stride: fewer pixels say as much as they stand for
+        prior = np.diag(self.scalar.prior**-2.0)
+        found = fit(
+            self.eye,
+            image,
+            pixels,
+            qpos[None],
+            directions,
+            noise=_NOISE * np.sqrt(_ALIKE),
+            prior=prior,
+            geoms=geoms,
+            steps=steps,
+        )
+        return found.qpos[0], np.sqrt(np.diag(np.linalg.inv(found.precision[0])))
+
+    # -- objects -----------------------------------------------------------------------------------
+
+    def _object(
+        self,
+        image: torch.Tensor,
+        qpos: Floats,
+        number: int,
+        others: list[int],
+        places: Sequence[Floats],
+        last: Pose | None,
+    ) -> Pose:
+        """Where an object is: near its last pose if that holds, else from everywhere."""
+        scene = _Around(image, qpos, number, tuple(others))
+        tried = []
+        if last is not None and last.seen:
+            near = self._near(scene, last.qpos[None])
+            if near.seen and near.explained > max(_SURE, 0.9 * last.explained - 0.05):
+                return near
+            tried.append(near)
+        spots = [place for place in places if np.isfinite(place).all()]
+        spots += self._alike(scene)
+        if last is not None:
+            spots.append(last.qpos)
+        rough: list[tuple[float, Floats]] = []
+        for spot in spots:
+            if any(np.linalg.norm(spot[:3] - pose[0, :3]) < _SAME for _, pose in rough):
+                continue
+            rough.append(self._upright(scene, spot))
+            if rough[-1][0] > _SURE:
+                break
+        if rough:
+            tried.append(self._near(scene, max(rough, key=lambda one: one[0])[1]))
+        if not tried:
+            place = qpos[self.bodies[number].qpos :][:7]
+            return Pose(place, False, 0.0, np.full(6, np.inf))
+        return max(tried, key=lambda pose: (pose.seen, pose.explained))
+
+    def _upright(self, scene: _Around, spot: Floats) -> tuple[float, Floats]:
+        """How well standing there explains the frame, and the two best such poses [2, 7]."""
+        body = self.bodies[scene.number]
+        starts = at_rest(body, spot, self.surfaces, self._eye, False)
+        pixels = self._window(body, spot[:3], 2.0)
+        if not len(pixels):
+            return -np.inf, starts[:2]
+        geoms = self._relevant(scene, starts[0], pixels)
+        found = self._fit(scene, starts, geoms, pixels[::2], True, _ROUGH)
+        best = np.argsort(found.cost)[:2]
+        _, explained = self._judged(scene, found.qpos[best[0]], geoms, pixels)
+        return explained, found.qpos[best, body.qpos : body.qpos + 7]
+
+    def _near(self, scene: _Around, starts: Floats) -> Pose:
+        """The pose that is reached from some [S, 7] that are nearly right."""
+        body = self.bodies[scene.number]
+        rest = np.concatenate(
+            [at_rest(body, start, self.surfaces, self._eye, True) for start in starts]
+        )
+        pixels = self._window(body, starts[0, :3], 1.5)
+        if not len(pixels):
+            return Pose(starts[0], False, 0.0, np.full(6, np.inf))
+        geoms = self._relevant(scene, starts[0], pixels)
+        upright = self._fit(scene, rest, geoms, pixels, True, _STEPS)
+        chosen, k, row = upright, 3, upright.best
+        seen, explained = self._judged(scene, upright.qpos[row], geoms, pixels)
+        if explained < _LIES:
+            best = upright.qpos[row, body.qpos : body.qpos + 7]
+            loose = self._fit(scene, best[None], geoms, pixels, False, _STEPS)
+            if loose.cost[0] < (1.0 - _FREE) * upright.cost[row]:
+                chosen, k, row = loose, 6, 0
+                seen, explained = self._judged(scene, loose.qpos[0], geoms, pixels)
+        variance = np.linalg.inv(chosen.precision[row] + 1e-6 * np.eye(k))
+        spread = np.sqrt(_ALIKE * np.diag(variance))
+        if k == 3:  # how a body at rest lies is known
+            spread = np.array([spread[0], spread[1], 0.0, 0.0, 0.0, spread[2]])
+        std = np.hypot(spread, self._bias(body, chosen.qpos[row, body.qpos : body.qpos + 3]))
+        return Pose(chosen.qpos[row, body.qpos : body.qpos + 7], seen, explained, std)
+
+    def _bias(self, body: Body, place: Floats) -> Floats:
+        """[6] m and rad that stand for `_BIAS` pixels."""
+        metres = _BIAS * float(np.linalg.norm(place - self._eye)) / self.size
+        metres /= float(self.view.focal[0, 1])
+        return np.repeat([metres, metres / max(float(body.half.max()), 1e-3)], 3)
+
+    def _fit(
+        self,
+        scene: _Around,
+        starts: Floats,
+        geoms: torch.Tensor,
+        pixels: torch.Tensor,
+        upright: bool,
+        steps: int,
+    ) -> Fit:
+        """From poses [S, 7]."""
+        body = self.bodies[scene.number]
+        states = np.repeat(scene.qpos[None], len(starts), 0)
+        states[:, body.qpos : body.qpos + 7] = starts
+        directions = np.stack([self._directions(body, start, upright) for start in starts])
+        return fit(
+            self.eye,
+            scene.image,
+            pixels,
+            states,
+            directions,
+            noise=_NOISE,
+            geoms=geoms,
+            steps=steps,
+        )
+
+    def _directions(self, body: Body, pose: Floats, upright: bool) -> Floats:
+        """[nv, 3 or 6]: along x, y and about the vertical; or all six."""
+        columns = [0, 1] if upright else [0, 1, 2]
+        found = np.zeros((self.model.nv, 3 if upright else 6))
+        for i, axis in enumerate(columns):
+            found[body.dof + axis, i] = 1.0
+        turn = Rotation.from_quat(np.roll(pose[3:], -1)).as_matrix()
+        local = slice(body.dof + 3, body.dof + 6)  # a free joint turns about the body's own axes
+        if upright:
+            found[local, 2] = turn.T @ np.array([0.0, 0.0, 1.0])
+        else:
+            found[local, 3:] = turn.T
+        return found
+
+    def _window(self, body: Body, place: Floats, wide: float) -> torch.Tensor:
+        """Pixels around an object."""
+        rot, pos = self.view.rot[0].double().numpy(), self._eye
+        local = rot.T @ (place - pos)
+        depth = -local[2]
+        if depth < 0.05:
+            return torch.zeros(0, dtype=torch.long)
+        focal = self.view.focal[0].double().numpy() * self.size
+        offset = self.view.offset[0].double().numpy() * self.size
+        x = focal[0] * local[0] / depth + offset[0] + self.size / 2
+        y = -focal[1] * local[1] / depth + offset[1] + self.size / 2
+        radius = 0.6 * wide * np.linalg.norm(body.half) * focal[1] / depth + _MARGIN
+        rows = np.arange(max(0, int(y - radius)), min(self.size, int(y + radius) + 1))
+        columns = np.arange(max(0, int(x - radius)), min(self.size, int(x + radius) + 1))
+        return torch.as_tensor((rows[:, None] * self.size + columns).reshape(-1))
+
+    def _relevant(self, scene: _Around, pose: Floats, pixels: torch.Tensor) -> torch.Tensor:
+        """Geoms that show or throw shadows in the window, the object's among them."""
+        body = self.bodies[scene.number]
+        state = scene.qpos[None].copy()
+        state[:, body.qpos : body.qpos + 7] = pose
+        geoms, few = self._with([*scene.others, scene.number]), pixels[::4]
+        base = self.eye.draw(state, few, geoms)
+        own = set(body.geoms.tolist())
+        kept = geoms.tolist()
+        for place, geom in enumerate(geoms.tolist()):
+            if geom in own or float(base.weight[0, place].max()) > 1e-2:
+                continue
+            less = torch.tensor([g for g in kept if g != geom])
+            drawn = self.eye.draw(state, few, less)
+            if float((drawn.pixels - base.pixels).abs().max()) < 0.01:
+                kept.remove(geom)
+        return torch.tensor(kept)
+
+    def _judged(
+        self, scene: _Around, state: Floats, geoms: torch.Tensor, pixels: torch.Tensor
+    ) -> tuple[bool, float]:
+        """Whether the object is seen, and the share explained (see `Pose`)."""
+        own = torch.isin(geoms, self.bodies[scene.number].geoms)
+        there = self.eye.draw(state[None], pixels, geoms)
+        share = there.weight[0, own].sum(0).numpy()
+        gone = self.eye.draw(state[None], pixels, geoms[~own])
+        alone = self.eye.draw(state[None], pixels, geoms[own])
+        whole = float(alone.weight[0].sum())
+        wanted = scene.image.reshape(-1, 3)[pixels].numpy()
+        shown, blank = there.pixels[0].double().numpy(), gone.pixels[0].double().numpy()
+        gain = losses(blank - wanted).sum() - losses(shown - wanted).sum()
+        best = losses(blank - shown).sum()
+        explained = min(1.0, float(gain / best)) if best > 1e-9 else 0.0
+        right = np.abs(shown - wanted).max(-1) < _RIGHT
+        telling = float(share[right & (np.abs(blank - wanted).max(-1) > _RIGHT)].sum())
+        enough = telling > max(_SEEN_PIXELS * (self.size / 128) ** 2, _SEEN_SHARE * whole)
+        return enough and explained > _EXPLAINED, explained
+
+    def _alike(self, scene: _Around) -> list[Floats]:
+        """Places [7] where the image has the object's colour and nothing else explains it."""
+        body, n = self.bodies[scene.number], self.size
+        known = self._with(scene.others)
+        blank = self.eye.draw(scene.qpos[None], self._all, known).pixels[0].numpy()
+        seen = scene.image.numpy().reshape(-1, 3)
+        odd = np.abs(seen - blank).max(-1) > 0.06
+        bright = (seen @ body.colour) / (body.colour @ body.colour)
+        apart = np.abs(seen - bright[:, None] * body.colour).max(-1)
+        apart = apart / np.maximum(0.3, bright)  # darker sides differ by less
+        score = (odd & (bright > 0.08)) * np.exp(-((apart / 0.12) ** 2))
+        surface = max((s.top for s in self.surfaces), default=0.0)
+        for_ray = self._ray[:, 2]
+        down = (surface + body.half.min() - self._eye[2]) / np.where(for_ray < -1e-3, for_ray, -1e9)
+        middle = float(np.median(down[down > 0])) if (down > 0).any() else 1.0
+        width = 2.0 * float(np.median(body.half)) * n * float(self.view.focal[0, 1]) / middle
+        smooth = ndimage.uniform_filter(score.reshape(n, n), max(3, round(width)))
+        found = []
+        for _ in range(3):
+            peak = int(smooth.argmax())
+            if smooth.flat[peak] < 0.05:
+                break
+            row, column = divmod(peak, n)
+            place = self._eye + down[peak] * self._ray[peak]
+            found.append(np.array([*place, 1.0, 0.0, 0.0, 0.0]))
+            r = max(2, round(width / 2))
+            smooth[max(0, row - r) : row + r + 1, max(0, column - r) : column + r + 1] = 0.0
+        return found
+
+    def _with(self, numbers: Sequence[int]) -> torch.Tensor:
+        """What is not an object, and some objects: places among the geoms that are drawn."""
+        parts = [self._fixed, *(self.bodies[i].geoms for i in numbers)]
+        return torch.cat(parts).sort().values
+
+
+class _Around(NamedTuple):
+    """A frame [H, W, 3], the rest of its state [nq], the object looked for and the others seen."""
+
+    image: torch.Tensor
+    qpos: Floats
+    number: int
+    others: tuple[int, ...]

@@ -1,0 +1,196 @@
+"""Free bodies, joints and surfaces of a scene, as far as looking for them in an image needs."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import torch
+from scipy.spatial.transform import Rotation
+
+from orbisim.scene.visible import ROBOT
+from orbisim_diffusion.symmetry import cube_rotations
+from orbisim_diffusion.synthesis import Eye
+
+Floats = npt.NDArray[np.float64]
+
+_JOINT, _SLIDE = 0.15, 0.01
+"""Prior of a joint about a first guess, rad and m, for what a frame does not show."""
+_TURNS = 4
+"""Turns about the vertical from which an upright box is fitted, over its period."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Body:
+    """A free body.
+
+    Attributes:
+      qpos, dof: where its coordinates and velocities begin. geoms: places among those that are
+        drawn. centre, half: [3] of its bounding box in its own frame, m. colour: [3].
+      faces: [K, 3, 3] orientations in which it rests on a face, one of each kind that look alike.
+      period: of turns about the vertical that look alike, rad. box: whether it is a single box.
+    """
+
+    qpos: int
+    dof: int
+    geoms: torch.Tensor
+    centre: Floats
+    half: Floats
+    colour: Floats
+    faces: Floats
+    period: float
+    box: bool
+
+
+class Scalar(NamedTuple):
+    """Joints with one coordinate.
+
+    Attributes:
+      qpos, dof: [J] their coordinates and velocities. prior: [J] about a first guess, rad or m.
+    """
+
+    qpos: npt.NDArray[np.int64]
+    dof: npt.NDArray[np.int64]
+    prior: Floats
+
+
+class Surface(NamedTuple):
+    """The upper side of something that stands still: corners x, y, and its height, m."""
+
+    low: Floats
+    high: Floats
+    top: float
+
+    def holds(self, x: float, y: float) -> bool:
+        """Whether a point is above it."""
+        return bool(self.low[0] <= x <= self.high[0] and self.low[1] <= y <= self.high[1])
+
+
+def at_rest(
+    body: Body, spot: Floats, surfaces: Sequence[Surface], eye: Floats, close: bool
+) -> Floats:
+    """Poses [S, 7] in which the body rests on the surface below a place.
+
+    Args:
+      body: the body. spot: [7] its pose, about. surfaces: that it may rest on.
+      eye: [3] the camera, m. close: whether the orientation of `spot` is nearly right; else poses
+        with all orientations that look different.
+    """
+    turn = Rotation.from_quat(np.roll(spot[3:], -1)).as_matrix()
+    poses = []
+    for face in body.faces:
+        yaw = _nearest_yaw(turn @ face.T, body.period)
+        steps = 1 if close else _TURNS
+        for i in range(steps):
+            about = Rotation.from_euler("z", yaw + i * body.period / steps).as_matrix()
+            poses.append(_resting(body, spot, about @ face, surfaces, eye))
+    return np.stack(poses)
+
+
+def scalar_joints(model: mujoco.MjModel) -> Scalar:
+    """The joints of a model with one coordinate."""
+    kinds = model.jnt_type
+    slide, hinge = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
+    which = [j for j in range(model.njnt) if int(kinds[j]) in (slide, hinge)]
+    prior = np.array([_SLIDE if int(kinds[j]) == slide else _JOINT for j in which])
+    return Scalar(model.jnt_qposadr[which].astype(int), model.jnt_dofadr[which].astype(int), prior)
+
+
+def free_bodies(eye: Eye) -> list[Body]:
+    """The free bodies of a scene, in the order of their joints."""
+    model = eye.model
+    free = [j for j in range(model.njnt) if int(model.jnt_type[j]) == mujoco.mjtJoint.mjJNT_FREE]
+    found = []
+    for number, joint in enumerate(free, 1):
+        geoms = torch.nonzero(eye.entity == number)[:, 0]
+        low, high = _bounds(eye, geoms, int(model.jnt_bodyid[joint]))
+        half = 0.5 * (high - low)
+        colour = eye.rows[geoms[0], 4:7] if len(geoms) else np.ones(3)
+        box = len(geoms) == 1 and int(eye.rows[geoms[0], 0]) == mujoco.mjtGeom.mjGEOM_BOX
+        faces = _faces(half) if box else np.eye(3)[None]
+        square = box and abs(half[0] - half[1]) < 0.02 * half.max()
+        found.append(
+            Body(
+                int(model.jnt_qposadr[joint]),
+                int(model.jnt_dofadr[joint]),
+                geoms,
+                0.5 * (low + high),
+                half,
+                np.asarray(colour),
+                faces,
+                np.pi / 2 if square and len(faces) == 1 else np.pi if box else 2 * np.pi,
+                box,
+            )
+        )
+    return found
+
+
+def _bounds(eye: Eye, geoms: torch.Tensor, body: int) -> tuple[Floats, Floats]:
+    """The box around a body's geoms in the body's frame."""
+    model, low, high = eye.model, np.full(3, np.inf), np.full(3, -np.inf)
+    numbers = eye.rows[geoms.numpy(), 8].astype(int)
+    for geom in numbers:
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+        rot = turn.reshape(3, 3)
+        centre = model.geom_pos[geom] + rot @ model.geom_aabb[geom, :3]
+        reach = np.abs(rot) @ model.geom_aabb[geom, 3:]
+        low, high = np.minimum(low, centre - reach), np.maximum(high, centre + reach)
+    return (low, high) if len(numbers) else (np.zeros(3), np.zeros(3))
+
+
+def _faces(half: Floats) -> Floats:
+    """[K, 3, 3]: one orientation for each face to rest on that looks different."""
+    unit = 0.02 * half.max()  # heights that differ by less are one
+    kinds = {
+        round(float((np.abs(turn) @ half)[2]) / unit): turn
+        for turn in cube_rotations().double().numpy()
+    }
+    return np.stack(list((kinds | {round(half[2] / unit): np.eye(3)}).values()))
+
+
+def surfaces(eye: Eye) -> list[Surface]:
+    """Upper sides of boxes and planes that stand still and lie flat."""
+    model, data, found = eye.model, mujoco.MjData(eye.model), []
+    mujoco.mj_kinematics(model, data)
+    for place in torch.nonzero(eye.entity < ROBOT)[:, 0].tolist():
+        geom = int(eye.rows[place, 8])
+        kind, turn = int(model.geom_type[geom]), data.geom_xmat[geom].reshape(3, 3)
+        if abs(abs(turn[2, 2]) - 1.0) > 1e-3:
+            continue
+        pos, size = data.geom_xpos[geom], model.geom_size[geom]
+        if kind == mujoco.mjtGeom.mjGEOM_BOX:
+            reach = np.abs(turn) @ size
+            found.append(Surface(pos[:2] - reach[:2], pos[:2] + reach[:2], float(pos[2] + size[2])))
+        elif kind == mujoco.mjtGeom.mjGEOM_PLANE:
+            reach = np.where(size[:2] > 0, size[:2], 1e3)
+            found.append(Surface(pos[:2] - reach, pos[:2] + reach, float(pos[2])))
+    return found
+
+
+def _resting(
+    body: Body, spot: Floats, turn: Floats, surfaces: Sequence[Surface], eye: Floats
+) -> Floats:
+    """The pose [7] with this orientation on the highest surface under a place."""
+    reach = np.abs(turn) @ body.half
+    centre = turn @ body.centre
+    x, y = spot[:2]
+    tops = [s.top for s in surfaces if s.holds(x, y) and s.top < spot[2] + reach[2]]
+    lowest = max(tops, default=spot[2] - reach[2])
+    way = spot[:3] - eye
+    z = lowest + reach[2] - centre[2]
+    # along the line of sight, so that the place in the image stays
+    share = (z - eye[2]) / way[2] if abs(way[2]) > 1e-3 else 1.0
+    place = eye + share * way if 0.5 < share < 2.0 else np.array([x, y, z])
+    quat = np.roll(Rotation.from_matrix(turn).as_quat(), 1)
+    return np.array([*place[:2], z, *quat])
+
+
+def _nearest_yaw(turn: Floats, period: float) -> float:
+    """The turn about the vertical that is nearest to a rotation, within one period."""
+    yaw = np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
+    return float(yaw % period)

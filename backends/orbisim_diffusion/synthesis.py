@@ -1,0 +1,144 @@
+"""A scene as one of its cameras sees it, for states that are to be found from images."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from orbisim.scene import Scene, visible
+from orbisim_diffusion.kinematics import Kinematics
+from orbisim_diffusion.lighting import Lighting
+from orbisim_diffusion.raycast import look
+from orbisim_diffusion.solids import Solids, View, rays
+
+Floats = npt.NDArray[np.float64]
+_CHUNK = 1_500_000
+"""Pairs of rays and geoms at once, so that memory stays below some 500 MB."""
+
+_SMALL = 1e-3
+"""Of a coordinate, m or rad, for its speed in the image."""
+
+
+class Sight(NamedTuple):
+    """What is drawn of states.
+
+    Attributes:
+      pixels: [B, P, 3], 0 to 1. weight: [B, G, P] share of each geom in a pixel.
+    """
+
+    pixels: Tensor
+    weight: Tensor
+
+
+class Eye:
+    """Draws chosen pixels of a camera's image.
+
+    Args:
+      scene: what is seen. camera: its number. size: height and width of the image, pixels.
+    """
+
+    def __init__(self, scene: Scene, camera: int, size: int) -> None:
+        device = torch.device("cpu")
+        self.model, self.camera, self.size = scene.model, camera, size
+        kinematics = Kinematics(scene, device)  # refuses what cannot be drawn
+        self.rows, self.meshes = kinematics.rows, kinematics.meshes
+        self.lighting = Lighting(scene.model, device)
+        self.geoms = torch.arange(len(self.rows))
+        self.entity = torch.as_tensor(self.rows[:, 7]).long()
+        self._rows = torch.as_tensor(self.rows, dtype=torch.float32)
+        self._shown, self._data = visible.seen(scene.model), mujoco.MjData(scene.model)
+        self._carried = camera >= 0 and bool(
+            scene.model.body_weldid[scene.model.cam_bodyid[camera]] != 0
+        )
+        self._still = kinematics.view(torch.as_tensor(scene.model.qpos0)[None].float(), camera)
+        level = self._still._replace(rot=torch.eye(3)[None])
+        self._rays = rays(level, size, size)[0]
+
+    @torch.no_grad()  # type: ignore[untyped-decorator]
+    def draw(self, qpos: Floats, pixels: Tensor, geoms: Tensor | None = None) -> Sight:
+        """Pixels [P] (numbers, row by row) of states [B, nq], of some geoms or of all."""
+        some = self.geoms if geoms is None else geoms
+        step = max(1, _CHUNK // max(1, len(some) * len(pixels)))
+        parts = [
+            self._drawn(qpos[first : first + step], pixels, some)
+            for first in range(0, len(qpos), step)
+        ]
+        return Sight(*(torch.cat(field) for field in zip(*parts, strict=True)))
+
+    def _drawn(self, qpos: Floats, pixels: Tensor, some: Tensor) -> Sight:
+        solids, view = self.placed(qpos)
+        solids = Solids(*(field[:, some] for field in solids))
+        meshes = {i: self.meshes[g] for i, g in enumerate(some.tolist()) if g in self.meshes}
+        # the camera's own axes are turned with it
+        ray = self._rays[pixels] @ view.rot.transpose(-1, -2)
+        seen = look(solids, view, ray, self.size, meshes)
+        shown = self.lighting.colours(seen, solids, view, self.size, some, meshes)
+        return Sight(shown, seen.weight)
+
+    def placed(self, qpos: Floats) -> tuple[Solids, View]:
+        """Geoms and camera of states [B, nq], by MuJoCo's kinematics: nothing has gradients."""
+        count, shown, data = len(qpos), self._shown, self._data
+        pos, rot = np.empty((count, len(shown), 3)), np.empty((count, len(shown), 9))
+        eye, axes = np.empty((count, 3)), np.empty((count, 9))
+        for i, row in enumerate(qpos):
+            data.qpos[:] = row
+            mujoco.mj_kinematics(self.model, data)
+            pos[i], rot[i] = data.geom_xpos[shown], data.geom_xmat[shown]
+            if self.camera >= 0 and (self._carried or not i):
+                mujoco.mj_comPos(self.model, data)
+                mujoco.mj_camlight(self.model, data)
+                eye[i], axes[i] = data.cam_xpos[self.camera], data.cam_xmat[self.camera]
+            elif i:
+                eye[i], axes[i] = eye[0], axes[0]
+        rows = self._rows.expand(count, -1, -1)
+        solids = Solids(
+            kind=rows[..., 0].long(),
+            size=rows[..., 1:4],
+            colour=rows[..., 4:7],
+            entity=rows[..., 7].long(),
+            pos=torch.as_tensor(pos).float(),
+            rot=torch.as_tensor(rot).float().unflatten(-1, (3, 3)),
+        )
+        if self.camera < 0:
+            return solids, View(*(field.expand(count, *field.shape[1:]) for field in self._still))
+        view = View(
+            torch.as_tensor(eye).float(),
+            torch.as_tensor(axes).float().unflatten(-1, (3, 3)),
+            self._still.focal.expand(count, 2),
+            self._still.offset.expand(count, 2),
+        )
+        return solids, view
+
+    def moved(self, qpos: Floats, change: Floats) -> Floats:
+        """States [..., nq] after changes [..., nv] of their coordinates (`mj_integratePos`)."""
+        after: Floats = np.array(np.broadcast_to(qpos, (*change.shape[:-1], qpos.shape[-1])))
+        flat, moves = after.reshape(-1, qpos.shape[-1]), change.reshape(-1, change.shape[-1])
+        for row, move in zip(flat, moves, strict=True):
+            mujoco.mj_integratePos(self.model, row, move, 1.0)
+        return after
+
+    @torch.no_grad()  # type: ignore[untyped-decorator]
+    def speeds(self, qpos: Floats, directions: Floats) -> Floats:
+        """[B, k] pixels by which the fastest geom moves for one unit of each direction.
+
+        Args:
+          qpos: [B, nq]. directions: [B, nv, k].
+        """
+        count, k = len(qpos), directions.shape[-1]
+        change = _SMALL * directions.transpose(0, 2, 1)
+        after = self.moved(qpos[:, None].repeat(k, 1), change).reshape(count * k, -1)
+        solids, view = self.placed(np.concatenate([qpos, after]))
+        pos, rot = solids.pos[:count].repeat_interleave(k, 0), solids.rot[:count]
+        gone = (solids.pos[count:] - pos).norm(dim=-1)
+        turned = (solids.rot[count:] - rot.repeat_interleave(k, 0)).flatten(2).norm(dim=-1)
+        reach = solids.size[count:].clamp(max=1.0).norm(dim=-1)
+        depth = (view.pos[:count, None] - solids.pos[:count]).norm(dim=-1).clamp_min(0.05)
+        scale = self.size * view.focal[:count, 1:] / depth  # pixels for a metre
+        found = (gone + turned * reach) * scale.repeat_interleave(k, 0) / _SMALL
+        fastest: Floats = found.amax(1).clamp_min(1e-3).reshape(count, k).numpy()
+        return fastest

@@ -1,0 +1,152 @@
+"""From frames to a recording by analysis by synthesis: each frame starts from the one before."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from orbisim.host.progress import track
+from orbisim.recording import Recording
+from orbisim.scene import Scene
+from orbisim_diffusion.inference import Inferred
+from orbisim_diffusion.likeness import continuous, like_turns, unlikeness
+from orbisim_diffusion.refine import Frame, Refiner
+from orbisim_diffusion.resting import Body
+
+Floats = npt.NDArray[np.float64]
+
+_PEAKS = 2
+"""Of what a network found, for how many each object is tried."""
+
+
+class Reading(NamedTuple):
+    """What a network reads off frames; T of them, N objects in no particular order.
+
+    Attributes:
+      joints: [T, J] scalar joints. places: [T, N, 7] positions and quaternions (w x y z).
+      sizes: [T, N, 3] half sizes, m. colours: [T, N, 3]. present: [T, N] logits.
+    """
+
+    joints: Floats
+    places: Floats
+    sizes: Floats
+    colours: Floats
+    present: Floats
+
+
+def reading(found: Inferred, joints: int) -> Reading:
+    """StaInf's answer for a scene with so many scalar joints."""
+    turns = Rotation.from_matrix(found.rot.double().numpy().reshape(-1, 3, 3)).as_quat()
+    quats = np.roll(turns, 1, axis=-1).reshape(*found.pos.shape[:2], 4)
+    return Reading(
+        found.joints[:, :joints].double().numpy(),
+        np.concatenate([found.pos.double().numpy(), quats], axis=-1),
+        found.size.double().numpy(),
+        found.colour.double().numpy(),
+        found.present.double().numpy(),
+    )
+
+
+def follow(refiner: Refiner, frames: npt.NDArray[np.uint8], read: Reading | None) -> list[Frame]:
+    """What each frame of a video shows.
+
+    Args:
+      refiner: of the scene and the camera. frames: [T, H, W, 3] of its size.
+      read: what a network reads off the same frames. Without one, joints start from the first
+        keyframe (or `qpos0`), objects from where the image has their colours.
+    """
+    rest = refiner.rest[refiner.scalar.qpos]
+    found: list[Frame] = []
+    for t, frame in enumerate(track(frames, "fitting frames", len(frames))):
+        places = [places_of(read, t, body) for body in refiner.bodies]
+        if not found:
+            joints = rest if read is None else read.joints[t]
+            found.append(refiner.first(frame, joints, places))
+            continue
+        joints = _expected(found, refiner.scalar.qpos)
+        found.append(refiner.following(frame, joints, places, found[-1]))
+    return found
+
+
+def recording_of(scene: Scene, refiner: Refiner, times: Floats, found: list[Frame]) -> Recording:
+    """What frames show, as signals; objects have NaN where they are not seen.
+
+    `metadata` has `noise`, the median standard deviation of each signal, and `not_seen`, the
+    stretches in which an object is not seen.
+    """
+    model = scene.model
+    qpos = np.stack([one.qpos for one in found])
+    signals: dict[str, Floats] = {}
+    noise: dict[str, float] = {}
+    hidden: list[dict[str, Any]] = []
+    stds = np.stack([one.joints_std for one in found])
+    for i, adr in enumerate(refiner.scalar.qpos):
+        name = f"qpos/{model.joint(int(np.flatnonzero(model.jnt_qposadr == adr)[0])).name}"
+        signals[name], noise[name] = qpos[:, adr], float(np.median(stds[:, i]))
+    for i, body in enumerate(refiner.bodies):
+        joint = int(np.flatnonzero(model.jnt_qposadr == body.qpos)[0])
+        name = model.body(int(model.jnt_bodyid[joint])).name
+        poses = [one.objects[i] for one in found]
+        seen = np.array([pose.seen for pose in poses])
+        place = np.where(seen[:, None], qpos[:, body.qpos : body.qpos + 3], np.nan)
+        group = like_turns(body.half) if body.box else np.eye(3)[None]
+        turn = _turns(qpos[:, body.qpos + 3 : body.qpos + 7], seen, group)
+        signals[f"xpos/{name}"], signals[f"xquat/{name}"] = place, turn
+        spread = np.stack([pose.std for pose in poses])[seen]
+        if len(spread):
+            noise[f"xpos/{name}"] = float(np.median(spread[:, :3].max(1)))
+            noise[f"xquat/{name}"] = float(np.median(spread[:, 3:].max(1)))
+        hidden += [{"body": name, **stretch} for stretch in _stretches(times, ~seen)]
+    return Recording(
+        times, signals, metadata={"noise": noise, "not_seen": hidden}, source=f"{scene.name} seen"
+    )
+
+
+def _expected(found: list[Frame], columns: npt.NDArray[np.int64]) -> Floats:
+    """Joints in the next frame at the speed of the last two."""
+    last = found[-1].qpos[columns]
+    if len(found) < 2:
+        return last
+    ahead: Floats = 2.0 * last - found[-2].qpos[columns]
+    return ahead
+
+
+def places_of(read: Reading | None, t: int, body: Body) -> list[Floats]:
+    """Poses [7] of what a network sees in frame t that is most like a body."""
+    if read is None:
+        return []
+    none = np.full((1, 3), np.nan)
+    cost = unlikeness(
+        read.places[t, :, :3],
+        read.sizes[t],
+        read.colours[t],
+        none,
+        body.half[None],
+        body.colour[None],
+    )[0]
+    order = np.argsort(cost - np.minimum(read.present[t], 3.0))
+    return [read.places[t, slot] for slot in order[:_PEAKS]]
+
+
+def _turns(quats: Floats, seen: npt.NDArray[np.bool_], group: Floats) -> Floats:
+    """[T, 4] the ones of like orientations that are nearest to those before."""
+    found = np.full((len(quats), 4), np.nan)
+    last, before = np.eye(3), None
+    for t in np.flatnonzero(seen):
+        choices = Rotation.from_quat(np.roll(quats[t], -1)).as_matrix() @ group
+        last = choices[int(np.argmax(np.einsum("kij,ij->k", choices, last)))]
+        found[t] = continuous(np.roll(Rotation.from_matrix(last).as_quat(), 1), before)
+        before = found[t]
+    return found
+
+
+def _stretches(times: Floats, hidden: npt.NDArray[np.bool_]) -> list[dict[str, float]]:
+    """From and to, s, of each stretch of frames."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]]).astype(int)))
+    return [
+        {"from": float(times[a]), "to": float(times[b - 1])}
+        for a, b in zip(edges[::2], edges[1::2], strict=True)
+    ]

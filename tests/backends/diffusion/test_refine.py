@@ -1,0 +1,105 @@
+"""Analysis by synthesis: what was drawn is found again from starts that are off."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+from orbisim_diffusion.refine import Refiner
+from orbisim_diffusion.symmetry import angle, rotation_error
+from orbisim_diffusion.tracking import follow, recording_of
+from scipy.spatial.transform import Rotation
+
+from orbisim import make_renderer
+from orbisim.scene import load_scene
+from orbisim.state import State
+
+SIZE = 64
+TABLE = """
+<mujoco>
+  <worldbody>
+    <light pos="0.2 -0.5 1.6" dir="-0.1 0.3 -1"/>
+    <light directional="true" dir="0.3 0.2 -1" diffuse="0.3 0.3 0.3" castshadow="false"/>
+    <camera name="side" pos="0 -0.42 0.4" xyaxes="1 0 0 0 0.69 0.72"/>
+    <geom name="table" type="box" size="0.3 0.3 0.02" pos="0 0 -0.02" rgba="0.76 0.66 0.52 1"/>
+    <body name="post" pos="-0.12 -0.05 0">
+      <joint name="swing" axis="0 0 1"/>
+      <geom type="box" size="0.01 0.05 0.04" pos="0 -0.05 0.06" rgba="0.3 0.3 0.35 1"/>
+    </body>
+    <body name="cube" pos="0.05 0 0.03">
+      <freejoint/>
+      <geom type="box" size="0.03 0.03 0.03" rgba="0.8 0.2 0.2 1"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+Images = npt.NDArray[np.uint8]
+
+
+@pytest.fixture(scope="module")
+def refiner() -> Refiner:
+    return Refiner(load_scene(TABLE), 0, SIZE)
+
+
+def state(x: float, y: float, yaw: float, swing: float = 0.0) -> npt.NDArray[np.float64]:
+    return np.array([swing, x, y, 0.03, np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
+
+
+def drawn(refiner: Refiner, qpos: npt.NDArray[np.float64]) -> Images:
+    pixels = refiner.eye.draw(qpos[None], torch.arange(SIZE * SIZE)).pixels[0]
+    return (255 * pixels.reshape(SIZE, SIZE, 3)).round().to(torch.uint8).numpy()
+
+
+def turned(found: npt.NDArray[np.float64], true: npt.NDArray[np.float64]) -> float:
+    """Degrees between quaternions, up to a cube's symmetries."""
+    one, other = (
+        torch.as_tensor(Rotation.from_quat(np.roll(quat, -1)).as_matrix()) for quat in (found, true)
+    )
+    return float(angle(rotation_error(one, other, torch.ones(3))).rad2deg())
+
+
+def test_colours_are_those_of_mujocos_renderer(refiner: Refiner) -> None:
+    qpos = state(0.04, 0.02, 0.4, 0.3)
+    renderer = make_renderer("mujoco", load_scene(TABLE))
+    try:
+        blank = np.zeros((1, refiner.model.nv)), np.zeros((1, 0))
+        image = renderer.render(
+            State(np.zeros(1), qpos[None], *blank), camera="side", height=SIZE, width=SIZE
+        )
+    finally:
+        renderer.close()
+    apart = np.abs(np.asarray(image).reshape(SIZE, SIZE, 3) / 255.0 - drawn(refiner, qpos) / 255.0)
+    assert np.median(apart) < 0.01  # outlines and shadows' edges are drawn otherwise
+    assert np.quantile(apart, 0.9) < 0.05
+
+
+@pytest.mark.slow
+def test_poses_and_joints_are_found_from_starts_that_are_off(refiner: Refiner) -> None:
+    true = state(0.06, 0.03, 0.5, 0.25)
+    off = np.array([0.072, 0.02, 0.03, 1.0, 0.0, 0.0, 0.0])
+    found = refiner.first(drawn(refiner, true), np.array([0.15]), [[off]])
+    pose = found.objects[0]
+    assert pose.seen and pose.explained > 0.9
+    assert np.linalg.norm(pose.qpos[:3] - true[1:4]) < 2e-3
+    assert turned(pose.qpos[3:], true[4:]) < 2.0
+    assert abs(found.qpos[0] - 0.25) < 0.02
+    assert 0 < pose.std[0] < 5e-3
+
+
+@pytest.mark.slow
+def test_a_body_is_found_by_its_colour_and_followed_until_it_is_gone(refiner: Refiner) -> None:
+    states = [state(0.05 + 0.012 * i, 0.02, 0.3 + 0.1 * i) for i in range(3)]
+    hidden = state(0.0, 0.0, 0.0)
+    hidden[3] = -0.3  # under the table
+    frames = np.stack([drawn(refiner, one) for one in (*states, hidden)])
+    times = np.arange(4) / 30
+    scene = load_scene(TABLE)
+    recording = recording_of(scene, refiner, times, follow(refiner, frames, None))
+    place = np.asarray(recording.signals["xpos/cube"])
+    np.testing.assert_allclose(place[:3], np.array(states)[:, 1:4], atol=2.5e-3)
+    assert np.isnan(place[3]).all() and np.isnan(recording.signals["xquat/cube"][3]).all()
+    assert recording.metadata["not_seen"] == [{"body": "cube", "from": times[3], "to": times[3]}]
+    assert recording.metadata["noise"]["xpos/cube"] > 0
+    assert mujoco.mj_name2id(refiner.model, mujoco.mjtObj.mjOBJ_BODY, "cube") > 0
