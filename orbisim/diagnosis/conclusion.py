@@ -149,7 +149,7 @@ def _finally(
         cold = judge.judge(anew, 8)
         if cold is not None and (cold.ratio <= NEAR or not hypothesis.effects):
             return cold
-    begin = judge.begin(known, found.context.bench.fit.tobytes())
+    begin = judge.begin_joined(known, found.context.bench.fit)
     warm = judge.judge(anew, 8, begin=begin)  # from nothing may be no good: a stop
     return min((one for one in (cold, warm) if one), key=lambda one: one.loss, default=None)
 

@@ -117,9 +117,8 @@ def candidates(data: ForceData, only: Sequence[str] | None) -> tuple[list[Candid
     inside = [_followed(s)[r] for r, s in zip(rows, data.samples, strict=True)]
     inner = [r[i] for r, i in zip(rows, inside, strict=True)]
     flow = IntervalMap(data.scene, data.samples, inner)
-    view = MotionView(flow, data.samples)
     ends = np.concatenate(inside)
-    view.missing_force = data.force[ends]
+    view = MotionView(flow, data.samples, data.force[ends])
     found = [
         candidate
         for name in effect_names()

@@ -53,12 +53,12 @@ def screen(
       force: [N, nv] missing force, where it is known better than from the intervals.
     """
     flow = bench.flow(hypothesis)
-    view = MotionView(flow, bench.samples)
-    view.missing_force = missing_force(intervals) if force is None else force
+    force = missing_force(intervals) if force is None else force
+    view = MotionView(flow, bench.samples, force)
     found = list(candidates_of(view, bench, hypothesis, flow, only))
     columns = [column for candidate in found for column in candidate.columns]
     first = len(columns)
-    columns += force_columns(smoothed_force(view.missing_force))
+    columns += force_columns(smoothed_force(force))
     nuisance = [] if factors is None else [Column("state", f) for f in np.moveaxis(factors, 2, 0)]
     own = own_columns(bench, hypothesis, flow)
     windows = bench.windows.some(bench.fit)

@@ -98,8 +98,8 @@ def propose(
     """
     declared = Hypothesis()
     flow = bench.flow(declared)
-    view = MotionView(flow, bench.samples)
-    view.missing_force = missing_force(intervals)
+    force = missing_force(intervals)
+    view = MotionView(flow, bench.samples, force)
     names = [n for n in effect_names() if (only is None or n in only) and not find(n).stated]
     found = list(candidates_of(view, bench, declared, flow, names))
     if not found:
@@ -108,7 +108,7 @@ def propose(
     windows = bench.windows.some(evenly(bench.fit, _MOST_WINDOWS))
     data = holding(bench, intervals, windows, columns)
     # dry friction may hold a joint at rest with any force that is usual of it
-    normals = data.normals(3 * np.sqrt(np.nanmean(view.missing_force**2, axis=0)) + 1e-12)
+    normals = data.normals(3 * np.sqrt(np.nanmean(force**2, axis=0)) + 1e-12)
 
     def blocks(share: float) -> tuple[list[Normal], Blocks]:
         return normals, counted(data.count, share)

@@ -29,9 +29,12 @@ class MotionView:
 
     Args:
       flow: the sampling intervals. samples: the recordings they come from.
+      missing_force: [N, nv] generalized force that is missing over each interval.
     """
 
-    def __init__(self, flow: IntervalMap, samples: Sequence[Samples]) -> None:
+    def __init__(
+        self, flow: IntervalMap, samples: Sequence[Samples], missing_force: Floats | None = None
+    ) -> None:
         self.model = flow.model
         self.flow, self.samples = flow, samples
         self.time = np.concatenate([flow.start, flow.start + flow.duration])
@@ -43,7 +46,7 @@ class MotionView:
         self.qacc = np.concatenate([stacked[:, 0], stacked[:, 1]])
         self._walk()
         self.velocity_noise = self._velocity_noise()
-        self.missing_force: Floats | None = None
+        self.missing_force = missing_force
 
     def _velocity_noise(self) -> Floats:
         """How well the reference velocities are known: position noise over a few intervals."""

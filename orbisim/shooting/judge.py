@@ -134,40 +134,44 @@ class Judge:
         same = self.check is self.fitted
         return Beginning(free=free, check_free=free if same else self.check.chained(intervals))
 
-    def _begin(self, judged: Judged, fitted_to: bytes | None = None) -> Beginning:
-        """Where an explanation has windows start, with what that does: a first guess for others.
+    def _begin(self, judged: Judged) -> Beginning:
+        """Where an explanation has windows start, with what that does: a first guess for others."""
+        return self._beginning(judged.hypothesis, judged.fit.start, judged.check_fit.start)
+
+    def begin_joined(self, judged: Judged, fitted: Bools) -> Beginning:
+        """The same where all windows are fitted, and the explanation was fitted to some of them and
+        checked on the others; from nothing if some were left out for speed.
 
         Args:
-          fitted_to: where all windows are fitted, which of them the explanation was fitted to (a
-            mask as bytes); it was checked on the others. None if the windows are the same.
+          fitted: [windows] which it was fitted to.
         """
-        start, check_start = judged.fit.start, judged.check_fit.start
-        if fitted_to is not None:
-            mask = np.frombuffer(fitted_to, bool)
-            if mask.sum() != len(start) or len(mask) != len(self.fitted):
-                return self.cold  # some were left out for speed
-            joined = np.zeros((len(mask), start.shape[1]))
-            joined[mask], joined[~mask] = start, check_start
-            start = check_start = joined
-        found = self.cold
-        declared, hypothesis = self.bench.scene, judged.hypothesis
-        variant = hypothesis.variant(declared)
+        parts = judged.fit.start, judged.check_fit.start
+        if fitted.sum() != len(parts[0]) or len(fitted) != len(self.fitted):
+            return self.cold
+        start = np.zeros((len(fitted), parts[0].shape[1]))
+        start[fitted], start[~fitted] = parts
+        return self._beginning(judged.hypothesis, start, start)
+
+    def _beginning(self, hypothesis: Hypothesis, start: Floats, check_start: Floats) -> Beginning:
+        """Starts of as many windows as there are, with what they do where bodies touch."""
+        found, declared = self.cold, self.bench.scene
+        variant, contacts = hypothesis.variant(declared), self.bench.contacts
         if len(start) == len(self.fitted):
             found = dataclasses.replace(found, start=start)
-            if self.bench.contacts:
+            if contacts:
                 free = start_derivatives(self.fitted, variant, start)
                 found = dataclasses.replace(found, free=free, shooter=self.fitted)
-                if not is_structural(hypothesis):
-                    found = dataclasses.replace(
-                        found,
-                        build=lambda values: hypothesis.at(declared, values).variant(declared),
-                        unknowns=hypothesis.unknowns(declared),
-                    )
+            if contacts and not is_structural(hypothesis):
+                found = dataclasses.replace(
+                    found,
+                    build=lambda values: hypothesis.at(declared, values).variant(declared),
+                    unknowns=hypothesis.unknowns(declared),
+                )
         if self.check is self.fitted:
             return dataclasses.replace(found, check_start=found.start, check_free=found.free)
         if len(check_start) == len(self.check):
             found = dataclasses.replace(found, check_start=check_start)
-            if self.bench.contacts:
+            if contacts:
                 free = start_derivatives(self.check, variant, check_start)
                 found = dataclasses.replace(found, check_free=free)
         return found

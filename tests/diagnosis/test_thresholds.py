@@ -89,11 +89,11 @@ def test_starts_of_fitted_and_checked_windows_are_put_together(arm: orbisim.Scen
     apart = Judge(bench, bench.intervals).judge(Hypothesis())
     judge = Judge(bench.whole(), bench.intervals)
     assert apart is not None and judge.check is judge.fitted
-    begin = judge.begin(apart, bench.fit.tobytes())
+    begin = judge.begin_joined(apart, bench.fit)
     together = judge.score(Hypothesis(), begin, 0)
     assert together.square == pytest.approx(apart.fit.square + apart.check_fit.square, rel=1e-9)
     few = Judge(bench.whole(), bench.intervals, most=3)
-    begin = few.begin(apart, bench.fit.tobytes())
+    begin = few.begin_joined(apart, bench.fit)
     assert begin is few.cold  # most windows are left out: a start from nothing
     again = few.judge(Hypothesis(), begin=begin)
     assert again is not None and len(again.windows) == 3
