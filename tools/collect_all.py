@@ -18,7 +18,7 @@ from typing import Any
 
 from orbisim.cli.common import quiet_engine
 from orbisim.tasks.collect import collect
-from orbisim.tasks.domains import SUBSTEPS, SUITE_TASKS
+from orbisim.tasks.domains import HELD_OUT_MECHANISMS, MECHANISMS, SUBSTEPS, SUITE_TASKS
 
 TRAIN, TEST, MORE, CALIBRATION = 0, 1, 5, 3
 """Seeds."""
@@ -71,6 +71,17 @@ def data_sets() -> list[DataSet]:
         sets.append(DataSet(f"suite_{short}_train", task, MANY.get(short, 1000), changes=train))
         long = {**fine, "steps": 1000}
         sets.append(DataSet(f"suite_{short}_test", task, 40, TEST, changes=long))
+    return sets + _mechanisms()
+
+
+def _mechanisms() -> list[DataSet]:
+    """Instances to learn from and others; of families that are held out, only to look at."""
+    sets = []
+    for family in MECHANISMS:
+        name, task = f"mechanism_{family}", f"task:mechanism:{family}"
+        if family not in HELD_OUT_MECHANISMS:
+            sets.append(DataSet(f"{name}_train", task, subtask="train"))
+        sets.append(DataSet(f"{name}_test", task, seed=TEST, subtask="held_out"))
     return sets
 
 

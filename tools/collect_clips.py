@@ -27,7 +27,7 @@ import torch
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "backends")]
 
-from orbisim_world_model.pack import Pack, hands  # noqa: E402  (needs the path above)
+from orbisim_world_model.pack import Pack, hands, no_parts  # noqa: E402  (needs the path above)
 from orbisim_world_model.packing import read_data  # noqa: E402
 from orbisim_world_model.reading import read_attributes, read_settings  # noqa: E402
 
@@ -210,6 +210,7 @@ def packed(pack: Pack, clips: list[dict[str, Any]], options: Any) -> Pack:
         world=joined["world"],
         mask=torch.ones(count, len(pack.layout.objects)),
         group=torch.zeros(count, dtype=torch.long),
+        **no_parts(count),
         notes=notes,
     )
 

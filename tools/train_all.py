@@ -25,7 +25,12 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "backends")]
 
-from orbisim.tasks.domains import SUBSTEPS, SUITE_DOMAINS  # noqa: E402  (needs the path above)
+from orbisim.tasks.domains import (  # noqa: E402  (needs the path above)
+    HELD_OUT_MECHANISMS,
+    MECHANISMS,
+    SUBSTEPS,
+    SUITE_DOMAINS,
+)
 
 LARGEST = 15 * 1024 * 1024
 SHIPPED = ("model.safetensors", "manifest.json", "card.md", "metrics.jsonl", "curves.png")
@@ -119,6 +124,17 @@ _SUITE_SETTINGS = {
     **dict.fromkeys(("cheetah", "hopper", "walker"), _LEGS),
 }
 _SUITE_WEIGHTS = {"acrobot": 3.0, "finger": 3.0, "cheetah": 5.0, "hopper": 3.0, "walker": 6.0}
+_MECHANISMS = tuple(f"mechanism_{f}" for f in MECHANISMS if f not in HELD_OUT_MECHANISMS)
+_SMALL_PARTS = (
+    ("model.width", 48),
+    ("model.heads", 3),
+    ("model.layers", 1),
+    ("loss.alignment", 0.0),
+    ("loss.consistency", 0.0),
+    ("train.rate", 2e-3),
+    ("train.stages", "0.6x1x256,0.4x10x32ar"),
+)
+"""For `mechanism_door` on one core of a CPU."""
 BASELINES = ("paper", "global", "dreamer")
 _FAIR = (
     ("loss.scaled", True),
@@ -159,6 +175,15 @@ JOBS: dict[str, Job] = {
         )
         for name in SUITE_DOMAINS
     },
+    **{
+        name.replace("parts", "mechanisms"): Job(
+            _MECHANISMS, name, weight=4.0, horizons=(10, 100, 300), burn=0
+        )
+        for name in ("parts", "parts_no_memory", "parts_no_geometry", "parts_no_joints")
+    },
+    "mechanism_door": Job(
+        ("mechanism_door",), "parts_no_memory", _SMALL_PARTS, horizons=(10, 100, 300), burn=0
+    ),
     **{
         f"push_{name}": Job(("push",), name, weight=2.0)
         for name in ("default", *BASELINES, *ABLATIONS)
@@ -272,7 +297,10 @@ def read_named(folder: Path, names: tuple[str, ...]) -> list[Any]:
     return grouped(packs)
 
 
-_SHOWN = ("trajerr", "object_position", "object_rotation", "hand_position", "normalised")
+_SHOWN = (
+    *("trajerr", "object_position", "object_rotation", "hand_position"),
+    *("part_angle", "part_travel", "normalised"),
+)
 
 
 def table(summary: dict[str, Any]) -> list[str]:

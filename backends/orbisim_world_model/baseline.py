@@ -17,6 +17,7 @@ from orbisim.state import State
 from orbisim_world_model.fitting import robot_parameters
 from orbisim_world_model.pack import Pack, hands
 from orbisim_world_model.reading import read_attributes, read_layout, read_settings
+from orbisim_world_model.reading_parts import encoder_digest, repeated
 
 _CHUNK = 4096
 """States that MuJoCo steps at a time: enough for all cores, little memory."""
@@ -108,10 +109,12 @@ def _pack(
         world=settings.expand(count, -1).clone(),
         mask=torch.ones(count, len(layout.objects)),
         group=torch.zeros(count, dtype=torch.long),
+        **repeated(scene.model, layout, count),
         notes={
             "groups": ["recorded"],
             "sources": [{"task": scene.source, "file": name} for name in names],
             "robot": robot_parameters(model, layout),
+            **({"shapes": encoder_digest()} if layout.parts else {}),
         },
     )
 

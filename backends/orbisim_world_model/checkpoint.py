@@ -107,10 +107,11 @@ def load_for(folder: str | Path, layout: Layout) -> Checkpoint:
     known = []
     for number, view in enumerate(variants(manifest)):
         theirs = Layout.from_dict(view["layout"], f"{folder}: layout")
-        robot = (theirs.joints, theirs.nu, bool(theirs.objects)) == (
-            layout.joints,
+        robot = (theirs.robot, theirs.nu, bool(theirs.objects), bool(theirs.parts)) == (
+            layout.robot,
             layout.nu,
             bool(layout.objects),
+            bool(layout.parts),
         )
         count = len(theirs.objects) == len(layout.objects) or view["model"]["kind"] == "objects"
         if robot and count and abs(theirs.timestep - layout.timestep) < 1e-9:
@@ -219,13 +220,19 @@ def ranges(pack: Pack) -> dict[str, Any]:
     found: dict[str, Any] = {
         "attributes": _columns(layout.attributes, attributes),
         "settings": _columns(layout.settings, pack.world),
-        "joints": _columns(layout.joints, x.q),
+        "joints": _columns(
+            tuple(layout.joints[j] for j in layout.robot_joints), x.q[:, list(layout.robot_joints)]
+        ),
         "joint_speed": _largest(x.v),
         "object_position": _columns(tuple("xyz"), x.pos[there]),
         "object_speed": _largest(x.vel),
         "object_turning": _largest(x.ang),
         "objects": [int(pack.mask.sum(1).min()), int(pack.mask.sum(1).max())],
     }
+    if layout.parts:
+        count = pack.part_mask.sum(1)
+        found["parts"] = _columns(layout.part_columns, pack.parts[pack.part_mask > 0])
+        found["parts"]["count"] = [float(count.min()), float(count.max())]
     return found
 
 

@@ -43,9 +43,9 @@ def _flat(objective: Objective) -> Any:
         truth, target, predicted = (
             Entities(*given[i * _FIELDS : (i + 1) * _FIELDS]) for i in range(3)
         )
-        memory, control, noise, chance, ratio, attributes, world, mask = given[3 * _FIELDS :]
+        memory, control, noise, chance, ratio, *static = given[3 * _FIELDS :]
         moment = Moment(truth, target, predicted, memory, control, None, noise, chance, ratio)
-        found = moment_loss(objective, moment, Context(attributes, world, mask))
+        found = moment_loss(objective, moment, Context(*static))
         kept = (found.memory,) if remembers else ()
         return (*found.state, found.loss, found.reconstruction, *kept)
 
@@ -69,6 +69,7 @@ def _tensors(moment: Moment, context: Context) -> list[Tensor]:
         context.attributes,
         context.world,
         context.mask,
+        *(part for part in (context.parts, context.part_mask) if part is not None),
     ]
 
 

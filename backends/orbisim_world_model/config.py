@@ -36,6 +36,10 @@ class ModelConfig:
       boxes: see the geometry of candidate contacts between boxes (see `contacts`).
       impulses: predict impulses within the friction cone at these contacts, beside the rest.
       apart: undo overlaps of boxes beyond those of the training data.
+      geometry: parts of mechanisms are known by the tokens of their shapes.
+      joints: ... and by the metadata of their joints (see `parts.JOINT`).
+      linear: the robot's change is a linear function of what is seen of it and of the control,
+        fitted to the data by least squares, and what the network adds to it.
     """
 
     kind: Kind = "objects"
@@ -56,6 +60,9 @@ class ModelConfig:
     boxes: bool = False
     impulses: bool = False
     apart: bool = False
+    geometry: bool = True
+    joints: bool = True
+    linear: bool = False
     baseline: Literal["none", "mujoco"] = "none"
 
 

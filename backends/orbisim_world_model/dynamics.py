@@ -11,7 +11,7 @@ from orbisim.errors import InputError
 from orbisim_world_model.config import ModelConfig
 from orbisim_world_model.contacts import SEEN, Contacts, Geometry
 from orbisim_world_model.entities import Context, Entities
-from orbisim_world_model.features import EDGE_FEATURES, Features
+from orbisim_world_model.features import Features
 from orbisim_world_model.integrate import OBJECT_OUTPUTS, Raw, advance, required, robot_outputs
 from orbisim_world_model.kinematics import Kinematics
 from orbisim_world_model.layout import Layout
@@ -36,6 +36,10 @@ _NETWORKS: dict[str, Any] = {
 _LEAST = 1e-3
 """Least scale of what is seen of contacts, all of order 1 (or m): a direction that never varies in
 the data but by rounding is not blown up."""
+
+
+_RIDGE = 1e-5
+"""Of `Dynamics.fit_linear`, in units of the features' variance: many follow from one another."""
 
 
 class Step(NamedTuple):
@@ -78,6 +82,12 @@ SHARED = (
     "network.f_dec.objects",
     "network.f_imp",
     "network.object_condition",
+    "see_parts",
+    "see_part_attributes",
+    "part_scale",
+    "network.f_enc.parts",
+    "network.f_dec.parts",
+    "network.part_condition",
 )
 """The parts of a model that know nothing of its robot."""
 
@@ -97,6 +107,17 @@ class Dynamics(nn.Module):
         self.rest = Rest(layout) if config.rest and Rest.suits(layout) else None
         chosen = config.boxes or config.apart
         self.contacts = Contacts(layout) if chosen and Contacts.suits(layout) else None
+        if layout.parts and not (
+            config.extended
+            and config.residual
+            and config.kind in ("objects", "constant_velocity")
+            and config.baseline == "none"
+        ):
+            raise InputError(
+                "parts of mechanisms need tokens, the extended state and predicted changes: a "
+                f"configuration such as 'parts'; not one of kind {config.kind!r} with extended = "
+                f"{config.extended}, residual = {config.residual}, baseline {config.baseline!r}"
+            )
         self.controls = layout.nu  # the number of an `action` is set by `with_controls`
         self.network: Any = None
         self.spread: Spread | None = None
@@ -111,15 +132,25 @@ class Dynamics(nn.Module):
         extra = OBJECT_OUTPUTS if config.baseline != "none" else 0
         self.see_robot = Normalizer(sizes.robot - (sizes.robot_out if extra else 0))
         self.see_objects = Normalizer(sizes.objects - extra)
-        self.see_edges = Normalizer(sizes.edges or EDGE_FEATURES)
+        self.see_edges = Normalizer(sizes.edges or self.features.pairs)
         self.see_attributes, self.see_world = Normalizer(sizes.attributes), Normalizer(sizes.world)
         self.see_control = Normalizer(sizes.control)
         centered = not config.residual
         self.robot_scale = Normalizer(sizes.robot_out, centered=centered, output=True)
         self.object_scale = Normalizer(sizes.objects_out, centered=centered, output=True)
         corrects = config.baseline != "none"
+        self.see_parts: Any = None
+        self.see_part_attributes: Any = None
+        self.part_scale: Any = None
+        if sizes.parts:
+            self.see_parts = Normalizer(sizes.part_features)
+            self.see_part_attributes = Normalizer(sizes.part_attributes)
+            self.part_scale = Normalizer(4, centered=False, output=True)
         self.base_robot = Normalizer(sizes.robot_out if corrects else 0)
         self.base_objects = Normalizer(sizes.objects_out if corrects else 0)
+        if config.linear:  # fitted, not trained: a step of training would only blur it
+            shape = sizes.robot_out, sizes.robot + sizes.control + 1
+            self.register_buffer("linear", torch.zeros(shape))
         if config.kind == "objects":
             self.network = ObjectCentricNetwork(sizes, config, self.contacts)
         else:
@@ -130,6 +161,8 @@ class Dynamics(nn.Module):
         """Also predicts how far off it may be, as two more numbers of each token's memory."""
         if self.config.kind != "objects":
             raise InputError(f"a network of kind {self.config.kind!r} has no tokens to be off")
+        if self.layout.parts:
+            raise InputError("how far off parts of mechanisms may be is not predicted yet")
         self.spread = Spread(self.sizes, width)
         return self
 
@@ -189,13 +222,20 @@ class Dynamics(nn.Module):
         self, x: Entities, inputs: Inputs, out: Outputs, context: Context, base: Entities | None
     ) -> Step:
         mask = context.mask
-        raw = Raw(*self._unscaled(out, x.pos.dtype))
+        if self.config.linear:
+            straight = _with_one(inputs) @ self.linear.T
+            out = out._replace(robot=out.robot.to(straight.dtype) + straight)
+        raw = Raw(*self._unscaled(out, x.pos.dtype, context))
         if out.impulses is not None:
             raw = self._pushed(x, inputs, out.impulses.to(x.pos.dtype), context, raw)
         if mask is not None and self.config.residual:  # objects that are not there stay at rest
             raw = raw._replace(objects=raw.objects * mask[..., None])
         if base is None:
             state = advance(x, raw, self.layout.timestep, self.config)
+            if self.features.parts is not None and out.parts is not None:
+                share = out.parts[..., 2].to(x.pos.dtype).sigmoid()
+                state = self.features.parts.carried(x, self.completed(state), share, context)
+                state = self.features.parts.limited(state, context)
             if self.contacts is not None and self.config.apart:
                 state = self.contacts.apart(self.completed(state), context)
             if self.rest is not None and not self.training:  # what it holds teaches nothing
@@ -233,6 +273,13 @@ class Dynamics(nn.Module):
             change = required(x, base, self.layout.timestep, self.config)
             robot = torch.cat([robot, self.base_robot(change.robot)], dim=-1)
             objects = torch.cat([objects, self.base_objects(change.objects)], dim=-1)
+        more: dict[str, Tensor | None] = {}
+        if see.parts is not None:
+            more = {
+                "parts": self.see_parts(see.parts.features(x, control, context)),
+                "part_attributes": self.see_part_attributes(see.parts.attributes(context)),
+                "part_mask": context.part_mask,
+            }
         return Inputs(
             robot,
             objects,
@@ -242,6 +289,7 @@ class Dynamics(nn.Module):
             self.see_control(see.control(x, control)),
             context.mask,
             contacts,
+            **more,
         )
 
     def _geometry(self, x: Entities, context: Context) -> Geometry | None:
@@ -251,10 +299,10 @@ class Dynamics(nn.Module):
 
     def _edges(self, x: Entities, context: Context, contacts: Geometry | None) -> Tensor:
         """[B, K, K, E]: what tokens see of each other, and of their contacts."""
-        seen = self.features.edges(x)
+        seen = self.features.edges(x, context)
         if contacts is None or self.contacts is None:
             return seen
-        rot = self.features.frames(x)[1]
+        rot = self.features.frames(x, context)[1]
         return torch.cat([seen, self.contacts.edges(x, context, contacts, rot)], dim=-1)
 
     # -- scales --------------------------------------------------------------------------------
@@ -263,6 +311,23 @@ class Dynamics(nn.Module):
     def fit(self, transitions: Transitions) -> None:
         """Takes all scales from transitions of the training data."""
         fit_together([self], [transitions])
+
+    @torch.no_grad()  # type: ignore[untyped-decorator]
+    def fit_linear(self, transitions: Transitions) -> None:
+        """Takes `linear` from the data, by ridge regression, after the scales."""
+        if not self.config.linear:
+            return
+        x, after = self.completed(transitions.x), self.completed(transitions.after)
+        inputs = self.inputs(x, transitions.control, transitions.context, transitions.base)
+        raw = required(x, after, self.layout.timestep, self.config).robot
+        if self.features.parts is not None:
+            raw = self.features.parts.split(raw)[0]
+        wanted = self.robot_scale(raw).double()
+        wanted[:, self.robot_scale.std == 0] = 0.0
+        seen = _with_one(inputs).double()
+        square = seen.T @ seen
+        square = square + _RIDGE * len(seen) * torch.eye(len(square), device=square.device)
+        self.linear.copy_(torch.linalg.solve(square, seen.T @ wanted).T)
 
     def scale_rows(self, transitions: Transitions) -> dict[str, tuple[Tensor, Tensor | None]]:
         """What each normaliser is fitted to, by its name: values [..., size] and weights [...]."""
@@ -279,7 +344,7 @@ class Dynamics(nn.Module):
         if self.sizes.edges:
             pairs = None
             if mask is not None:
-                tokens = token_mask(mask, self.layout.has_robot)
+                tokens = token_mask(mask, self.layout.has_robot, context.part_mask)
                 pairs = tokens[:, :, None] * tokens[:, None, :]
             rows["see_edges"] = self._edges(x, context, self._geometry(x, context)), pairs
         dt = self.layout.timestep
@@ -291,6 +356,13 @@ class Dynamics(nn.Module):
             rows["base_robot"] = change.robot, None
             rows["base_objects"] = change.objects, mask
         rows["robot_scale"] = raw.robot, None
+        if see.parts is not None:
+            there = context.part_mask
+            robot, moves = see.parts.split(raw.robot)
+            rows["robot_scale"] = robot, None
+            rows["part_scale"] = see.parts.by_type(moves, context), there
+            rows["see_parts"] = see.parts.features(x, control, context), there
+            rows["see_part_attributes"] = see.parts.attributes(context), there
         rows["object_scale"] = raw.objects, mask
         return rows
 
@@ -305,7 +377,9 @@ class Dynamics(nn.Module):
         ours, theirs = self.layout, lead.layout
         same = (ours.attributes, ours.settings) == (theirs.attributes, theirs.settings)
         same = same and self.sizes.edges == lead.sizes.edges
-        if self.config.kind != "objects" or not same or not (ours.objects and theirs.objects):
+        same = same and ours.part_columns == theirs.part_columns
+        many = (ours.objects and theirs.objects) or (ours.parts and theirs.parts)
+        if self.config.kind != "objects" or not same or not many:
             raise InputError(
                 f"robots with joints {ours.joints} and {theirs.joints} fit into one model only "
                 "with object-centric tokens and the same descriptors"
@@ -314,11 +388,13 @@ class Dynamics(nn.Module):
             module, last = _place(self, name)
             setattr(module, last, getattr(_place(lead, name)[0], last))
 
-    def _unscaled(self, out: Outputs, dtype: Any) -> tuple[Tensor, Tensor]:
+    def _unscaled(self, out: Outputs, dtype: Any, context: Context) -> tuple[Tensor, Tensor]:
         """The decoder's numbers in SI units."""
-        return self.robot_scale.undo(out.robot.to(dtype)), self.object_scale.undo(
-            out.objects.to(dtype)
-        )
+        robot = self.robot_scale.undo(out.robot.to(dtype))
+        if self.features.parts is not None and out.parts is not None:
+            scale = self.features.parts.chosen(self.part_scale.std, context)
+            robot = self.features.parts.whole(robot, out.parts[..., :2].to(dtype) * scale)
+        return robot, self.object_scale.undo(out.objects.to(dtype))
 
     def _cast(self, inputs: Inputs) -> Inputs:
         """To the network's own type, where it was converted to half precision."""
@@ -353,8 +429,15 @@ def fit_together(models: list[Dynamics], transitions: list[Transitions]) -> None
             getattr(lead, name).fit(values, torch.cat([w.reshape(-1) for w in weights]))
     if lead.contacts is not None:
         lead.see_edges.std.clamp_(min=_LEAST)
+    for model, part in zip(models, transitions, strict=True):
+        model.fit_linear(part)
     if lead.config.residual:
         _share(lead.object_scale.std, ((0, 3), (3, 7), (7, 10), (10, 13)))
+
+
+def _with_one(inputs: Inputs) -> Tensor:
+    """[B, F + U + 1]: what is seen of the robot and of the control, and a 1."""
+    return torch.cat([inputs.robot, inputs.control, torch.ones_like(inputs.robot[:, :1])], dim=-1)
 
 
 def _place(model: nn.Module, name: str) -> tuple[nn.Module, str]:
@@ -375,13 +458,25 @@ def _sizes(see: Features, controls: int, contacts: Contacts | None) -> Sizes:
         robot=see.robot(x).shape[1] + corrects * outputs if layout.has_robot else 0,
         objects=see.objects(x, context).shape[2] + corrects * OBJECT_OUTPUTS,
         many=len(layout.objects),
-        edges=EDGE_FEATURES + touching if pairs and config.relative else 0,
+        edges=see.pairs + touching if pairs and config.relative else 0,
         attributes=len(layout.attributes),
         world=len(layout.settings),
         control=controls + len(see.servos),
         robot_out=outputs,
         objects_out=OBJECT_OUTPUTS,
+        **_part_sizes(see, x, context, controls),
     )
+
+
+def _part_sizes(see: Features, x: Entities, context: Context, controls: int) -> dict[str, int]:
+    if see.parts is None:
+        return {}
+    control = torch.zeros(1, max(controls, see.layout.nu))
+    return {
+        "parts": len(see.layout.parts),
+        "part_features": see.parts.features(x, control, context).shape[2],
+        "part_attributes": see.parts.attributes(context).shape[2],
+    }
 
 
 def example(layout: Layout, batch: int = 1) -> tuple[Entities, Context]:
@@ -403,7 +498,12 @@ def example(layout: Layout, batch: int = 1) -> tuple[Entities, Context]:
         zero,
     )
     attributes = torch.zeros(batch, count, len(layout.attributes))
-    return x, Context(attributes, torch.zeros(batch, len(layout.settings)), zero[..., 0] + 1)
+    settings, mask = torch.zeros(batch, len(layout.settings)), zero[..., 0] + 1
+    if not layout.parts:
+        return x, Context(attributes, settings, mask)
+    shape = (batch, len(layout.parts))
+    parts = torch.zeros(*shape, len(layout.part_columns))
+    return x, Context(attributes, settings, mask, parts, torch.ones(shape))
 
 
 def _share(std: Tensor, groups: tuple[tuple[int, int], ...]) -> None:

@@ -17,6 +17,7 @@ from orbisim_world_model.checkpoint import Checkpoint
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.guard import Guard
 from orbisim_world_model.reading import read_attributes, read_settings
+from orbisim_world_model.reading_parts import read_parts
 from orbisim_world_model.spread import factors_of, half_widths
 from orbisim_world_model.stepper import Speedups, Stepper
 
@@ -68,6 +69,10 @@ class Engine:
             for read in (read_attributes, read_settings)
         )
         self._attributes, self._settings = attributes[None], settings[None]
+        self._parts: Tensor | None = None
+        if self.layout.parts:
+            rows = read_parts(scene.model, self.layout, scene.source)
+            self._parts = torch.as_tensor(rows, dtype=torch.float32).to(self.device)[None]
         self.guard = Guard(self.checkpoint.manifest, self.layout, scene.model)
         if self.native is not None:
             self.prepare_native()
@@ -127,7 +132,7 @@ class Engine:
         from orbisim_world_model.native import NativeStep
 
         if self.device.type == "cpu":
-            context = Context(self._attributes, self._settings, None)
+            context = Context(self._attributes, self._settings, None, self._parts)
             self.native = NativeStep(self.stepper.model, context)
 
     def suits_native(self, state: State, control: Array) -> bool:
@@ -227,4 +232,5 @@ class Engine:
             attributes.expand(count, *self._attributes.shape[1:]),
             settings.expand(count, self._settings.shape[1]),
             None,
+            None if self._parts is None else self._parts.expand(count, *self._parts.shape[1:]),
         )

@@ -84,11 +84,15 @@ class Context(NamedTuple):
       attributes: [B, N, D] of the objects.
       world: [B, W].
       mask: [B, N], 1 where there is an object and 0 where there is padding; None for all ones.
+      parts: [B, P, D] of the parts of mechanisms (`parts.COLUMNS`); None without.
+      part_mask: [B, P], as `mask`; None for all ones.
     """
 
     attributes: Tensor
     world: Tensor
     mask: Tensor | None
+    parts: Tensor | None = None
+    part_mask: Tensor | None = None
 
 
 def choose(condition: Tensor, a: Entities, b: Entities) -> Entities:

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from orbisim_world_model.config import ModelConfig
 from orbisim_world_model.dynamics import Dynamics
-from orbisim_world_model.entities import Entities
+from orbisim_world_model.entities import Context, Entities
+from orbisim_world_model.layout import Layout
 from orbisim_world_model.losses import object_loss, robot_loss
 from orbisim_world_model.pack import Pack
 from orbisim_world_model.rotation import conjugate, geodesic_distance, logarithm, multiply
@@ -46,7 +47,8 @@ def evaluate(
       For each horizon and quantity its median, mean, 90 and 95 % quantile and largest value over
       the episodes: `trajerr` (L_state, mean over the steps up to the horizon), and at the horizon
       itself `object_position` (mm), `object_rotation` (deg), `object_velocity` (mm/s),
-      `hand_position`, `hand_rotation`, `hand_velocity`, `joint_position`, `joint_velocity`, and
+      `hand_position`, `hand_rotation`, `hand_velocity`, `joint_position`, `joint_velocity` (of the
+      robot), `part_angle` (deg) and `part_travel` (mm) of the joints of parts, and
       `normalised` (root mean square over joints, in units of each coordinate's spread in the data).
     """
     was_training = model.training
@@ -89,8 +91,11 @@ def _errors(model: Dynamics, pack: Pack, horizon: int, burn: int) -> dict[str, T
         found["hand_rotation"] = torch.rad2deg(turn)
         found["hand_velocity"] = (end.hand_vel - there.hand_vel).norm(dim=-1) * 1e3
     if layout.has_robot and model.config.extended:
-        found["joint_position"] = (end.q - there.q).square().mean(-1).sqrt()
-        found["joint_velocity"] = (end.v - there.v).square().mean(-1).sqrt()
+        own = list(layout.robot_joints)
+        found["joint_position"] = (end.q - there.q)[:, own].square().mean(-1).sqrt()
+        found["joint_velocity"] = (end.v - there.v)[:, own].square().mean(-1).sqrt()
+        if layout.parts:
+            found |= _part_errors(end, there, batch.context, layout)
         found["normalised"] = normalised(predicted, truth, pack)
     return {name: torch.nan_to_num(values, nan=torch.inf) for name, values in found.items()}
 
@@ -105,6 +110,17 @@ def _object_errors(end: Entities, there: Entities, mask: Tensor) -> dict[str, Te
         "object_rotation": torch.rad2deg(mean(turn)),
         "object_velocity": mean((end.vel - there.vel).norm(dim=-1)) * 1e3,
     }
+
+
+def _part_errors(
+    end: Entities, there: Entities, context: Context, layout: Layout
+) -> dict[str, Tensor]:
+    """Greatest error among an episode's hinges, and among its slides; 0 where it has none."""
+    assert context.parts is not None and context.part_mask is not None
+    off = (end.q - there.q)[:, list(layout.parts)].abs() * context.part_mask
+    hinge = context.parts[..., layout.part_columns.index("type_hinge")]
+    turned = torch.rad2deg(off * hinge).amax(1)
+    return {"part_angle": turned, "part_travel": (off * (1.0 - hinge)).amax(1) * 1e3}
 
 
 def normalised(predicted: Entities, truth: Entities, pack: Pack) -> Tensor:

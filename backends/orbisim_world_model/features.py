@@ -14,6 +14,7 @@ from orbisim_world_model.config import ModelConfig
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.layout import Layout
 from orbisim_world_model.normalization import fine
+from orbisim_world_model.parts import RELATIONS, Parts
 from orbisim_world_model.rotation import product, rotate_back, to_matrix
 from orbisim_world_model.touch import Touch
 
@@ -33,7 +34,7 @@ class Features(nn.Module):
     def __init__(self, layout: Layout, config: ModelConfig) -> None:
         super().__init__()
         self.layout, self.config = layout, config
-        seen = [j for j in range(len(layout.joints)) if not layout.ignored[j]]
+        seen = [j for j in layout.robot_joints if not layout.ignored[j]]
         plain = [j for j in seen if layout.bounded[j] or not layout.hinge[j]]
         sizes = [f"half_{axis}" for axis in "xyz"]
         self.boxes = config.contact and set(sizes) <= set(layout.attributes)
@@ -44,6 +45,7 @@ class Features(nn.Module):
         self._index("servos", servos)
         self._index("served", [layout.servo[u] for u in servos])
         self.touch = Touch(layout) if config.touch and layout.limbs.joints else None
+        self.parts = Parts(layout, config) if layout.parts else None
         self.register_buffer("corners", torch.tensor(_CORNERS).T.contiguous(), persistent=False)
 
     def robot(self, x: Entities) -> Tensor:
@@ -51,7 +53,8 @@ class Features(nn.Module):
         if not self.config.extended:
             return x.hand[:, :15]  # position, rotation matrix, linear velocity
         angles = x.q.index_select(1, self.turning)
-        parts = [x.q.index_select(1, self.plain), angles.sin(), angles.cos(), x.v, x.act, x.hand]
+        v = x.v if self.parts is None else x.v.index_select(1, self.parts.own)
+        parts = [x.q.index_select(1, self.plain), angles.sin(), angles.cos(), v, x.act, x.hand]
         if self.touch is not None:
             parts.append(self.touch(x.q, x.v))
         return torch.cat(parts, dim=-1)
@@ -80,13 +83,18 @@ class Features(nn.Module):
         )
         return torch.cat([height, fine(height, _HEIGHT)], dim=-1)
 
-    def edges(self, x: Entities) -> Tensor:
-        """[B, K, K, 18]: entity j as entity i sees it from its own frame.
+    @property
+    def pairs(self) -> int:
+        """How many numbers `edges` gives."""
+        return EDGE_FEATURES + (RELATIONS if self.layout.parts and self.config.joints else 0)
+
+    def edges(self, x: Entities, context: Context | None = None) -> Tensor:
+        """[B, K, K, E]: entity j as entity i sees it from its own frame.
 
         Relative position (plain and finely), orientation (two columns), linear and angular
-        velocity.
+        velocity; of parts also which carries which. Parts need the context.
         """
-        pos, rot, vel, ang = self.frames(x)
+        pos, rot, vel, ang = self.frames(x, context)
         seen = rot[:, :, None]  # [B, K, 1, 3, 3]
 
         def from_i(vector: Tensor) -> Tensor:
@@ -95,23 +103,42 @@ class Features(nn.Module):
         offset = from_i(pos)
         turn = product(seen.transpose(-1, -2), rot[:, None])  # [B, K, K, 3, 3]
         parts = [offset, fine(offset, _NEAR), turn[..., :2].flatten(-2), from_i(vel), from_i(ang)]
+        if self.parts is not None and context is not None and self.config.joints:
+            parts.append(self.parts.relations(context, 1 + len(self.layout.objects)))
         return torch.cat(parts, dim=-1)
 
-    def frames(self, x: Entities) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def frames(
+        self, x: Entities, context: Context | None = None
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Position, rotation matrix, linear and angular velocity of each token [B, K, ...].
 
-        A robot without a hand is at the origin.
+        A robot without a hand is at the origin. Parts need the context.
         """
+        if self.parts is not None:
+            assert context is not None
+            now = self.parts.placed(x, context)
+            return self._with_hand(
+                torch.cat([x.pos, now.pos], dim=1),
+                torch.cat([to_matrix(x.quat), now.rot], dim=1),
+                torch.cat([x.vel, now.vel], dim=1),
+                torch.cat([x.ang, now.ang], dim=1),
+                x,
+            )
         rot = to_matrix(x.quat)
         if not self.layout.has_robot:
             return x.pos, rot, x.vel, x.ang
+        return self._with_hand(x.pos, rot, x.vel, x.ang, x)
+
+    def _with_hand(
+        self, pos: Tensor, rot: Tensor, vel: Tensor, ang: Tensor, x: Entities
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         if self.layout.hand:
             hand = (x.hand_pos, x.hand_rot, x.hand_vel, x.hand_ang)
         else:
-            zero = x.pos.new_zeros((len(x.pos), 3))
+            zero = pos.new_zeros((len(pos), 3))
             eye = torch.eye(3, device=zero.device, dtype=zero.dtype)
             hand = (zero, eye.expand(len(zero), 3, 3), zero, zero)
-        fields = zip(hand, (x.pos, rot, x.vel, x.ang), strict=True)
+        fields = zip(hand, (pos, rot, vel, ang), strict=True)
         pos, turn, vel, ang = (torch.cat([h[:, None], o], dim=1) for h, o in fields)
         return pos, turn, vel, ang
 

@@ -12,7 +12,9 @@ from orbisim.errors import UnsupportedSceneError
 from orbisim.scene import Scene
 from orbisim_world_model.layout import Layout
 from orbisim_world_model.manifest import variants
+from orbisim_world_model.parts import BODY, JOINT
 from orbisim_world_model.reading import read_attributes, read_layout, read_settings
+from orbisim_world_model.reading_parts import encoder_digest, read_parts
 
 _SLACK = 0.02
 """How far, relative to a range's width, a value may lie outside it."""
@@ -67,10 +69,13 @@ def _fit(manifest: dict[str, Any], scene: Scene, variant: int) -> Fit:
 def robot_parameters(model: mujoco.MjModel, layout: Layout) -> dict[str, list[float]]:
     """Numbers of all that is not an object: the learned model knows them by heart."""
     free = {int(model.body(name).id) for name in layout.objects}
+    roots = {int(model.joint(layout.joints[j]).bodyid[0]) for j in layout.parts}
+    roots = {int(model.body_rootid[body]) for body in roots}
+    free |= {b for b in range(model.nbody) if int(model.body_rootid[b]) in roots}
     bodies = [b for b in range(1, model.nbody) if b not in free]
     geoms = [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) not in free]
     geoms = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
-    dofs = list(layout.joint_v)
+    dofs = [layout.joint_v[j] for j in layout.robot_joints]
     tables = {
         "mass": model.body_mass[bodies],
         "inertia": model.body_inertia[bodies],
@@ -90,9 +95,16 @@ def _mismatch(
     trained: Layout, layout: Layout, manifest: dict[str, Any], model: mujoco.MjModel
 ) -> str:
     """What makes it impossible, in words; empty if nothing does."""
+    if bool(trained.parts) != bool(layout.parts):
+        return (
+            f"the checkpoint was trained on mechanisms of up to {len(trained.parts)} parts; the "
+            f"scene has {len(layout.parts)}"
+        )
+    if layout.parts and manifest["data"].get("shapes") != encoder_digest():
+        return "the checkpoint was trained with another encoder of shapes than this version has"
     pairs = {
-        "joints": (trained.joints, layout.joints),
-        "kinds of joints": (trained.hinge, layout.hinge),
+        "joints": tuple(tuple(name for name, _ in x.robot) for x in (trained, layout)),
+        "kinds of joints": tuple(tuple(turns for _, turns in x.robot) for x in (trained, layout)),
         "number of controls": (trained.nu, layout.nu),
         "number of activations": (trained.na, layout.na),
         "hand": (trained.hand, layout.hand),
@@ -107,7 +119,8 @@ def _mismatch(
             f"the checkpoint was trained on {len(trained.objects)} objects; "
             f"the scene has {len(layout.objects)}"
         )
-    if (trained.attributes, trained.settings) != (layout.attributes, layout.settings):
+    descriptors = (layout.attributes, layout.settings, layout.part_columns)
+    if (trained.attributes, trained.settings, trained.part_columns) != descriptors:
         return "the checkpoint was trained with other descriptors than this version reads"
     steps = trained.timestep / float(model.opt.timestep)
     if abs(steps - round(steps)) > 1e-6 * steps or round(steps) < 1:
@@ -129,12 +142,31 @@ def _concerns(manifest: dict[str, Any], model: mujoco.MjModel, layout: Layout) -
             concerns += _outside(f"{column} of object {name!r}", value, found["attributes"][column])
     for column, value in zip(layout.settings, read_settings(model, layout), strict=True):
         concerns += _outside(f"world setting {column}", value, found["settings"][column])
+    if layout.parts:
+        concerns += _part_concerns(found["parts"], model, layout)
     ours, theirs = robot_parameters(model, layout), manifest["data"].get("robot", {})
     for name, values in theirs.items():
         if name not in ours:
             concerns.append(f"the training scene had {name!r}, which this version does not read")
         elif len(values) != len(ours[name]) or not np.allclose(values, ours[name], 1e-3, 1e-6):
             concerns.append(f"the scene's {name} differs from the training scene's")
+    return concerns
+
+
+def _part_concerns(
+    known: dict[str, list[float]], model: mujoco.MjModel, layout: Layout
+) -> list[str]:
+    """Of numbers that mean something one by one; not of tokens of shapes, nor of indices."""
+    concerns = []
+    rows = read_parts(model, layout)
+    low, high = known["count"]
+    if not low <= len(rows) <= high:
+        concerns.append(f"{len(rows)} parts (trained on {low:g} to {high:g})")
+    for joint, row in zip(layout.parts, rows, strict=True):
+        for column in (*JOINT[3:4], *JOINT[11:], *BODY):
+            value = row[layout.part_columns.index(column)]
+            what = f"{column} of the part on joint {layout.joints[joint]!r}"
+            concerns += _outside(what, value, known[column])
     return concerns
 
 

@@ -18,14 +18,14 @@ import trimesh
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
+from orbisim_world_model.parts import TOKEN
+
 Floats = npt.NDArray[np.float64]
 POINTS = 1024
 """Samples of a surface."""
 CENTRES, NEIGHBOURS = 64, 24
 """Places at which the first layer looks, and how many points each sees."""
-TOKEN = 64
-"""Numbers of a token: the shape's features, the logarithm of its size and its centre."""
-_OWN = 4  # the size and the centre
+_OWN = 4  # of a token beside the shape's features: the logarithm of its size and its centre
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

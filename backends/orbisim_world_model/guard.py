@@ -144,7 +144,7 @@ class Guard:
 
     def _of_robot(self, q: Tensor, v: Tensor) -> Iterator[str]:
         for index, name in enumerate(self.layout.joints):
-            if self.layout.bounded[index]:
+            if self.layout.bounded[index] and index not in self.layout.parts:
                 yield from _described(f"joint {name!r}", q[:, index], self.ranges["joints"][name])
         yield from self._too_fast("joint_speed", v)
 
@@ -193,9 +193,12 @@ class Guard:
 
     def _boxes(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Lowest and highest joint coordinates and positions [J + 3] of the training data."""
+        parts = set(self.layout.parts)  # their ranges are their own, not those of the data
         joints = [
-            _widened(self.ranges["joints"][name]) if bounded else (-_FAR, _FAR)
-            for name, bounded in zip(self.layout.joints, self.layout.bounded, strict=True)
+            _widened(self.ranges["joints"][name]) if bounded and j not in parts else (-_FAR, _FAR)
+            for j, (name, bounded) in enumerate(
+                zip(self.layout.joints, self.layout.bounded, strict=True)
+            )
         ]
         axes = [
             _widened(self.ranges["object_position"][axis])
@@ -258,7 +261,7 @@ def _joint_limits(
         if model is not None and model.joint(name).limited[0]:
             low, high = model.joint(name).range
             room = _PAST * (high - low) + 10 * _TINY
-            least, most = ranges["joints"][name]
+            least, most = ranges["joints"][name] if index not in layout.parts else (low, high)
             limits[:, index] = min(low, least) - room, max(high, most) + room
     return limits
 

@@ -31,11 +31,12 @@ OBJECT_OUTPUTS = 13
 
 def robot_outputs(layout: Layout, config: ModelConfig) -> int:
     """How many numbers the decoder gives for the robot."""
-    return 2 * len(layout.joints) + layout.na if config.extended else 15
+    return 2 * len(layout.robot_joints) + layout.na if config.extended else 15
 
 
 class Raw(NamedTuple):
-    """The decoder's numbers: robot [B, R] and objects [B, N, 13]."""
+    """The decoder's numbers: robot [B, R], parts of mechanisms among its joints, and objects
+    [B, N, 13]."""
 
     robot: Tensor
     objects: Tensor

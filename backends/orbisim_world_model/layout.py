@@ -88,6 +88,9 @@ class Layout:
       timestep: the control step, s.
       limbs: the robot's moving parts and what they can touch.
       pads: boxes of the hand.
+      parts: joints of mechanisms (indices into `joints`), each with a token of its own; a part
+        stands after the one that carries it. part_columns: names of the columns of their
+        descriptors.
     """
 
     nq: int
@@ -116,6 +119,8 @@ class Layout:
     invariant: bool = False
     limbs: Limbs = Limbs()
     pads: tuple[Pad, ...] = ()
+    parts: tuple[int, ...] = ()
+    part_columns: tuple[str, ...] = ()
 
     @property
     def has_robot(self) -> bool:
@@ -124,8 +129,18 @@ class Layout:
 
     @property
     def tokens(self) -> int:
-        """Number of tokens: the robot, if there is one, and the objects."""
-        return int(self.has_robot) + len(self.objects)
+        """Number of tokens: the robot, if there is one, the objects and the parts."""
+        return int(self.has_robot) + len(self.objects) + len(self.parts)
+
+    @property
+    def robot_joints(self) -> tuple[int, ...]:
+        """The joints that are no part's."""
+        return tuple(j for j in range(len(self.joints)) if j not in self.parts)
+
+    @property
+    def robot(self) -> tuple[tuple[str, bool], ...]:
+        """Names of the robot's joints, and whether they turn."""
+        return tuple((self.joints[j], self.hinge[j]) for j in self.robot_joints)
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -222,7 +237,8 @@ def _problem(x: Layout) -> str:
     places_v = sorted([*x.joint_v, *(v + i for v in x.object_v for i in range(6))])
     if places_q != list(range(x.nq)) or places_v != list(range(x.nv)):
         return "the addresses of joints and objects do not make up nq and nv"
-    return _chain_problem(x) or _limbs_problem(x.limbs, len(x.joints)) or _pads_problem(x)
+    known = _chain_problem(x) or _limbs_problem(x.limbs, len(x.joints)) or _pads_problem(x)
+    return known or _parts_problem(x)
 
 
 def _chain_problem(x: Layout) -> str:
@@ -270,6 +286,18 @@ def _pads_problem(x: Layout) -> str:
             return f"pads[{number}].joint is {pad.joint}; there are {len(x.joints)} joints"
         if not _has_shape(pad.rot, (3, 3)) or min(pad.half) <= 0:
             return f"pads[{number}] is no box"
+    return ""
+
+
+def _parts_problem(x: Layout) -> str:
+    if not x.parts:
+        return ""
+    if not x.hand or set(x.parts) & set(x.chain_joints):
+        return "parts need a hand, and are no joints of it"
+    if len(set(x.parts)) != len(x.parts) or not set(x.parts) <= set(range(len(x.joints))):
+        return "parts name a joint that is not there, or one twice"
+    if not x.part_columns:
+        return "parts need columns of descriptors"
     return ""
 
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import smooth_l1_loss
 
-from orbisim_world_model.entities import Entities
+from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.layout import Layout
 from orbisim_world_model.rotation import (
     conjugate,
@@ -85,12 +85,17 @@ _FLOORS = [1e-5, 1e-4, 1e-4, 1e-3]
 """Least scales of position (m), rotation (rad), velocity (m/s) and angular velocity (rad/s)."""
 
 
+_PART_FLOORS = [1e-4, 1e-3, 1e-5, 1e-4]
+"""... of the joints of parts: rad, rad/s, m, m/s."""
+
+
 class Scales(NamedTuple):
     """The typical change over one step, by which errors are divided.
 
     Attributes:
       q, v, act: [J], [J], [A]. hand: [4] of position, rotation, velocity, angular velocity.
       objects: [4] of position, rotation, velocity, angular velocity.
+      parts: [4] of position and velocity of hinges, then of slides; empty without parts.
     """
 
     q: Tensor
@@ -98,12 +103,13 @@ class Scales(NamedTuple):
     act: Tensor
     hand: Tensor
     objects: Tensor
+    parts: Tensor
 
 
 def scaled_state_loss(
     predicted: Entities,
     x: Entities,
-    mask: Tensor,
+    context: Context,
     layout: Layout,
     scales: Scales,
     beta: float = 1.0,
@@ -114,16 +120,23 @@ def scaled_state_loss(
     Smooth-L1 throughout; rotations by the rotation vector between them. Of the extended state
     angular velocities, joint coordinates and activations beside what the paper has; of the paper's
     state (`extended=False`) its own entries alone, the hand's velocity among them. Errors below
-    `beta` count quadratically.
+    `beta` count quadratically. Parts of mechanisms are averaged like objects.
     """
+    mask, own = context.mask, list(layout.robot_joints)
+    assert mask is not None
 
     def near(a: Tensor, b: Tensor) -> Tensor:
         return smooth_l1_loss(a, b, reduction="none", beta=beta).mean(-1)
 
     total = x.pos.new_zeros(len(x.pos))
     if layout.has_robot and extended:
-        total = total + near(predicted.q / scales.q, x.q / scales.q)
-        total = total + near(predicted.v / scales.v, x.v / scales.v)
+        q, v = scales.q, scales.v
+        if layout.parts:
+            total = total + _part_loss(predicted, x, context, layout, scales.parts, beta)
+            q, v = q[own], v[own]
+            predicted, x = (s._replace(q=s.q[:, own], v=s.v[:, own]) for s in (predicted, x))
+        total = total + near(predicted.q / q, x.q / q)
+        total = total + near(predicted.v / v, x.v / v)
         if layout.na:
             total = total + near(predicted.act / scales.act, x.act / scales.act)
     if layout.hand:
@@ -143,8 +156,35 @@ def scaled_state_loss(
     return total
 
 
-def measure_scales(x: Entities, after: Entities, mask: Tensor, layout: Layout) -> Scales:
+def _part_loss(
+    predicted: Entities, x: Entities, context: Context, layout: Layout, scales: Tensor, beta: float
+) -> Tensor:
+    """[B]: of positions and velocities of the parts' joints, in units of their type's scale."""
+    parts = list(layout.parts)
+    scale = _by_type(scales, context, layout)  # [B, P, 2]
+    given, found = (torch.stack([s.q[:, parts], s.v[:, parts]], dim=-1) for s in (x, predicted))
+    each = smooth_l1_loss(found / scale, given / scale, reduction="none", beta=beta).sum(-1)
+    return _averaged(each, context.part_mask)
+
+
+def _by_type(scales: Tensor, context: Context, layout: Layout) -> Tensor:
+    """[B, P, 2]: of [4], the numbers of hinges or of slides."""
+    assert context.parts is not None
+    hinge = context.parts[..., layout.part_columns.index("type_hinge"), None]
+    return hinge * scales[:2] + (1.0 - hinge) * scales[2:]
+
+
+def _averaged(each: Tensor, mask: Tensor | None) -> Tensor:
+    """[B] of [B, P]: over the parts that there are."""
+    if mask is None:
+        return each.mean(1)
+    return (each * mask).sum(1) / mask.sum(1).clamp_min(1.0)
+
+
+def measure_scales(x: Entities, after: Entities, context: Context, layout: Layout) -> Scales:
     """Root mean square change over one step, from transitions of the training data."""
+    mask = context.mask
+    assert mask is not None
 
     def rms(change: Tensor, keep: Tensor | None = None) -> Tensor:
         rows = change if keep is None else change[keep > 0]
@@ -166,4 +206,21 @@ def measure_scales(x: Entities, after: Entities, mask: Tensor, layout: Layout) -
         objects = torch.stack([rms(change, mask) for change in changes])
     floors = torch.tensor(_FLOORS, device=x.pos.device)
     hand, objects = torch.maximum(hand, floors), torch.maximum(objects, floors)
-    return Scales(each(after.q - x.q), each(after.v - x.v), each(after.act - x.act), hand, objects)
+    joints = each(after.q - x.q), each(after.v - x.v), each(after.act - x.act)
+    return Scales(*joints, hand, objects, _part_scales(x, after, context, layout))
+
+
+def _part_scales(x: Entities, after: Entities, context: Context, layout: Layout) -> Tensor:
+    """[4] of `Scales.parts`."""
+    if not layout.parts:
+        return x.q.new_zeros(0)
+    assert context.parts is not None and context.part_mask is not None
+    parts = list(layout.parts)
+    hinge = context.parts[..., layout.part_columns.index("type_hinge")] > 0.5
+    found = []
+    for kind in (hinge, ~hinge):
+        kept = kind & (context.part_mask > 0)
+        for change in (after.q - x.q, after.v - x.v):
+            rows = change[:, parts][kept]
+            found.append(rows.square().mean().sqrt() if len(rows) else rows.new_ones(()))
+    return torch.stack(found).maximum(torch.tensor(_PART_FLOORS, device=x.q.device))

@@ -44,6 +44,7 @@ class Ranges:
     settings: Bounds
     joints: Bounds
     object_position: Bounds
+    parts: Bounds = dataclasses.field(default_factory=dict)
 
 
 def read_manifest(folder: str | Path) -> dict[str, Any]:
@@ -112,13 +113,19 @@ def _check_robot(view: Mapping[str, Any], where: str) -> None:
     if not 0 <= controls <= _MOST_CONTROLS:
         raise InputError(f"{where}: controls is {controls}; expected 0 to {_MOST_CONTROLS}")
     ranges = checked(Ranges, _object(view, "ranges", where), f"{where}: ranges")
-    known = {"settings": layout.settings, "joints": layout.joints}
+    joints = tuple(layout.joints[j] for j in layout.robot_joints)
+    known = {"settings": layout.settings, "joints": joints}
+    if layout.parts:
+        known["parts"] = (*layout.part_columns, "count")
     if layout.objects:
         known |= {"attributes": layout.attributes, "object_position": ("x", "y", "z")}
     for group, names in known.items():
         if missing := [name for name in names if name not in getattr(ranges, group)]:
             raise InputError(f"{where}: ranges.{group} has no entry {missing[0]!r}")
-    groups = (ranges.attributes, ranges.settings, ranges.joints, ranges.object_position)
+    groups = (
+        *(ranges.attributes, ranges.settings, ranges.joints),
+        *(ranges.object_position, ranges.parts),
+    )
     bounds = [number for group in groups for pair in group.values() for number in pair]
     for number in (*bounds, ranges.joint_speed, ranges.object_speed, ranges.object_turning):
         if abs(number) > _MOST_RANGE:

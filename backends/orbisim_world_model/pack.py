@@ -28,7 +28,7 @@ from orbisim_world_model.pack_shapes import check_tensors
 
 SCHEMA = "orbisim.pack/1"
 _TENSORS = ("qpos", "qvel", "act", "ctrl", "action", "start", "length", "base")
-_STATIC = ("attributes", "world", "mask", "group")
+_STATIC = ("attributes", "world", "mask", "parts", "part_mask", "group")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -43,6 +43,7 @@ class Pack:
       base: [F, nq + nv + na] state that MuJoCo predicts for the next row, or [F, 0].
       start, length: [E] first row and number of control steps of each episode.
       attributes, world, mask: [E, N, D], [E, W], [E, N] (see `Context`).
+      parts, part_mask: [E, P, D], [E, P] (see `Context`); empty without parts of mechanisms.
       group: [E] number of the subtask; `notes["groups"]` has the names.
       notes: where the data come from.
     """
@@ -62,6 +63,8 @@ class Pack:
     mask: Tensor
     group: Tensor
     notes: dict[str, Any]
+    parts: Tensor
+    part_mask: Tensor
 
     @property
     def episodes(self) -> int:
@@ -96,7 +99,10 @@ class Pack:
 
     def context(self, episodes: Tensor) -> Context:
         """The descriptors of episodes [B]."""
-        return Context(self.attributes[episodes], self.world[episodes], self.mask[episodes])
+        known = (self.attributes[episodes], self.world[episodes], self.mask[episodes])
+        if not self.layout.parts:
+            return Context(*known)
+        return Context(*known, self.parts[episodes], self.part_mask[episodes])
 
     def subset(self, episodes: Tensor) -> Pack:
         """Some of the episodes; the states stay where they are."""
@@ -153,6 +159,9 @@ class Pack:
                     raise ValueError(f"schema is {header.get('schema')!r}, not {SCHEMA!r}")
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
             tensors.setdefault("action", tensors["ctrl"])
+            none = no_parts(len(tensors["start"]))  # packs did not always have them
+            for name, empty in none.items():
+                tensors.setdefault(name, empty)
         except Exception as error:  # safetensors has an error type of its own
             raise InputError(f"{path}: not a pack of episodes ({error})") from None
         values, notes = (
@@ -162,6 +171,11 @@ class Pack:
         check_tensors(layout, tensors, notes, str(path))
         hand = hands(layout, tensors["qpos"], tensors["qvel"])
         return Pack(layout=layout, hand=hand, **tensors, notes=notes)
+
+
+def no_parts(episodes: int) -> dict[str, Tensor]:
+    """`Pack.parts` and `Pack.part_mask` of scenes without mechanisms."""
+    return {"parts": torch.zeros(episodes, 0, 0), "part_mask": torch.zeros(episodes, 0)}
 
 
 def hands(layout: Layout, qpos: Tensor, qvel: Tensor) -> Tensor:
@@ -177,14 +191,15 @@ def hands(layout: Layout, qpos: Tensor, qvel: Tensor) -> Tensor:
 
 
 def joined(packs: list[Pack]) -> Pack:
-    """Packs of scenes with the same robot and up to as many objects as the largest, as one.
+    """Packs of scenes with the same robot and up to as many objects or parts as the largest, as
+    one.
 
     Raises:
       InputError: the scenes do not fit together.
     """
     if len(packs) == 1:
         return packs[0]
-    largest = max(packs, key=lambda pack: len(pack.layout.objects))
+    largest = max(packs, key=lambda p: (len(p.layout.objects), len(p.layout.parts)))
     padded = [_padded(pack, largest.layout) for pack in packs]
     offsets = np.cumsum([0] + [len(pack.qpos) for pack in padded])
     names = [name for pack in padded for name in pack.notes["groups"]]
@@ -205,7 +220,7 @@ def grouped(packs: list[Pack]) -> list[Pack]:
     groups: dict[Any, list[Pack]] = {}
     for pack in packs:
         layout = pack.layout
-        groups.setdefault((layout.joints, layout.nu, layout.hand), []).append(pack)
+        groups.setdefault((layout.robot, layout.nu, layout.hand), []).append(pack)
     return [joined(group) for group in groups.values()]
 
 
@@ -213,18 +228,21 @@ def _padded(pack: Pack, layout: Layout) -> Pack:
     """With objects that are not there added, so that it has the larger layout."""
     have, want = pack.layout, layout
     same = (
-        have.joints == want.joints
+        have.robot == want.robot
         and have.nu == want.nu
         and have.attributes == want.attributes
         and have.timestep == want.timestep
+        and have.part_columns == want.part_columns
+        and len(have.parts) <= len(want.parts)
     )
-    if not same or have.nq - 7 * len(have.objects) != want.nq - 7 * len(want.objects):
+    if not same or _robot_size(have) != _robot_size(want):
         raise InputError(
             f"scenes do not fit into one model: {have.joints}, {have.nu} controls, "
             f"{have.timestep:g} s against {want.joints}, {want.nu}, {want.timestep:g} s"
         )
     extra = len(want.objects) - len(have.objects)
-    if not extra and have.object_q == want.object_q:
+    lacking = len(want.parts) - len(have.parts)
+    if not extra and have.object_q == want.object_q and not lacking and have.parts == want.parts:
         return dataclasses.replace(pack, layout=want)
     x = have.split(pack.qpos, pack.qvel, pack.act)
     rows, episodes = len(pack.qpos), pack.episodes
@@ -232,6 +250,9 @@ def _padded(pack: Pack, layout: Layout) -> Pack:
     turned[..., 0] = 1.0
     fields = {"pos": still, "quat": turned, "vel": still, "ang": still}
     grown = {n: torch.cat([getattr(x, n), more], dim=1) for n, more in fields.items()}
+    joints = [*have.robot_joints, *have.parts, *range(len(have.joints), len(want.joints))]
+    order = [joints[j] for j in _places(want)]
+    grown |= {n: _columns(getattr(x, n), lacking)[:, order] for n in ("q", "v")}
     qpos, qvel, act = want.join(x._replace(**grown))
     more = torch.zeros(episodes, extra, len(want.attributes))
     return dataclasses.replace(
@@ -242,4 +263,21 @@ def _padded(pack: Pack, layout: Layout) -> Pack:
         act=act,
         attributes=torch.cat([pack.attributes, more], dim=1),
         mask=torch.cat([pack.mask, torch.zeros(episodes, extra)], dim=1),
+        parts=torch.cat([pack.parts, torch.zeros(episodes, lacking, len(want.part_columns))], 1),
+        part_mask=_columns(pack.part_mask, lacking),
     )
+
+
+def _robot_size(layout: Layout) -> int:
+    return layout.nq - 7 * len(layout.objects) - len(layout.parts)
+
+
+def _columns(rows: Tensor, more: int) -> Tensor:
+    """Rows [F, J] with so many zeros after each."""
+    return torch.nn.functional.pad(rows, (0, more))
+
+
+def _places(layout: Layout) -> list[int]:
+    """For each joint, its number among the robot's joints and then the parts."""
+    known = (*layout.robot_joints, *layout.parts)
+    return [known.index(joint) for joint in range(len(layout.joints))]

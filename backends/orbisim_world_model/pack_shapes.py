@@ -12,7 +12,19 @@ from orbisim.errors import InputError
 from orbisim_world_model.layout import Layout
 
 _WHOLE = ("start", "length", "group")
-_NUMBERS = ("qpos", "qvel", "act", "ctrl", "action", "base", "attributes", "world", "mask")
+_NUMBERS = (
+    "qpos",
+    "qvel",
+    "act",
+    "ctrl",
+    "action",
+    "base",
+    "attributes",
+    "world",
+    "mask",
+    "parts",
+    "part_mask",
+)
 
 
 def check_tensors(
@@ -61,6 +73,8 @@ def _shapes(layout: Layout, tensors: Mapping[str, Tensor]) -> dict[str, tuple[in
         "attributes": (episodes, objects, len(layout.attributes)),
         "world": (episodes, len(layout.settings)),
         "mask": (episodes, objects),
+        "parts": (episodes, len(layout.parts), len(layout.part_columns)),
+        "part_mask": (episodes, len(layout.parts)),
     }
 
 

@@ -16,12 +16,14 @@ from orbisim.errors import InputError
 from orbisim.scene import load_scene, named_scene
 from orbisim.scene.load import is_scene_name
 from orbisim.tasks.dataset import EpisodeFile
+from orbisim.tasks.registry import make
 from orbisim_world_model.baseline import pack_recordings, with_baseline
 from orbisim_world_model.episode_rows import RUNNING, STATIC, EpisodeRows, read_rows
 from orbisim_world_model.fitting import robot_parameters
 from orbisim_world_model.layout import Layout
-from orbisim_world_model.pack import Pack, grouped, hands, joined
+from orbisim_world_model.pack import Pack, grouped, hands, joined, no_parts
 from orbisim_world_model.reading import read_layout
+from orbisim_world_model.reading_parts import encoder_digest, read_parts
 from orbisim_world_model.usable import check_numbers
 
 PACK, EPISODES = ".pack", (".h5", ".hdf5")
@@ -98,6 +100,8 @@ def pack_file(path: str | Path, layout: Layout | None = None, scene: str | None 
             raise InputError(f"{path}: holds no episodes")
         model = _nominal(file.task, str(path), scene)
         nominal = layout or read_layout(model, file.control_timestep, source=file.task)
+        if nominal.parts:
+            return _pack_parts(file, nominal, model, scene)
         indices = range(len(file))
         entities = [_entities(file, index) if nominal.objects else [] for index in indices]
         layout = _with_all_objects(nominal, entities)
@@ -111,6 +115,62 @@ def pack_file(path: str | Path, layout: Layout | None = None, scene: str | None 
         "robot": robot_parameters(model, nominal),
     }
     return _packed(layout, rows, subtasks, notes, str(path))
+
+
+def _pack_parts(
+    file: EpisodeFile, nominal: Layout, model: mujoco.MjModel, scene: str | None
+) -> Pack:
+    """Episodes with parts of mechanisms, whose shapes and number differ from scene to scene.
+
+    The scenes are made again from their seeds.
+    """
+    alike: dict[Layout, list[int]] = {}
+    parts, allowance = [], file.allowance()
+    for index in range(len(file)):
+        made = _scene_of(file, index, scene)
+        layout = read_layout(made, file.control_timestep, source=file.task)
+        parts.append(read_parts(made, layout, file.task))
+        alike.setdefault(layout, []).append(index)
+    found = []
+    for layout, indices in alike.items():
+        names = [_entities(file, index) if layout.objects else [] for index in indices]
+        rows = [
+            read_rows(file, index, layout, there, allowance)
+            for index, there in zip(indices, names, strict=True)
+        ]
+        subtasks = [str(file.attributes(index)["subtask"]) for index in indices]
+        source = {"file": file.path.name, "task": file.task, "seed": file.seed}
+        notes = {
+            "groups": list(dict.fromkeys(subtasks)),
+            "sources": [{**source, "episodes": len(rows)}],
+            "robot": robot_parameters(model, nominal),
+            "shapes": encoder_digest(),
+        }
+        own = _float(np.array([parts[index] for index in indices]))
+        pack = _packed(layout, rows, subtasks, notes, str(file.path))
+        mask = torch.ones(len(indices), len(layout.parts))
+        found.append(dataclasses.replace(pack, parts=own, part_mask=mask))
+    order = [index for indices in alike.values() for index in indices]
+    return joined(found).subset(torch.argsort(torch.tensor(order)))
+
+
+def _scene_of(file: EpisodeFile, index: int, scene: str | None) -> mujoco.MjModel:
+    """The model of an episode.
+
+    Raises:
+      InputError: it is not the one that the episode was collected from.
+    """
+    known = file.attributes(index)
+    if is_scene_name(file.task):
+        made = make(file.task, **file.config).scene(known["subtask"], known["seed"])
+    else:
+        made = load_scene(scene or file.task)
+    if made.fingerprint != known["scene_hash"]:
+        raise InputError(
+            f"{file.path}: episode {index} was collected from another scene than this version "
+            f"makes of {file.task} and seed {known['seed']}; collect the episodes again"
+        )
+    return made.model
 
 
 def _packed(
@@ -137,6 +197,7 @@ def _packed(
         length=torch.as_tensor(lengths),
         group=torch.as_tensor([notes["groups"].index(name) for name in subtasks]),
         notes=notes,
+        **no_parts(len(rows)),
     )
 
 

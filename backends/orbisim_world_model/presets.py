@@ -30,6 +30,20 @@ PAPER = Config(
 )
 
 
+_PARTS: dict[str, dict[str, Any]] = {
+    "parts": {},
+    "parts_no_memory": {"memory": "none"},
+    "parts_no_geometry": {"geometry": False},
+    "parts_no_joints": {"joints": False},
+}
+_LOCKS = (
+    Stage(0.3, 8, 512),
+    Stage(0.4, 32, 256, autoregressive=True),
+    Stage(0.3, 100, 128, autoregressive=True, full=True, reach=25),
+)
+"""Long sequences: whether a part is locked may only show in what happened before."""
+
+
 def _default_with(name: str, **model: Any) -> Config:
     return dataclasses.replace(
         DEFAULT, name=name, model=dataclasses.replace(DEFAULT.model, **model)
@@ -51,6 +65,13 @@ PRESETS = {
         dataclasses.replace(
             _default_with("recurrent", memory="gru"),
             train=dataclasses.replace(DEFAULT.train, stages=PAPER.train.stages),
+        ),
+        *(
+            dataclasses.replace(
+                _default_with(name, linear=True, **{"memory": "gru"} | model),
+                train=dataclasses.replace(DEFAULT.train, stages=_LOCKS),
+            )
+            for name, model in _PARTS.items()
         ),
         dataclasses.replace(
             DEFAULT, name="no_noise", train=dataclasses.replace(DEFAULT.train, noise=0.0)

@@ -11,9 +11,11 @@ import numpy.typing as npt
 from orbisim.errors import UnsupportedSceneError
 from orbisim.scene import matrices
 from orbisim_world_model.frames import axis_frame, motion, nested, transform
-from orbisim_world_model.layout import Layout
+from orbisim_world_model.layout import Layout, Limbs
+from orbisim_world_model.parts import COLUMNS
 from orbisim_world_model.reading_limbs import read_limbs
 from orbisim_world_model.reading_pads import read_pads
+from orbisim_world_model.reading_parts import part_joints
 
 Floats = npt.NDArray[np.float64]
 
@@ -52,7 +54,8 @@ def read_layout(
     bodies = [int(model.jnt_bodyid[j]) for j in free]
     hand = _first(model, mujoco.mjtObj.mjOBJ_SITE, _HANDS) if hand is None else hand
     surface = _first(model, mujoco.mjtObj.mjOBJ_GEOM, _SURFACES) if surface is None else surface
-    if not free:
+    parts = part_joints(model, hand, scalar)
+    if not (free or parts):
         hand = ""  # there is nothing to be near to
     chain, members, tip = _chain(model, hand, scalar) if hand else ((), (), ())
     level = _level_ground(model)
@@ -81,8 +84,10 @@ def read_layout(
         servo=tuple(_servo(model, u, scalar) for u in range(model.nu)),
         ground=_ground(model, surface),
         invariant=level and not scalar,
-        limbs=read_limbs(model, scalar),
-        pads=read_pads(model, hand, scalar, members) if hand else (),
+        limbs=Limbs() if parts else read_limbs(model, scalar),
+        pads=read_pads(model, hand, scalar, members) if hand and free else (),
+        parts=parts,
+        part_columns=COLUMNS if parts else (),
     )
 
 

@@ -211,7 +211,7 @@ def _kept_and_held(
     if not held:
         pairs = [pack.split(run.held_out) for pack in packs]
         return [kept for kept, _ in pairs], [spare for _, spare in pairs]
-    robots = [[pack.layout.joints for pack in group] for group in (packs, held)]
+    robots = [[pack.layout.robot for pack in group] for group in (packs, held)]
     if robots[0] != robots[1]:
         raise InputError(f"training data of robots {robots[0]}, held-out data of {robots[1]}")
     return packs, [pack.to(device) for pack in held]

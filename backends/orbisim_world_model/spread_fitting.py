@@ -184,7 +184,7 @@ def _quantile(values: Tensor, level: float) -> Tensor:
 
 def _joined(parts: list[Rollouts]) -> Rollouts:
     states = Entities(*(torch.cat(f, 1) for f in zip(*(p.states for p in parts), strict=True)))
-    context = Context(*(torch.cat(f) for f in zip(*(p.context for p in parts), strict=True)))
+    context = Context(*(torch.cat(f) for f in zip(*(p.context[:3] for p in parts), strict=True)))
     return Rollouts(
         states,
         torch.cat([p.control for p in parts], 1),

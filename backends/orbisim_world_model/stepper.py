@@ -170,7 +170,8 @@ class Slot:
         self.compiled = compiled
         self.x = Entities(*(field.clone() for field in x))
         self.memory, self.control = memory.clone(), control.clone()
-        self.context = Context(context.attributes.clone(), context.world.clone(), None)
+        parts = None if context.parts is None else context.parts.clone()
+        self.context = Context(context.attributes.clone(), context.world.clone(), None, parts)
         given = (self.x, self.memory, self.control, self.context)
         self.run: Any = Graphed(lambda: step(*given), lambda: None, graphed)
 
@@ -182,6 +183,8 @@ class Slot:
         self.control.copy_(control)
         self.context.attributes.copy_(context.attributes)
         self.context.world.copy_(context.world)
+        if self.context.parts is not None and context.parts is not None:
+            self.context.parts.copy_(context.parts)
 
 
 def plain_step(model: Dynamics) -> Step:
@@ -197,11 +200,14 @@ def plain_step(model: Dynamics) -> Step:
 
 
 def flat_step(model: Dynamics) -> Callable[..., tuple[Tensor, ...]]:
-    """The step of tensors one by one: entities, memory, control, attributes, world."""
+    """The step of tensors one by one: entities, memory, control, attributes, world, and parts
+    where there are any."""
+    fields = len(Entities._fields)
 
     def step(*given: Tensor) -> tuple[Tensor, ...]:
-        memory, control, attributes, world = given[-4:]
-        after = model(Entities(*given[:-4]), memory, control, Context(attributes, world, None))
+        memory, control, attributes, world, *parts = given[fields:]
+        context = Context(attributes, world, None, *parts)
+        after = model(Entities(*given[:fields]), memory, control, context)
         return (*after.state, after.memory)
 
     return step
@@ -219,7 +225,8 @@ def compiled_step(model: Dynamics, compiler: Compiler = "fused") -> Step:
     def step(
         x: Entities, memory: Tensor, control: Tensor, context: Context
     ) -> tuple[Entities, Tensor]:
-        *state, after = fast(*x, memory, control, context.attributes, context.world)
+        parts = () if context.parts is None else (context.parts,)
+        *state, after = fast(*x, memory, control, context.attributes, context.world, *parts)
         return Entities(*state), after
 
     return step

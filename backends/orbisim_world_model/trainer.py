@@ -245,7 +245,7 @@ def new_models(packs: Sequence[Pack], config: Config, seed: int) -> list[Dynamic
 def _scales(pack: Pack) -> Scales:
     row, episode = pack.transitions()
     x, after = pack.states(row), pack.states(row + 1)
-    return measure_scales(x, after, pack.context(episode).mask, pack.layout)
+    return measure_scales(x, after, pack.context(episode), pack.layout)
 
 
 def _copy(into: Any, values: Any) -> None:

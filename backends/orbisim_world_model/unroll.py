@@ -110,13 +110,13 @@ def moment_loss(objective: Objective, moment: Moment, context: Context) -> Momen
     assert mask is not None
     if config.scaled:
         units = (scales, config.beta, model.config.extended)
-        state = scaled_state_loss(step.state, target, mask, layout, *units).mean()
+        state = scaled_state_loss(step.state, target, context, layout, *units).mean()
     else:
         state = state_loss(step.state, target, mask, layout).mean()
     total = state + step.penalty
     if (config.alignment or config.consistency) and model.config.kind != "dreamer":
         objects = model.config.kind == "objects"
-        tokens = token_mask(mask, layout.has_robot) if objects else None
+        tokens = token_mask(mask, layout.has_robot, context.part_mask) if objects else None
         z = model.encode(target, step.memory, moment.control, context)
         total = total + config.alignment * transition_loss(step.latent, z, tokens)
         total = total + config.consistency * encoding_loss(step.latent, z, tokens)

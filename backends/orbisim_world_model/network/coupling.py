@@ -86,6 +86,8 @@ class Block(nn.Module):
         return seen.flatten(-2)
 
 
-def token_mask(mask: Tensor, has_robot: bool) -> Tensor:
-    """[B, K]: 1 for the robot, if there is one, and the objects' mask [B, N]."""
+def token_mask(mask: Tensor, has_robot: bool, parts: Tensor | None = None) -> Tensor:
+    """[B, K]: 1 for the robot, if there is one, the objects' mask [B, N] and the parts' [B, P]."""
+    if parts is not None:
+        return torch.cat([mask.new_ones((len(mask), int(has_robot))), mask, parts], dim=1)
     return torch.cat([torch.ones_like(mask[:, :1]), mask], dim=1) if has_robot else mask

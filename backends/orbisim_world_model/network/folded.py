@@ -30,10 +30,14 @@ class FoldedNetwork(TokenNetwork):
         super().__init__()
         self.remembers = network.remembers
         self.robot_token, self.count = network.robot_token, network.count
+        self.parts, self.part_condition = network.parts, network.part_condition
         self.start = nn.Parameter(network.start.detach().clone())
         encoder = network.f_enc
         self.robot = _encoder(encoder.robot, None if self.remembers else self.start[0])
         self.objects = _encoder(encoder.objects, None if self.remembers else self.start[1])
+        self.moving = None
+        if encoder.parts is not None:
+            self.moving = _encoder(encoder.parts, None if self.remembers else self.start[2])
         self.edge, self.f_imp = network.f_cp.edge, network.f_imp
         blocks = [block for block in network.f_cp.blocks if isinstance(block, Block)]
         norms = [norm for b in blocks for norm in (b.before_attention, b.before_mixing)]
@@ -52,8 +56,9 @@ class FoldedNetwork(TokenNetwork):
         for encoder, seen, first in (
             (self.robot, inputs.robot[:, None], 0),
             (self.objects, inputs.objects, self.robot_token),
+            (self.moving, inputs.parts, self.robot_token + self.count),
         ):
-            if encoder is not None:
+            if encoder is not None and seen is not None:
                 h = memory[:, first : first + seen.shape[1]]
                 parts.append(encoder(torch.cat([h, seen], -1) if self.remembers else seen))
         return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
@@ -62,7 +67,7 @@ class FoldedNetwork(TokenNetwork):
         """One step of equation RSSM."""
         mask = None
         if inputs.mask is not None:
-            mask = token_mask(inputs.mask, bool(self.robot_token))
+            mask = token_mask(inputs.mask, bool(self.robot_token), inputs.part_mask)
         z = self.encode(inputs, memory)
         pairs = None if self.edge is None else self.edge(inputs.edges)
         scales = self.modulation(self.condition(inputs)).chunk(4 * len(self.blocks), dim=-1)
@@ -77,7 +82,8 @@ class FoldedNetwork(TokenNetwork):
             latent = e + self.transition(seen) if self.skip else self.transition(seen)
         robot, objects = self.f_dec(latent)
         wanted = None if self.f_imp is None else self.f_imp(latent, pairs)
-        return Outputs(robot, objects, h, latent, latent.new_zeros(()), wanted)
+        moves = self.f_dec.part_numbers(latent)
+        return Outputs(robot, objects, h, latent, latent.new_zeros(()), wanted, moves)
 
 
 class FoldedBlock(nn.Module):

@@ -19,6 +19,8 @@ class Inputs(NamedTuple):
       control: [B, U], with the distances to its targets where the model sees them.
       mask: [B, N], 1 for objects and 0 for padding; None when every world has all objects.
       contacts: candidate contacts in SI units, where the model looks for them.
+      parts: [B, P, H] of parts of mechanisms, part_attributes: [B, P, A], part_mask: [B, P] as
+        `mask`; None without.
     """
 
     robot: Tensor
@@ -29,6 +31,9 @@ class Inputs(NamedTuple):
     control: Tensor
     mask: Tensor | None
     contacts: Geometry | None = None
+    parts: Tensor | None = None
+    part_attributes: Tensor | None = None
+    part_mask: Tensor | None = None
 
     def flat(self) -> Tensor:
         """Everything in one vector [B, ...] for networks without tokens."""
@@ -47,6 +52,7 @@ class Outputs(NamedTuple):
       latent: zhat_t.
       penalty: [] a loss of the network's own.
       impulses: [B, P, 3] what `Contacts.impulses` makes impulses of, or None.
+      parts: [B, P, 3] of the joints of parts (see `parts.OUTPUTS`), or None.
     """
 
     robot: Tensor
@@ -55,6 +61,7 @@ class Outputs(NamedTuple):
     latent: Tensor
     penalty: Tensor
     impulses: Tensor | None = None
+    parts: Tensor | None = None
 
 
 class Sizes(NamedTuple):
@@ -69,6 +76,9 @@ class Sizes(NamedTuple):
     control: int
     robot_out: int
     objects_out: int
+    parts: int = 0
+    part_features: int = 0
+    part_attributes: int = 0
 
     @property
     def flat(self) -> int:
@@ -78,7 +88,7 @@ class Sizes(NamedTuple):
     @property
     def tokens(self) -> int:
         """Number of tokens."""
-        return self.many + int(self.robot > 0)
+        return self.many + int(self.robot > 0) + self.parts
 
 
 class Network(Protocol):

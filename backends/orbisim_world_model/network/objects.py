@@ -15,13 +15,14 @@ from orbisim_world_model.network.inputs import Inputs, Outputs, Sizes
 from orbisim_world_model.network.recurrence import Recurrence
 from orbisim_world_model.network.tokens import TokenNetwork
 from orbisim_world_model.network.transition import Transition
+from orbisim_world_model.parts import OUTPUTS
 
 
 class ObjectCentricNetwork(TokenNetwork):
     """Equation RSSM: one token for each entity, with its own latent z and memory h.
 
-    The robot's token is conditioned on the action and the world, an object's on its own
-    attributes and the world.
+    The robot's token is conditioned on the action and the world, an object's and a part's on its
+    own attributes and the world.
     """
 
     def __init__(self, sizes: Sizes, config: ModelConfig, contacts: Contacts | None = None) -> None:
@@ -29,28 +30,37 @@ class ObjectCentricNetwork(TokenNetwork):
         width = config.width
         self.remembers = config.memory == "gru"
         self.robot_token, self.count = int(sizes.robot > 0), sizes.many
-        self.start = nn.Parameter(torch.zeros(2, width))  # of the robot's and the objects' memory
+        self.parts = sizes.parts
+        # of the robot's, the objects' and the parts' memory
+        self.start = nn.Parameter(torch.zeros(3 if sizes.parts else 2, width))
         objects = sizes.objects if sizes.many else 0
-        self.f_enc = Encoder(sizes.robot, objects, width)
+        self.f_enc = Encoder(sizes.robot, objects, width, sizes.part_features)
         self.f_cp = Coupling(width, config.layers, config.heads, config.expansion, sizes.edges)
         self.f_rec = Recurrence(width) if self.remembers else None
         self.f_tra = Transition(width, config.skip)
-        self.f_dec = Decoder(width, sizes.robot_out, sizes.objects_out, sizes.many)
+        moves = OUTPUTS if sizes.parts else 0
+        self.f_dec = Decoder(width, sizes.robot_out, sizes.objects_out, sizes.many, moves)
         self.f_imp = None
         if contacts is not None and config.impulses:
             self.f_imp = Impulses(width, PAIR, contacts)
+        if self.f_dec.parts is not None:
+            with torch.no_grad():
+                self.f_dec.parts[-1].bias[2] = -3.0  # the hand carries few parts at a time
         self.robot_condition = _condition(sizes.control + sizes.world, width)
         self.object_condition = _condition(sizes.attributes + sizes.world, width)
+        self.part_condition = None
+        if sizes.parts:
+            self.part_condition = _condition(sizes.part_attributes + sizes.world, width)
 
     def encode(self, inputs: Inputs, memory: Tensor) -> Tensor:
         """z_t = f_enc(h_t, x_t)."""
-        return self.f_enc(memory, inputs.robot, inputs.objects)
+        return self.f_enc(memory, inputs.robot, inputs.objects, inputs.parts)
 
     def forward(self, inputs: Inputs, memory: Tensor, observe: bool = True) -> Outputs:
         """One step of equation RSSM."""
         mask = None
         if inputs.mask is not None:
-            mask = token_mask(inputs.mask, bool(self.robot_token))
+            mask = token_mask(inputs.mask, bool(self.robot_token), inputs.part_mask)
         z = self.encode(inputs, memory)
         pairs = self.f_cp.pairs(inputs.edges)
         e = self.f_cp(z, self.condition(inputs), pairs, mask)
@@ -59,7 +69,8 @@ class ObjectCentricNetwork(TokenNetwork):
         robot, objects = self.f_dec(latent)
         kept = memory if self.f_rec is None else h
         wanted = None if self.f_imp is None else self.f_imp(latent, pairs)
-        return Outputs(robot, objects, kept, latent, latent.new_zeros(()), wanted)
+        moves = self.f_dec.part_numbers(latent)
+        return Outputs(robot, objects, kept, latent, latent.new_zeros(()), wanted, moves)
 
 
 def _condition(inputs: int, width: int) -> nn.Sequential:

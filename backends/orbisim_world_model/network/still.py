@@ -6,6 +6,7 @@ from torch import Tensor, nn
 
 from orbisim_world_model.config import ModelConfig
 from orbisim_world_model.network.inputs import Inputs, Outputs, Sizes
+from orbisim_world_model.parts import FREE, OUTPUTS
 
 
 class StillNetwork(nn.Module):
@@ -30,4 +31,8 @@ class StillNetwork(nn.Module):
         batch, sizes = len(inputs.world), self.sizes
         robot = inputs.world.new_zeros((batch, sizes.robot_out))
         objects = inputs.world.new_zeros((batch, sizes.many, sizes.objects_out))
-        return Outputs(robot, objects, memory, memory, robot.new_zeros(()))
+        parts = None
+        if sizes.parts:
+            parts = robot.new_zeros((batch, sizes.parts, OUTPUTS))
+            parts[..., -1] = FREE
+        return Outputs(robot, objects, memory, memory, robot.new_zeros(()), parts=parts)

@@ -8,6 +8,7 @@ import torch
 from orbisim_world_model.fitting import robot_parameters
 from orbisim_world_model.pack import Pack, hands
 from orbisim_world_model.reading import read_attributes, read_layout, read_settings
+from orbisim_world_model.reading_parts import encoder_digest, repeated
 
 from orbisim.episodes import random_controls
 
@@ -58,6 +59,30 @@ PUSHER = TABLE.replace("table", "pusher").replace(
       </body>""",
 )
 """The same with a hand of boxes."""
+
+_DOOR = """<body name="frame" pos="0.1 -0.2 0.02" quat="0.9 0 0 0.3">
+      <geom type="box" size="0.01 0.02 0.1" pos="0 -0.05 0.1"/>
+      <body name="leaf" pos="0.01 0.02 0.1" quat="0.9 0.1 0 0">
+        <joint name="hinge" axis="0 0 1" pos="0 -0.02 0" range="-0.2 1.2" damping="0.02"/>
+        <geom type="box" size="0.01 0.1 0.08" pos="0 0.08 0" mass="0.3"/>
+        <body name="lever" pos="-0.02 0.15 0">
+          <joint name="turn" axis="1 0 0" range="-0.8 0.8" stiffness="0.05" damping="0.002"/>
+          <geom type="capsule" size="0.01" fromto="0 0 0 -0.02 0.05 0" mass="0.05"/>
+        </body>
+      </body>
+    </body>"""
+_BUTTON = """<body name="button" pos="-0.2 -0.1 0.2">
+      <joint name="press" type="slide" axis="0 1 1" range="-0.05 0.05" ref="0.01" damping="0.5"/>
+      <geom type="cylinder" size="0.02 0.01" mass="0.1"/>
+    </body>"""
+_ARM = TABLE[: TABLE.index('    <body name="one"')].replace(
+    "<option", """<compiler angle="radian"/><option"""
+)
+_MOTORS = TABLE[TABLE.index("  </worldbody>") :]
+DOOR = f"{_ARM}{_DOOR}{_MOTORS}"
+"""A hand before a leaf with a lever: two parts, one on the other."""
+PANEL = f"{_ARM}{_DOOR}{_BUTTON}{_MOTORS}"
+"""The same with a button that slides: three parts."""
 
 BOX = """
 <mujoco model="box">
@@ -113,5 +138,11 @@ def simulate(xml: str, episodes: int, steps: int, substeps: int, seed: int = 0) 
         world=settings.expand(episodes, -1).clone(),
         mask=torch.ones(episodes, count),
         group=torch.zeros(episodes, dtype=torch.long),
-        notes={"groups": ["random"], "sources": [{"task": "synthetic"}], "robot": robot},
+        **repeated(model, layout, episodes),
+        notes={
+            "groups": ["random"],
+            "sources": [{"task": "synthetic"}],
+            "robot": robot,
+            **({"shapes": encoder_digest()} if layout.parts else {}),
+        },
     )

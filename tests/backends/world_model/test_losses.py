@@ -46,9 +46,10 @@ def test_the_state_loss_is_zero_for_the_truth_and_ignores_quaternion_signs() -> 
     pack = simulate(TABLE, 2, 5, 4)
     x, mask = pack.states(torch.arange(6)), torch.ones(6, 2)
     flipped = x._replace(quat=-x.quat)
+    context, short = (pack.context(torch.zeros(n, dtype=torch.long)) for n in (6, 5))
     assert float(state_loss(flipped, x, mask, pack.layout).max()) < 1e-5
-    scales = measure_scales(x.at(slice(0, 5)), x.at(slice(1, 6)), mask[:5], pack.layout)
-    assert float(scaled_state_loss(flipped, x, mask, pack.layout, scales).max()) < 0.05
+    scales = measure_scales(x.at(slice(0, 5)), x.at(slice(1, 6)), short, pack.layout)
+    assert float(scaled_state_loss(flipped, x, context, pack.layout, scales).max()) < 0.05
 
 
 def test_robot_and_object_parts() -> None:
