@@ -98,11 +98,10 @@ def test_the_scaled_loss_is_of_what_the_state_has(extended: bool) -> None:
     """The paper's state has the hand's velocity, the extended one joints and spins in its place."""
     pack = simulate(TABLE, 2, 6, 4)
     row, episode = pack.transitions()
-    x, after, mask = pack.states(row), pack.states(row + 1), pack.context(episode).mask
-    assert mask is not None
-    scales = measure_scales(x, after, mask, pack.layout)
+    x, after, context = pack.states(row), pack.states(row + 1), pack.context(episode)
+    scales = measure_scales(x, after, context, pack.layout)
     moved = type(x)(*(field.clone().requires_grad_() for field in x))
-    loss = scaled_state_loss(moved, after, mask, pack.layout, scales, 0.3, extended).sum()
+    loss = scaled_state_loss(moved, after, context, pack.layout, scales, 0.3, extended).sum()
     names = ("q", "v", "hand", "pos", "vel", "ang")
     slopes = torch.autograd.grad(loss, [getattr(moved, n) for n in names], allow_unused=True)
     felt = dict(zip(names, slopes, strict=True))
@@ -114,8 +113,8 @@ def test_the_scaled_loss_is_of_what_the_state_has(extended: bool) -> None:
     if not extended:  # the same errors in SI units and in those of a step, by hand
         off = smooth_l1((moved.hand_vel - after.hand_vel) / scales.hand[2], 0.3).mean(-1)
         still = moved._replace(hand=torch.cat([moved.hand[:, :12], after.hand[:, 12:]], 1))
-        rest = scaled_state_loss(still, after, mask, pack.layout, scales, 0.3, extended)
-        whole = scaled_state_loss(moved, after, mask, pack.layout, scales, 0.3, extended)
+        rest = scaled_state_loss(still, after, context, pack.layout, scales, 0.3, extended)
+        whole = scaled_state_loss(moved, after, context, pack.layout, scales, 0.3, extended)
         torch.testing.assert_close(whole - rest, off, atol=1e-5, rtol=1e-4)
 
 
