@@ -12,11 +12,13 @@ import pytest
 import torch
 from orbisim_world_model.baseline import with_baseline
 from orbisim_world_model.pack import Pack
-from orbisim_world_model.packing import read_data
+from orbisim_world_model.packing import pack_file, read_data
+from orbisim_world_model.parts import COLUMNS
 from safetensors import safe_open
 from safetensors.torch import save_file
 
 from orbisim.errors import InputError
+from orbisim.tasks import EpisodeFile, make
 from orbisim.tasks.collect import collect
 
 h5py = pytest.importorskip("h5py")
@@ -173,3 +175,23 @@ def test_headers_of_packs_are_checked(original: Path, tmp_path: Path, layout: st
     save_file(tensors, str(path), metadata=header)
     with pytest.raises(InputError, match="layout"):
         read_data([path])
+
+
+def test_a_pack_has_the_parts_of_each_episode_s_own_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "door.h5"
+    collect("task:mechanism:door", path, episodes=1, workers=1)
+    pack = pack_file(path)
+    assert [pack.layout.joints[j] for j in pack.layout.parts] == ["door_hinge", "door_handle"]
+    with EpisodeFile(path) as file:
+        data, known = file.episode(0), file.attributes(0)
+        task = make(file.task)
+    scene = task.scene(known["subtask"], known["seed"])
+    high = pack.parts[0, :, COLUMNS.index("high")]
+    np.testing.assert_allclose(high, scene.model.jnt_range[-2:, 1], atol=1e-6)
+    np.testing.assert_allclose(pack.qpos, data["qpos"], atol=1e-6)
+    other = make("task:mechanism:door", instance=7)
+    monkeypatch.setattr("orbisim_world_model.packing.make", lambda *_, **__: other)
+    with pytest.raises(InputError, match="episode 0 was collected from another scene"):
+        pack_file(path)
