@@ -45,12 +45,17 @@ def calibrated(
         layers = dict(network.named_modules())
         for name in _order(network, run):
             users.setdefault(layers[name], []).append((number, name))
+    wanted: list[list[str]] = [[] for _ in networks]
+    for places in users.values():
+        for number, name in places:
+            wanted[number].append(name)
+    given = [_given(*each) for each in zip(before, wanted, runs, strict=True)]
     found: list[dict[str, Quantized]] = [{} for _ in networks]
     for layer, places in users.items():
         then, now = [], []
         for number, name in places:
-            then.append(_given(before[number], name, runs[number]))
-            now.append(_given(networks[number], name, runs[number]))
+            then.append(given[number].pop(name))
+            now.append(_given(networks[number], [name], runs[number])[name])
         number, name = places[0]
         found[number][f"{name}.weight"] = _rounded(layer, torch.cat(then), torch.cat(now), bits)
     return found
@@ -105,14 +110,20 @@ def _order(network: nn.Module, run: Callable[[Any], object]) -> list[str]:
     return order.names
 
 
-def _given(network: nn.Module, name: str, run: Callable[[Any], object]) -> Tensor:
-    """What a layer is multiplied by in a run, [n, columns]."""
-    parts: list[Tensor] = []
-    layer = network.get_submodule(name)
-    handle = layer.register_forward_pre_hook(lambda _, given: parts.append(_rows(layer, given[0])))
+def _given(
+    network: nn.Module, names: Sequence[str], run: Callable[[Any], object]
+) -> dict[str, Tensor]:
+    """What layers are multiplied by in a run, each [n, columns]."""
+    parts: dict[str, list[Tensor]] = {name: [] for name in names}
+
+    def kept(name: str) -> Any:
+        return lambda layer, given: parts[name].append(_rows(layer, given[0]))
+
+    handles = [network.get_submodule(name).register_forward_pre_hook(kept(name)) for name in names]
     run(network)
-    handle.remove()
-    return torch.cat(parts)
+    for handle in handles:
+        handle.remove()
+    return {name: torch.cat(rows) for name, rows in parts.items()}
 
 
 def _rows(layer: nn.Module, given: Tensor) -> Tensor:
