@@ -108,6 +108,12 @@ function look(through) {
     viewer.set_dirty();
 }
 
+// What a page of 4 : 3 shows to the left and right is seen on narrower ones, too.
+function fit() {
+    viewer.camera.zoom = Math.min(1, 0.75 * window.innerWidth / window.innerHeight);
+    viewer.set_dirty();
+}
+
 function placeCamera() {
     if (camera.fixed !== null) {
         const pose = poseOf(camera.fixed.path).clone()
@@ -255,7 +261,11 @@ function pauseAt(time) {
 
 function openControls() {
     viewer.gui.width = 260;
-    viewer.gui.open();
+    if (window.innerWidth < 600) {
+        viewer.gui.close(); // it would hide the scene
+    } else {
+        viewer.gui.open();
+    }
     viewer.gui.__folders["Scene"].close();
 }
 
@@ -271,6 +281,8 @@ function followServer() {
 
 async function start() {
     run(await unpacked(document.getElementById("commands").textContent));
+    fit();
+    window.addEventListener("resize", fit);
     if (viewer.animator.actions.length > 0) {
         openControls();
         const time = new URLSearchParams(location.hash.slice(1)).get("t");

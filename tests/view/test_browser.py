@@ -342,3 +342,28 @@ def test_a_live_pages_controls(chromium: Chromium) -> None:
         change(chromium, "1 s", "0.5")  # slides along z
         chromium.wait_for(f"orbisim.viewer.controls.target.y > {before[1] + 0.4}")
         assert chromium.errors == []
+
+
+def test_on_a_phone_the_scene_is_seen_and_the_panel_opens_by_a_click(
+    chromium: Chromium, run_page: str, tmp_path: Path
+) -> None:
+    corners = (
+        "(() => { const box = new orbisim.THREE.Box3().setFromObject("
+        "orbisim.viewer.scene_tree.find(['scene']).object);"
+        "return [box.min, box.max].flatMap((p) => {"
+        "const q = p.clone().project(orbisim.viewer.camera); return [q.x, q.y]; }); })()"
+    )
+    chromium.open(run_page)
+    chromium.screenshot()
+    wide = np.array(chromium.evaluate(corners))
+    with Chromium(tmp_path / "profile", 375, 667) as phone:
+        phone.open(run_page)
+        phone.screenshot()
+        sides = wide[::2] * (WIDTH / HEIGHT) / (4 / 3)  # as a page of 4 : 3 shows them
+        np.testing.assert_allclose(phone.evaluate(corners)[::2], sides, rtol=0.05)  # it plays
+        heights = "orbisim.viewer.gui.domElement.getBoundingClientRect().height"
+        closed = phone.evaluate(heights)
+        assert closed < 100
+        phone.evaluate("orbisim.viewer.gui.domElement.querySelector('.close-button').click()")
+        phone.wait_for(f"{heights} > {closed} + 50")
+        assert phone.errors == []
