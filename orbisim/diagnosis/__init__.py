@@ -11,7 +11,7 @@ Each stage takes values that do not change and gives one. In the order in which 
 - `worth` compares two fitted explanations; nothing else decides.
 - `conclusion` fits what was found to all windows, and keeps what is surely worth it there.
 - `findings`, `alternatives`, `consistency` and `checks` say what that means, with `wording`;
-  `result` is the `Diagnosis` with its files.
+  `sensor_faults` looks at sensors that read no joint; `result` is the `Diagnosis` with its files.
 - `force_data`, `force_search` and `force_result` are the same for forces that are known along the
   motion. `rest` lets a network learn what no effect explains.
 

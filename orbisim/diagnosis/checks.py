@@ -1,4 +1,4 @@
-"""What is wrong with a scene, or with how it was simulated, before any effect is looked for."""
+"""What is wrong with a scene or its simulation, and what there is to doubt in what was found."""
 
 from __future__ import annotations
 
@@ -7,9 +7,13 @@ import copy
 import mujoco
 import numpy as np
 
+from orbisim.diagnosis.conclusion import Attribution
+from orbisim.diagnosis.consistency import inconsistency
 from orbisim.effects import effect_names, find
+from orbisim.evidence import NEAR
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
+from orbisim.shooting.judge import Judged
 from orbisim.shooting.shooter import Variant
 from orbisim.shooting.windows import evenly
 
@@ -62,3 +66,46 @@ def disabled(scene: Scene) -> str | None:
 
 def _flag(bit: mujoco.mjtDisableBit) -> str:
     return bit.name.removeprefix("mjDSBL_").lower()
+
+
+def doubts(found: Attribution) -> list[str]:
+    """Notes on what was found: effects that would have to be others in other motion, a timestep
+    that is too long, and impacts."""
+    notes: list[str] = []
+    if found.after.ratio > NEAR:
+        whole = found.bench.whole()
+        for number, effect in enumerate(found.hypothesis.effects):
+            problem = inconsistency(whole, found.after, number)
+            notes += [] if problem is None else [f"{effect.effect} at {effect.target}: {problem}"]
+    coarse = coarse_timestep(found.bench, found.before.ratio) if found.before.ratio > NEAR else None
+    notes += [] if coarse is None else [coarse]
+    if found.rugged and found.after is not found.before:
+        notes.append(
+            "impacts make the cost rugged: intervals of effects on contacts do not contain that; "
+            "other recordings of the same thing may give numbers further apart"
+        )
+    if found.after is found.before and found.bench.contacts and few_bad(found.before):
+        notes.append(bad_windows(found.before))
+    return notes
+
+
+def few_bad(judged: Judged) -> bool:
+    """Whether a few windows are bad and the others are not."""
+    whole, typical = judged.pooled**2 - 1.0, max(judged.ratio**2 - 1.0, 0.0)
+    return whole >= max(_BAD, _FEW_BAD * typical)
+
+
+_BAD = 0.5
+"""Mean square beyond the noise, over all windows, above which some are bad."""
+_FEW_BAD = 3.0
+"""How many times what windows leave with the worst left out, if few are bad."""
+
+
+def bad_windows(declared: Judged) -> str:
+    """What to say where a few windows are bad and nothing accounts for them."""
+    left = np.concatenate([declared.fitted, declared.checked])
+    return (
+        f"{(left > NEAR**2).sum()} of {len(left)} windows miss by more than {NEAR:g} times the "
+        f"noise (up to {np.sqrt(left.max()):.3g} times), the others do not: impacts there may be "
+        "hard to reproduce, but an effect that acts in these windows alone would not be seen either"
+    )

@@ -11,13 +11,11 @@ from typing import Any, Literal
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
 from orbisim.backend import Backend
 from orbisim.diagnosis.alternatives import alternatives_of, candidates_of
-from orbisim.diagnosis.checks import coarse_timestep, disabled
+from orbisim.diagnosis.checks import disabled, doubts
 from orbisim.diagnosis.conclusion import Attribution, attribute
-from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.findings import (
     effects_of,
     errors_of,
@@ -34,10 +32,10 @@ from orbisim.diagnosis.force_result import diagnose_forces
 from orbisim.diagnosis.rest import learn_rest as learn
 from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.scoring import score
+from orbisim.diagnosis.sensor_faults import sensor_faults
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import add_effects, find
 from orbisim.errors import InputError
-from orbisim.evidence import NEAR
 from orbisim.host.deadline import Deadline
 from orbisim.host.engine_log import engine_warnings, ignore
 from orbisim.host.progress import status
@@ -48,19 +46,9 @@ from orbisim.recording.split import bounded, some_of, split
 from orbisim.recording.suspicious import refuse
 from orbisim.recording.thinning import thinned, usual_window
 from orbisim.scene import Scene, load_scene
-from orbisim.sensing.faults import Sensed, faults
-from orbisim.sensing.readings import (
-    FreeRun,
-    simulated_readings,
-    smoothed_readings,
-    usable_sensors,
-)
+from orbisim.sensing.faults import Sensed
 from orbisim.shooting.bench import Bench, Noise, make_bench
 from orbisim.shooting.cutting import touches, windows_enough
-from orbisim.shooting.hypothesis import Hypothesis
-from orbisim.shooting.judge import Judge, Judged, is_structural
-from orbisim.shooting.shooter import Shooter
-from orbisim.shooting.windows import Windows
 
 Source = Recording | str | Path
 
@@ -178,17 +166,8 @@ def _by_motion(
         notes.append(f"the search was ended after {settings.patience:g} s; more may be found")
     say("checking on held-out data")
     unseen = unseen.whole(found.bench.noise)
-    notes += _elsewhere(found)
-    coarse = coarse_timestep(found.bench, found.before.ratio) if found.before.ratio > NEAR else None
-    notes += [] if coarse is None else [coarse]
-    if found.rugged and found.after is not found.before:
-        notes.append(
-            "impacts make the cost rugged: intervals of effects on contacts do not contain that; "
-            "other recordings of the same thing may give numbers further apart"
-        )
-    if found.after is found.before and found.bench.contacts and few_bad(found.before):
-        notes.append(bad_windows(found.before))
-    sensed = _sensed(found, unseen, notes, say)
+    notes += doubts(found)
+    sensed = sensor_faults(found, unseen, notes, say)
     result = _result(scene, named, found, settings, fit, held, window, backend, notes, sensed)
     if rest:
         motion, augmented = verdict_of(found, settings), result.augmented_scene
@@ -206,84 +185,6 @@ def _by_motion(
 _FORCES, _SEARCH, _FITS = 0.35, 0.75, 0.95
 """Shares of the patience until which a search of forces goes on that may be followed by one of the
 motion, a search, and the final fits."""
-
-
-def _sensed(
-    found: Attribution, unseen: Bench, notes: list[str], say: Callable[[str], None]
-) -> Sensed:
-    """Faults of sensors, by readings along the scene's own free runs where these are right, and
-    along the smoothed motion elsewhere."""
-    chosen = usable_sensors(found.bench.samples, notes)
-    if not chosen:
-        return Sensed()
-    say("looking at the sensors")
-    hypothesis, after = found.after.hypothesis, found.after
-    scene = hypothesis.scene(found.bench.scene)
-    sure = after.ratio <= NEAR and not is_structural(hypothesis)
-    if not sure:
-        fitted, held = (smoothed_readings(one.samples, scene) for one in (found.bench, unseen))
-        return faults(chosen, fitted, held, sure, notes)
-    judge = Judge(unseen, unseen.intervals)
-    apart = judge.score(hypothesis).start
-    runs = (
-        (found.bench, free_runs(found.bench, hypothesis, after.windows, after.fit.start)),
-        (unseen, free_runs(unseen, hypothesis, judge.fitted.windows, apart)),
-    )
-    fitted, held = (simulated_readings(bench.samples, scene, one) for bench, one in runs)
-    return faults(chosen, fitted, held, sure, notes)
-
-
-def free_runs(
-    bench: Bench, hypothesis: Hypothesis, windows: Windows, start: npt.NDArray[np.float64]
-) -> list[FreeRun]:
-    """Windows as a hypothesis runs through them, as far as they can be predicted.
-
-    Args:
-      start: [W, 2 nv] deviations at their starts.
-    """
-    shooter = Shooter(bench.scene, bench.samples, bench.intervals, windows, bench.noise)
-    qpos, qvel = shooter.states(hypothesis.variant(bench.scene), start)
-    stop = windows.reach() + 1
-    return [
-        FreeRun(int(i), int(shooter.row[w]), qpos[w, : stop[w]], qvel[w, : stop[w]])
-        for w, i in enumerate(windows.recording)
-    ]
-
-
-def _elsewhere(found: Attribution) -> list[str]:
-    """Notes on effects that leave more than noise and would have to be others in other motion."""
-    notes: list[str] = []
-    if found.after.ratio > NEAR:
-        whole = found.bench.whole()
-        for number, effect in enumerate(found.hypothesis.effects):
-            problem = inconsistency(whole, found.after, number)
-            notes += [] if problem is None else [f"{effect.effect} at {effect.target}: {problem}"]
-    return notes
-
-
-def few_bad(judged: Judged) -> bool:
-    """Whether a few windows are bad and the others are not."""
-    whole, typical = judged.pooled**2 - 1.0, max(judged.ratio**2 - 1.0, 0.0)
-    return whole >= max(_BAD, _FEW_BAD * typical)
-
-
-_BAD = 0.5
-"""Mean square beyond the noise, over all windows, above which some are bad."""
-_FEW_BAD = 3.0
-"""How many times what windows leave with the worst left out, if few are bad."""
-_FAR_OFF = 1.5
-"""Residual over noise of a window that is bad where others are not."""
-
-
-def bad_windows(declared: Judged) -> str:
-    """What to say where a few windows are bad and nothing accounts for them."""
-    left = np.concatenate([declared.fitted, declared.checked])
-    return (
-        f"{(left > _FAR_OFF**2).sum()} of {len(left)} windows miss by more than {_FAR_OFF:g} times "
-        f"the noise (up to {np.sqrt(left.max()):.3g} times), the others do not: impacts there may "
-        "be hard to reproduce, but an effect that acts in these windows alone would not be seen "
-        "either"
-    )
 
 
 def _arm(scene: Scene, recordings: Sequence[Recording]) -> bool:

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import orbisim
+from orbisim.diagnosis.checks import bad_windows
 from orbisim.diagnosis.conclusion import concluded
 from orbisim.diagnosis.context import Context, begun
 from orbisim.diagnosis.proposals import begin
-from orbisim.diagnosis.run import bad_windows
 from orbisim.diagnosis.search import Found
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.suspects import Suspect
