@@ -1,7 +1,7 @@
 """A strip of pictures of one episode: one backend a row, moments from left to right.
 
     python tools/strip.py task:mechanism:door-held_out --backends mujoco learned \\
-        --times 2 4.5 7 9 12 15 --camera side --out docs/images/door.jpg
+        --times 2 4.5 7 9 12 15 --about door_leaf --view 150 -25 0.9 --out docs/images/door.jpg
 
 All rows begin in the same state and take the same controls.
 """
@@ -46,12 +46,15 @@ def main() -> None:
 
 def pictures(model: mujoco.MjModel, qpos: np.ndarray, options: argparse.Namespace) -> list:  # type: ignore[type-arg]
     """[size, size, 3] of each state."""
-    data, drawn = mujoco.MjData(model), []
+    data, drawn, camera = mujoco.MjData(model), [], mujoco.MjvCamera()
+    mujoco.mj_forward(model, data)
+    camera.lookat[:] = data.body(options.about).xpos
+    camera.azimuth, camera.elevation, camera.distance = options.view
     with mujoco.Renderer(model, options.size, options.size) as renderer:
         for row in qpos:
             data.qpos[:] = row
             mujoco.mj_forward(model, data)
-            renderer.update_scene(data, options.camera)
+            renderer.update_scene(data, camera)
             drawn.append(renderer.render())
     return drawn
 
@@ -63,7 +66,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("task")
     parser.add_argument("--backends", nargs="+", default=["mujoco", "learned"])
     parser.add_argument("--times", type=float, nargs="+", default=[2, 4.5, 7, 9, 12, 15])
-    parser.add_argument("--camera", default="side")
+    parser.add_argument("--about", required=True, help="the body that is looked at")
+    parser.add_argument(
+        "--view", type=float, nargs=3, default=[150, -25, 0.9], help="azimuth, elevation, distance"
+    )
     parser.add_argument("--size", type=int, default=160)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, required=True)

@@ -27,10 +27,9 @@ def card(manifest: dict[str, Any]) -> str:
         "",
         "## What it knows",
         "",
-        f"- {len(layout['joints'])} joints, {_objects(manifest)} objects, {layout['nu']} controls.",
+        f"- {_entities(manifest)}, {layout['nu']} controls.",
         *(
-            f"- or {len(other['layout']['joints'])} joints, {_objects(other)} objects, "
-            f"{other['layout']['nu']} controls."
+            f"- or {_entities(other)}, {other['layout']['nu']} controls."
             for other in manifest.get("variants", [])
         ),
         f"- {data['episodes']} episodes, {data['control_steps']:,} control steps "
@@ -53,6 +52,14 @@ def card(manifest: dict[str, Any]) -> str:
         "",
     ]
     return "\n".join(lines)
+
+
+def _entities(manifest: dict[str, Any]) -> str:
+    """Joints of the robot, objects, and parts of mechanisms where there are any."""
+    parts = len(manifest["layout"].get("parts", ()))
+    joints = len(manifest["layout"]["joints"]) - parts
+    more = f", up to {parts} parts of a mechanism" if parts else ""
+    return f"{joints} joints, {_objects(manifest)} objects{more}"
 
 
 def _objects(manifest: dict[str, Any]) -> str:
