@@ -6,7 +6,8 @@ For each task and number of worlds: `orbisim.vector` on C MuJoCo (all cores) and
 on MuJoCo-Warp; dm_control's own environments in gymnasium's `AsyncVectorEnv` (by shimmy, one
 process for each core, each with its share of the worlds one after the other); gymnasium's own
 MuJoCo environments in `AsyncVectorEnv`, where there is one of that robot. Actions are random;
-episodes begin anew where they end. Best of `--repeats`, each at least `--seconds` long. Take the
+episodes begin anew where they end. Best of `--repeats`, each at least `--seconds` long. With
+`--playground PYTHON`, mujoco_playground as well, by that Python (see bench_playground.py). Take the
 figures on a machine that does nothing else.
 """
 
@@ -17,6 +18,7 @@ import functools
 import json
 import logging
 import os
+import subprocess
 import time
 import warnings
 from collections.abc import Callable
@@ -37,6 +39,14 @@ TASKS = {
     "humanoid-walk": "Humanoid-v5",
 }
 """Tasks of the suite, and gymnasium's environment of a like robot."""
+
+PLAYGROUND = {
+    "cartpole-swingup": "CartpoleSwingup",
+    "cheetah-run": "CheetahRun",
+    "walker-walk": "WalkerWalk",
+    "humanoid-walk": "HumanoidWalk",
+}
+"""The same tasks as mujoco_playground calls them."""
 
 WORLDS = (1, 64, 4096, 16384)
 
@@ -145,6 +155,26 @@ def measure(name: str, worlds: int, options: Any) -> dict[str, float]:
     return rates
 
 
+def playground(options: Any) -> dict[str, Any]:
+    """mujoco_playground's steps per second by task and worlds, in a process of its own."""
+    tool = Path(__file__).with_name("bench_playground.py")
+    tasks = [PLAYGROUND[name] for name in options.playground_tasks]
+    worlds = [str(count) for count in options.playground_worlds]
+    words = [options.playground, tool, "--tasks", *tasks, "--worlds", *worlds]
+    words += ["--seconds", str(options.seconds), "--repeats", str(options.repeats)]
+    done = subprocess.run([*words, "--impl", options.impl], capture_output=True, text=True)
+    if done.returncode:
+        return {"failed": done.stderr.strip().splitlines()[-1:]}
+    return dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+def ratios(rates: dict[str, float]) -> str:
+    """Of the first to the others: all have the same processors."""
+    (name, mine), *others = rates.items()
+    times = [f"{mine / rate:.1f} x {other}" for other, rate in others]
+    return f"{name} is {', '.join(times)}" if times else name
+
+
 def main() -> None:
     """Prints a line for each measurement, and writes all of them."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -155,6 +185,10 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=usable_cpus())
     parser.add_argument("--most", type=int, default=4096, help="worlds in processes")
     parser.add_argument("--warp", action="store_true")
+    parser.add_argument("--playground", default=None, help="a Python that has mujoco_playground")
+    parser.add_argument("--playground-tasks", nargs="*", default=list(TASKS), choices=list(TASKS))
+    parser.add_argument("--playground-worlds", nargs="*", type=int, default=[64, 4096])
+    parser.add_argument("--impl", default="jax", help="of playground's MJX: jax or warp")
     parser.add_argument("--out", type=Path, default=None)
     options = parser.parse_args()
     logging.disable(logging.WARNING)
@@ -167,6 +201,10 @@ def main() -> None:
             rates = measure(name, worlds, options)
             found["steps_per_s"].setdefault(name, {})[worlds] = rates
             print(name, worlds, {n: f"{r:,.0f}" for n, r in rates.items()}, flush=True)
+            print("   ", ratios(rates), flush=True)
+    if options.playground is not None:
+        found["playground"] = playground(options)
+        print(json.dumps(found["playground"]), flush=True)
     if options.out is not None:
         options.out.parent.mkdir(parents=True, exist_ok=True)
         options.out.write_text(json.dumps(found, indent=1))
