@@ -17,6 +17,7 @@ import argparse
 import concurrent.futures
 import json
 import multiprocessing
+import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -34,6 +35,7 @@ from orbisim_policies.run import Run
 from torch import Tensor
 
 import orbisim
+from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
 from orbisim.effects.carry import add_effects
 from orbisim.files.writing import write_json
@@ -145,7 +147,8 @@ def train(condition: str, seed: int, options: argparse.Namespace) -> dict[str, A
         scene = real
     elif condition == "diagnosed":
         recordings = inject_effect(declared, effects, episodes=4, seed=seed)
-        diagnosis = orbisim.diagnose(declared, recordings, seed=seed)
+        settings = Settings(seed=seed, patience=options.patience)
+        diagnosis = orbisim.diagnose(declared, recordings, settings=settings, progress=False)
         scene = diagnosis.augmented_scene
         found["effects"] = [
             {
@@ -205,23 +208,33 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--friction", type=float, default=1.0, help="of the rail, N")
     parser.add_argument("--delay", type=float, default=0.08, help="of the motor, s")
+    parser.add_argument("--patience", type=float, default=600.0, help="of a diagnosis, s")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--only", nargs="*", default=CONDITIONS, choices=CONDITIONS)
     options = parser.parse_args()
     jobs = [(c, seed) for seed in range(options.seeds) for c in options.only]
     rows: list[dict[str, Any]] = []
+    failed = False
     context = multiprocessing.get_context("spawn")
     with concurrent.futures.ProcessPoolExecutor(options.jobs, context) as pool:
         futures = {pool.submit(train, c, seed, options): (c, seed) for c, seed in jobs}
         for future in concurrent.futures.as_completed(futures):
-            rows.append(future.result())
-            row = rows[-1]
+            if (error := future.exception()) is not None:
+                print(f"{futures[future]}: {type(error).__name__}: {error}", flush=True)
+                failed = True
+                continue
+            row = future.result()
+            rows.append(row)
             share = row["machine"]["success"]["balanced"]["share"]
-            print(f"{row['condition']:>11} seed {row['seed']}: {share:.2f}, {row['seconds']} s")
+            print(
+                f"{row['condition']:>11} seed {row['seed']}: {share:.2f}, {row['seconds']} s",
+                flush=True,
+            )
             settings = {**vars(options), "out": str(options.out)}
             write_json(options.out, {"options": settings, "rows": rows}, announce=False)
     print(table(rows))
     print(json.dumps({"rows": len(rows), "out": str(options.out)}))
+    sys.exit(1 if failed else 0)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,10 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from orbisim.registry import make_backend
+from orbisim.scene import Scene
+from orbisim.scene.texts import acts_between_timesteps
+from orbisim.vector.mirrored import Mirrored
 from orbisim.vector.models import ModelFields
 from orbisim.vector.simulator import Threads
 from orbisim_policies.problem import Floats, Moment, Problem, Starts
@@ -37,7 +41,7 @@ class TrueWorlds:
         model = problem.model
         self._working = copy.copy(model)
         self._fields = ModelFields(model, self._working, nworld)
-        self._threads = Threads(model, self._fields, nworld, nthread=nthread)
+        self._threads = self._stepped(nthread)
         self._data = mujoco.MjData(self._working)
         self._substeps = round(problem.timestep / model.opt.timestep)
         self.diverged: npt.NDArray[np.int64] = np.zeros(nworld, int)
@@ -46,6 +50,15 @@ class TrueWorlds:
         self._params: Any = None
         self._score: Any = None
         self._done = torch.zeros(nworld)
+
+    def _stepped(self, nthread: int) -> Threads:
+        """C MuJoCo in threads; by its backend where the scene carries effects between timesteps."""
+        model = self.problem.model
+        if not acts_between_timesteps(model):
+            return Threads(model, self._fields, self.nworld, nthread=nthread)
+        scene = Scene.from_model(model, source=self.problem.name)
+        engine = make_backend("mujoco", scene, nworld=self.nworld)
+        return Mirrored(engine, model, self._fields, self.nworld)
 
     def begin(self, worlds: Ids, starts: Starts) -> None:
         """Begins episodes in some worlds."""

@@ -7,6 +7,9 @@ from orbisim_policies.push import PushProblem
 from orbisim_policies.suite import SuiteProblem
 from orbisim_policies.true import TrueWorlds
 
+from orbisim import State, make_backend
+from orbisim.effects.base import EffectInstance
+from orbisim.effects.carry import add_effects
 from orbisim.tasks.tabletop import build
 
 
@@ -45,4 +48,25 @@ def test_a_world_that_diverges_is_counted_and_the_others_go_on(cartpole: SuitePr
     assert worlds.step(torch.tensor([[0.0], [0.0], [float("nan")]])).tolist()[2]
     worlds.begin(np.array([1, 2]), cartpole.draw([5, 6]))
     assert not worlds.step(torch.zeros(3, 1)).any()
+    worlds.close()
+
+
+def test_effects_that_a_scene_carries_are_applied() -> None:
+    """Not native in MJCF: plain MuJoCo would leave them out and say nothing."""
+    problem = SuiteProblem("cartpole-swingup", steps=8)
+    values = {"coulomb": 3.0, "static": 4.0, "velocity": 0.05}
+    drag = EffectInstance("stribeck_friction", "slider", values)
+    problem.scene = add_effects(problem.scene, [drag])
+    starts = problem.draw([1, 2])
+    worlds = TrueWorlds(problem, 2, nthread=1)
+    worlds.begin(np.arange(2), starts)
+    for _ in range(problem.steps):
+        worlds.step(torch.ones(2, 1))
+    engine = make_backend("mujoco", problem.scene, nworld=2)
+    state = State(np.zeros(2), starts.qpos, starts.qvel, np.zeros((2, 0)))
+    expected = engine.step(state, np.ones((2, 1)), problem.steps)
+    np.testing.assert_allclose(worlds.coordinates[0], expected.qpos, atol=1e-12)
+    plain = make_backend("mujoco", SuiteProblem("cartpole-swingup").scene, nworld=2)
+    other = plain.step(state, np.ones((2, 1)), problem.steps)
+    assert np.abs(expected.qpos - other.qpos)[:, 0].min() > 1e-3
     worlds.close()
