@@ -82,18 +82,3 @@ def test_a_residual_in_few_windows_is_looked_at() -> None:
     assert quiet(Settings(), declared(1.0, 1.05))
     assert not quiet(Settings(), declared(1.0, 1.3))
     assert not quiet(Settings(), declared(1.3, 1.0))
-
-
-def test_starts_of_fitted_and_checked_windows_are_put_together(arm: orbisim.Scene) -> None:
-    bench = _bench(arm, EffectInstance("viscous_damping", "elbow", {"coefficient": 0.05}))
-    apart = Judge(bench, bench.intervals).judge(Hypothesis())
-    judge = Judge(bench.whole(), bench.intervals)
-    assert apart is not None and judge.check is judge.fitted
-    begin = judge.begin_joined(apart, bench.fit)
-    together = judge.score(Hypothesis(), begin, 0)
-    assert together.square == pytest.approx(apart.fit.square + apart.check_fit.square, rel=1e-9)
-    few = Judge(bench.whole(), bench.intervals, most=3)
-    begin = few.begin_joined(apart, bench.fit)
-    assert begin is few.cold  # most windows are left out: a start from nothing
-    again = few.judge(Hypothesis(), begin=begin)
-    assert again is not None and len(again.windows) == 3

@@ -1,16 +1,17 @@
-"""Fits where bodies touch: what is chained through impacts says little, simulations say more."""
+"""Fits of hypotheses, most of them where bodies touch: what is chained through impacts says little,
+simulations say more.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
 
 import orbisim
-from orbisim.effects import EffectInstance, add_effects, find
+from orbisim.effects import EffectInstance
 from orbisim.errors import SceneError
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
@@ -122,34 +123,34 @@ def test_a_glance_does_without_derivatives_that_cannot_be_had(
     assert left < nothing.ratio**2 and better == 1.0
 
 
-def test_stribeck_friction_can_begin_at_coulomb_friction(hammer: orbisim.Scene) -> None:
-    stribeck, model = find("stribeck_friction"), hammer.model
-    values = {"coulomb": 5.0, "static": 9.0, "velocity": 0.3}
-    coulomb = EffectInstance("coulomb_friction", "slide", {"torque": 2.0})
-    (found,) = stribeck.generalized(model, coulomb, values)
-    assert found["coulomb"] == 2.0 and found["velocity"] == 0.3
-    assert 2.0 < found["static"] < 3.0
-    assert stribeck.generalized(model, BIAS, values) == []
-    assert stribeck.generalized(model, coulomb) == []  # its velocity is not known
-    assert find("torque_bias").generalized(model, coulomb, {"offset": 1.0}) == []
+def test_a_late_sensor_is_predicted_to_within_the_noise(arm: orbisim.Scene) -> None:
+    late = EffectInstance("sensor_delay", "shoulder", {"delay": 0.08})
+    runs = inject_effect(arm, [late], duration=4.0, episodes=3, noise=2e-4, seed=3)
+    bench = make_bench(arm, prepare_all(runs, arm), 0.5)
+    judge = Judge(bench, bench.intervals)
+    held = Hypothesis((late,), frozen=frozenset({(0, "delay")}))
+    judged, declared = judge.judge(held), judge.judge(Hypothesis())
+    assert judged is not None
+    assert declared is not None
+    assert judged.ratio < 1.1
+    assert declared.ratio > 5
+    found = judge.judge(Hypothesis((late.replace(delay=0.03),)))
+    assert found is not None
+    assert found.hypothesis.effects[0].values["delay"] == pytest.approx(0.08, rel=0.01)
 
 
-def test_a_payload_can_begin_at_an_offset_of_the_centre_of_mass(hammer: orbisim.Scene) -> None:
-    """Each has the same centre of mass as the body with the offset."""
-    parts = {"x": 0.01, "y": -0.02, "z": 0.005}
-    offset = EffectInstance("com_offset", "head", {"offset": 0.0229, **parts})
-    moved = add_effects(hammer, [offset]).model
-    found = find("payload").generalized(hammer.model, offset)
-    assert len(found) == 4
-    for values in found:
-        model = add_effects(hammer, [EffectInstance("payload", "head", values)]).model
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
-        head = model.body("head").id
-        place = data.subtree_com[head] - data.xpos[head]
-        np.testing.assert_allclose(place, moved.body("head").ipos, atol=1e-9)
-    assert find("payload").generalized(hammer.model, BIAS) == []
-    heavy = EffectInstance("payload", offset.target, dict(found[0]))
-    (back,) = find("com_offset").generalized(hammer.model, heavy)
-    assert back == pytest.approx(offset.values, rel=1e-3)
-    assert find("com_offset").generalized(hammer.model, BIAS) == []
+def test_starts_of_fitted_and_checked_windows_are_put_together(arm: orbisim.Scene) -> None:
+    damping = EffectInstance("viscous_damping", "elbow", {"coefficient": 0.05})
+    runs = inject_effect(arm, damping, duration=3.0, episodes=2, noise=1e-4, seed=4)
+    bench = make_bench(arm, prepare_all(runs, arm), 0.5)
+    apart = Judge(bench, bench.intervals).judge(Hypothesis())
+    judge = Judge(bench.whole(), bench.intervals)
+    assert apart is not None and judge.check is judge.fitted
+    begin = judge.begin_joined(apart, bench.fit)
+    together = judge.score(Hypothesis(), begin, 0)
+    assert together.square == pytest.approx(apart.fit.square + apart.check_fit.square, rel=1e-9)
+    few = Judge(bench.whole(), bench.intervals, most=3)
+    begin = few.begin_joined(apart, bench.fit)
+    assert begin is few.cold  # most windows are left out: a start from nothing
+    again = few.judge(Hypothesis(), begin=begin)
+    assert again is not None and len(again.windows) == 3
