@@ -264,11 +264,12 @@ def _touching(comparison: Comparison) -> list[dict[str, Any]]:
         row: dict[str, Any] = {"name": _spoken(group)}
         for name, side in (("a", comparison.a), ("b", comparison.b)):
             depth, deepest = side.penetration.depth[group], side.penetration.deepest[group]
-            most = np.nanmax(depth, axis=1) if np.isfinite(depth).any() else np.full(1, np.nan)
+            known = [values[np.isfinite(values)] for values in depth]  # an episode may be lost
+            most = np.array([values.max() for values in known if values.size] or [np.nan])
             row[name] = {
-                "median": float(np.nanmedian(most)),
-                "p95": float(np.nanquantile(most, 0.95)),
-                "worst": float(np.nanmax(most)),
+                "median": float(np.median(most)),
+                "p95": float(np.quantile(most, 0.95)),
+                "worst": float(np.max(most)),
                 "where": " and ".join(deepest.between) if deepest else "",
             }
         rows.append(row)

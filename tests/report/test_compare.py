@@ -13,12 +13,14 @@ import pytest
 from orbisim import load_scene, make_renderer, metrics
 from orbisim.compare import Comparison, compare
 from orbisim.errors import RenderingUnavailableError
+from orbisim.penetration import Penetration
 from orbisim.report.compare import (
     _beside_rounding,
     _command,
     _identical_to_the_eye,
     _qpos_names,
     _summary,
+    _touching,
     _verdict,
 )
 from tests.physics.test_switching import Drift
@@ -51,6 +53,21 @@ def test_penetration_and_intervals_are_shown(tmp_path: Path) -> None:
     assert "Penetration: object and world of both sides over time" in text
     assert "Predicted intervals and true errors of box, rotation, over time" in text
     assert "Kinetic energy of both sides over time" in text
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_lost_episodes_have_no_penetration(comparison: Comparison) -> None:
+    depth = np.array([[0.0, 0.003, np.nan], [0.001, np.nan, np.nan], [np.nan] * 3])
+    lost = Penetration({"object-world": depth}, {"object-world": None})
+    side = dataclasses.replace(comparison.b, penetration=lost)
+    other = dataclasses.replace(comparison.a, penetration=lost)
+    (row,) = _touching(dataclasses.replace(comparison, a=other, b=side))
+    assert row["b"]["median"] == pytest.approx(0.002)
+    assert row["b"]["worst"] == pytest.approx(0.003)
+    every = Penetration({"object-world": depth[2:]}, {"object-world": None})
+    side = dataclasses.replace(comparison.b, penetration=every)
+    (row,) = _touching(dataclasses.replace(comparison, a=other, b=side))
+    assert np.isnan(row["b"]["worst"])
 
 
 def test_what_a_scene_lacks_is_not_shown(comparison: Comparison, tmp_path: Path) -> None:
