@@ -204,7 +204,7 @@ _TRIALS = {
     "compare": "{orbisim} compare suite:cartpole-swingup --a mujoco --b mujoco --episodes 2"
     " --horizon 0.2 --out compare",
     "diagnose": "{orbisim} diagnose {arm}/scene.xml {arm}/example/run1.npz {arm}/example/run2.npz"
-    " --patience 120 --out diagnosis",
+    " --out diagnosis",
 }
 """What is tried in every environment."""
 
