@@ -34,6 +34,7 @@ class Attribution:
       cut_short: whether the search ended because its time was up.
       rugged: whether effects on contacts leave more than noise where bodies touch: their intervals
         then say less than they seem to.
+      law: a law without a name that is the better explanation; empty if none is.
     """
 
     bench: Bench
@@ -45,6 +46,7 @@ class Attribution:
     rejected: tuple[tuple[EffectInstance, str], ...]
     cut_short: bool
     rugged: bool = False
+    law: str = ""
 
     @property
     def samples(self) -> tuple[Samples, ...]:
@@ -120,7 +122,7 @@ def concluded(found: Found, deadline: Deadline) -> Attribution:
     return Attribution(
         _open(found.context.bench), before, after, found.screening, rivals_of(found.tried),
         tuple(2 * one.total for one in gains), tuple(rejected), found.late,
-        bool(_on_contacts(context, after)),
+        bool(_on_contacts(context, after)), found.law,
     )  # fmt: skip
 
 

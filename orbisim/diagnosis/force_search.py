@@ -27,14 +27,15 @@ from orbisim.diagnosis.force_data import (
 from orbisim.diagnosis.selection import BEGINNINGS, Group, Selected
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.together import instances, left_of, select_in_rounds
-from orbisim.effects import find
+from orbisim.effects import EffectInstance, find
+from orbisim.effects.base import Extent
 from orbisim.effects.screening import Candidate
 from orbisim.errors import OrbiSimError
 from orbisim.evidence import Blocks, Gain
 from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.samples import Samples
 from orbisim.scene import Scene
-from orbisim.shooting.fits import Fit
+from orbisim.shooting.fits import WEAK, Fit
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.regress import Normal
 
@@ -162,6 +163,11 @@ _SETTLED = 0.1
 """Relative change of what is left at a joint that weighs data alike."""
 
 
+def _prior(scene: Scene, known: Extent, instance: EffectInstance) -> float:
+    """Logarithm of the prior odds of an effect's values; minus infinity for what no machine has."""
+    return find(instance.effect).log_prior(scene.model, instance, known)
+
+
 def _common(data: ForceData, found: Sequence[Candidate], columns: Floats) -> Floats:
     """[N, nv]: what all common effects together leave. What is missing is no noise: weights and
     the share of independent data are to be those of what effects cannot explain."""
@@ -211,18 +217,21 @@ def _nothing(
 def fit_forces(data: ForceData, hypothesis: Hypothesis, sigma: Floats) -> tuple[Hypothesis, Fit]:
     """Fits the effects' parameters to the inverse dynamics of the scene that has them.
 
-    Gauss-Newton with differences; a step that does not help is halved.
+    Gauss-Newton with differences; a step that does not help, or leads to what no machine has, is
+    halved.
     """
-    scene = data.scene
+    scene, known = data.scene, extent(data.samples)
     unknowns = hypothesis.unknowns(scene)
     low, high = (np.array([getattr(u, end) for u in unknowns]) for end in ("low", "high"))
     here = _weighted(data, hypothesis, sigma)
     for _ in range(_ITERATIONS):
         slopes = _slopes(data, hypothesis, sigma, here)
-        step = _step(slopes, here)
         values, moved = hypothesis.values(scene), False
+        step = _step(slopes, here, values)
         for share in (1.0, 0.5, 0.25):
             trial = hypothesis.at(scene, np.clip(values + share * step, low, high))
+            if not all(_prior(scene, known, one) > -np.inf for one in trial.effects):
+                continue
             try:
                 there = _weighted(data, trial, sigma)
             except OrbiSimError:
@@ -253,10 +262,16 @@ def _slopes(data: ForceData, hypothesis: Hypothesis, sigma: Floats, here: Floats
     return out
 
 
-def _step(slopes: Floats, left: Floats) -> Floats:
+def _step(slopes: Floats, left: Floats, values: Floats) -> Floats:
+    """[P]: of all parameters that the data feel."""
     flat = slopes.reshape(-1, slopes.shape[2])
-    scale = np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
-    return np.asarray(np.linalg.lstsq(flat / scale, left.ravel(), rcond=1e-6)[0] / scale)
+    scale = np.linalg.norm(flat, axis=0)
+    change = scale * np.maximum(np.abs(values), 1e-3)
+    felt = change > WEAK * change.max(initial=0.0)
+    step = np.zeros(len(values))
+    step[felt] = np.linalg.lstsq(flat[:, felt] / scale[felt], left.ravel(), rcond=1e-6)[0]
+    step[felt] /= scale[felt]
+    return step
 
 
 def _fit_of(data: ForceData, left: Floats, slopes: Floats, values: Floats) -> Fit:

@@ -14,6 +14,7 @@ import numpy as np
 
 from orbisim.backend import Backend
 from orbisim.diagnosis.alternatives import alternatives_of, candidates_of
+from orbisim.diagnosis.both import worth_in_both
 from orbisim.diagnosis.checks import disabled, doubts
 from orbisim.diagnosis.conclusion import Attribution, attribute
 from orbisim.diagnosis.findings import (
@@ -29,6 +30,7 @@ from orbisim.diagnosis.findings import (
     with_sensors,
 )
 from orbisim.diagnosis.force_result import diagnose_forces
+from orbisim.diagnosis.force_search import ForceAttribution
 from orbisim.diagnosis.rest import learn_rest as learn
 from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.scoring import score
@@ -78,10 +80,10 @@ def diagnose(
         has fewer than 30 samples, as long as 60 samples take.
       residual: what is explained: `motion`, the error of free runs over windows; or `force`, the
         generalized force that is missing along the measured motion by inverse dynamics. If None,
-        the forces of an arm of three joints or more at which all forces are known (torques, or
-        controls of actuators without dynamics) and that touches nothing, if they show as many
-        effects as joints: free runs of such a machine drift off at once. Else the motion or, where
-        free runs show no effect, what the forces did show.
+        the motion. Where all forces are known (torques, or controls of actuators without dynamics)
+        and nothing touches, the forces in its place if what they show is surely worth more by free
+        runs and forces together; and, of three joints or more, if they show as many effects as
+        joints: free runs of such a machine drift off at once.
       backend: what the free-running errors are computed with; the search simulates with C MuJoCo.
       settings: of the search.
       learn_rest: where no effect explains the residual, or not all of it, whether to fit a neural
@@ -115,13 +117,18 @@ def diagnose(
         status("diagnosing") if progress else contextlib.nullcontext(_nothing) as say,
     ):
         say("reading the recordings")
+        engine = backend if isinstance(backend, str) else backend.name
+        known = residual is None and not learn_rest and _driven(loaded, fit)
+
+        def by_forces(share: float) -> Diagnosis:
+            both, own = (bounded(fit, []), bounded(held, [])), list(notes)
+            limit = Deadline(start + share * settings.patience)
+            return diagnose_forces(loaded, named, *both, settings, engine, own, say, limit)
+
         result: Diagnosis | None = None
         forces: Diagnosis | None = None
-        if residual == "force" or (residual is None and not learn_rest and _arm(loaded, fit)):
-            engine = backend if isinstance(backend, str) else backend.name
-            both = bounded(fit, notes), bounded(held, notes)
-            limit = Deadline(start + (_SEARCH if residual else _FORCES) * settings.patience)
-            forces = diagnose_forces(loaded, named, *both, settings, engine, notes, say, limit)
+        if residual == "force" or (known and loaded.model.nv >= _ARM):
+            forces = by_forces(_SEARCH if residual else _FORCES)
             if residual == "force" or len(forces.effects) >= loaded.model.nv:
                 result = forces
         if result is None:
@@ -129,9 +136,10 @@ def diagnose(
             result = _by_motion(
                 loaded, named, fit, held, settings, chosen, backend, learn_rest, notes, say, start
             )
-            if forces is not None and forces.effects and not result.effects:
-                told = "free runs show no effect surely: the forces are explained instead"
-                result = dataclasses.replace(forces, notes=(*forces.notes, told))
+            if known and _leaves_something(result):
+                forces = forces or by_forces(_FITS)
+                say("weighing what forces show against what free runs show")
+                result = _weighed(result, forces)
         if out is not None:
             say("writing the report")
             result.save(out)
@@ -187,16 +195,40 @@ _FORCES, _SEARCH, _FITS = 0.35, 0.75, 0.95
 motion, a search, and the final fits."""
 
 
-def _arm(scene: Scene, recordings: Sequence[Recording]) -> bool:
-    """Whether the forces at all of several joints are known, and nothing touches."""
-    if scene.model.nv < _ARM or scene.model.nq != scene.model.nv:
+def _leaves_something(motion: Diagnosis) -> bool:
+    """Whether more than noise is left of free runs, and no law without a name accounts for it."""
+    found = motion.attribution
+    left = motion.verdict in ("partly_explained", "unexplained")
+    return left and isinstance(found, Attribution) and not found.law
+
+
+def _weighed(motion: Diagnosis, forces: Diagnosis) -> Diagnosis:
+    """What explains forces in the place of what explains free runs if that is surely worth it by
+    both kinds of evidence."""
+    runs, pushed = motion.attribution, forces.attribution
+    assert isinstance(runs, Attribution) and isinstance(pushed, ForceAttribution)
+    if not pushed.hypothesis.effects:
+        return motion
+    worth = worth_in_both(runs.bench, pushed.data, runs.hypothesis, pushed.hypothesis)
+    told = (
+        f"by free runs and by forces together, what explains the forces is worth {worth.total:.3g} "
+        f"+- {worth.error:.2g} more in the logarithm of the odds than what explains free runs"
+    )
+    better = forces if worth.sure > 0 else motion
+    return dataclasses.replace(better, notes=tuple(dict.fromkeys([*better.notes, told])))
+
+
+def _driven(scene: Scene, recordings: Sequence[Recording]) -> bool:
+    """Whether the forces at all joints are known, and nothing touches."""
+    if scene.model.nq != scene.model.nv:
         return False
     samples = prepare_all([recordings[0]], scene)
     return _forces_known(scene, samples) and not touches(scene, samples)
 
 
 _ARM = 3
-"""Joints from which on a machine that lacks many effects drifts off in a free run at once."""
+"""Joints from which on forces are looked at first: what they show is known at once, where to
+simulate many effects one by one takes long."""
 
 
 def _forces_known(scene: Scene, samples: Sequence[Samples]) -> bool:

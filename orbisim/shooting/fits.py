@@ -61,6 +61,8 @@ class Unknown:
         return not self.low < value < self.high and abs(value) >= FAR
 
 
+WEAK = 1e-7
+"""Share of the change by the parameter that changes the data most which is no change."""
 FAR = 1e5
 """Size from which on a bound says no more than how far numbers go."""
 

@@ -14,7 +14,7 @@ from orbisim.effects import find
 from orbisim.errors import OrbiSimError
 from orbisim.motion.linear import Intervals, linearize
 from orbisim.shooting.bench import Bench
-from orbisim.shooting.fits import Fit, Hints, Unknown
+from orbisim.shooting.fits import WEAK, Fit, Hints, Unknown
 from orbisim.shooting.gauss_newton import gauss_newton, start_derivatives
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.one_run import Own, glanced, own_slopes
@@ -24,9 +24,6 @@ from orbisim.shooting.windows import Windows, evenly
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
-
-_WEAK = 1e-7
-"""Change of the data by a parameter, over the largest, below which the data do not determine it."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -199,8 +196,8 @@ class Judge:
                 checked = self._scored(fitted, self.check, begin.check_start, begin.check_free)
         except (OrbiSimError, np.linalg.LinAlgError):
             return None
-        means = _means(self.check, checked)
-        fit_means = _means(self.fitted, fit)
+        means = mean_squares(self.check, checked)
+        fit_means = mean_squares(self.fitted, fit)
         trimmed = bool(fitted.effects or fitted.factors)
         square = max(
             self._typical(self.fitted, fit_means, trimmed),
@@ -275,7 +272,7 @@ class Judge:
             fit = self._fit(hypothesis, 1, begin, quick=True)
         except (OrbiSimError, np.linalg.LinAlgError):
             return np.inf
-        return self._typical(self.fitted, _means(self.fitted, fit))
+        return self._typical(self.fitted, mean_squares(self.fitted, fit))
 
     def quick_loss(self, hypothesis: Hypothesis, begin: Beginning) -> float:
         """As `Judged.loss`, with starts alone fitted, and roughly.
@@ -283,10 +280,10 @@ class Judge:
         Raises:
           OrbiSimError: it cannot be simulated.
         """
-        means = [_means(self.fitted, self.score(hypothesis, begin, 2))]
+        means = [mean_squares(self.fitted, self.score(hypothesis, begin, 2))]
         if self.check is not self.fitted:
             fit = self._scored(hypothesis, self.check, begin.check_start, begin.check_free, 2)
-            means.append(_means(self.check, fit))
+            means.append(mean_squares(self.check, fit))
         return float(np.log1p(np.concatenate(means)).mean())
 
     def score(
@@ -372,7 +369,7 @@ class Judge:
         at_end = ~np.array(inside, bool)
         size = np.maximum(np.where(at_end, 0.0, np.abs(values)), 1e-3)
         change = np.sqrt(np.maximum(information, 0.0)) * size
-        weak = change < max(_WEAK * change.max(initial=0.0), 1e-3)
+        weak = change < max(WEAK * change.max(initial=0.0), 1e-3)
         weak |= np.array([u.ran_off(v) for u, v in zip(unknowns, values, strict=False)], bool)
         weak &= np.array([not _stepwise(fitted, i, name) for i, name in free], bool)
         if weak.all():
@@ -459,8 +456,8 @@ def _stepwise(hypothesis: Hypothesis, number: int, name: str) -> bool:
     return find(effect.effect).stepwise(effect, name)
 
 
-def _means(shooter: Shooter, fit: Fit) -> Floats:
-    """Mean squared weighted residual of each window, its start's numbers counted."""
+def mean_squares(shooter: Shooter, fit: Fit) -> Floats:
+    """[W]: mean squared weighted residual of each window, its start's numbers counted."""
     return np.asarray(fit.per_window / np.maximum(shooter.data - 2 * shooter.nv, 1))
 
 

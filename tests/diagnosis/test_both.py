@@ -1,0 +1,84 @@
+"""What explains forces and what explains free runs, by both."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import orbisim
+from orbisim.diagnosis.both import _of_forces, _of_runs, worth_in_both
+from orbisim.diagnosis.conclusion import Attribution
+from orbisim.diagnosis.force_data import ForceData, force_data
+from orbisim.diagnosis.force_search import ForceAttribution
+from orbisim.diagnosis.run import _weighed
+from orbisim.effects import EffectInstance
+from orbisim.evidence import gain
+from orbisim.motion.samples import prepare_all
+from orbisim.shooting.bench import Bench, make_bench
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.judge import Judge
+from orbisim.testing import inject_effect
+
+
+@pytest.fixture(scope="module")
+def data(
+    arm: orbisim.Scene, several: tuple[EffectInstance, ...]
+) -> tuple[Bench, ForceData, Hypothesis]:
+    runs = inject_effect(arm, several, duration=2.0, episodes=3, noise=1e-4, seed=5)
+    samples = prepare_all(runs, arm)
+    return make_bench(arm, samples, 0.5), force_data(arm, samples), Hypothesis(several)
+
+
+def test_the_truth_is_worth_more_than_a_part_of_it(
+    data: tuple[Bench, ForceData, Hypothesis],
+) -> None:
+    bench, forces, truth = data
+    part = truth.without(len(truth.effects) - 1)
+    assert worth_in_both(bench, forces, Hypothesis(), truth).sure > 10
+    assert worth_in_both(bench, forces, part, truth).sure > 0
+    back = worth_in_both(bench, forces, truth, part)
+    assert back.total == pytest.approx(-worth_in_both(bench, forces, part, truth).total)
+
+
+def test_both_kinds_of_evidence_count(data: tuple[Bench, ForceData, Hypothesis]) -> None:
+    bench, forces, truth = data
+    (nothing, all_of_it), runs = _of_runs(bench, Hypothesis(), truth)
+    assert np.median(nothing) > 20 and np.median(all_of_it) < 1.5
+    (missing, left), stretches = _of_forces(forces, Hypothesis(), truth)
+    assert np.mean(missing) > 4 * np.mean(left)
+    assert (left >= stretches.floor**2).all()
+    whole = worth_in_both(bench, forces, Hypothesis(), truth)
+    parts = gain(nothing, all_of_it, runs), gain(missing, left, stretches)
+    assert whole.mean == pytest.approx(sum(one.mean for one in parts))
+    assert all(one.sure > 0 for one in parts)
+
+
+def test_what_cannot_be_simulated_is_worth_nothing(
+    data: tuple[Bench, ForceData, Hypothesis],
+) -> None:
+    bench, forces, truth = data
+    none = Hypothesis((EffectInstance("armature", "elbow", {"inertia": -1.0}),))
+    assert worth_in_both(bench, forces, none, truth).sure > 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Answer:
+    """What is weighed of a diagnosis."""
+
+    attribution: object
+    notes: tuple[str, ...] = ()
+
+
+def test_the_better_answer_is_given_whichever_was_fitted_to_what(
+    data: tuple[Bench, ForceData, Hypothesis],
+) -> None:
+    bench, forces, truth = data
+    judge, part = Judge(bench, bench.intervals), truth.without(1)
+    for moved, pushed in ((part, truth), (truth, part)):
+        judged = judge.judge(moved, 3)
+        assert judged is not None
+        runs = Attribution(bench, judged, judged, None, (), (), (), False)
+        other = ForceAttribution(forces, pushed, None, 9.0, 1.0)  # type: ignore[arg-type]
+        found = _weighed(Answer(runs), Answer(other))  # type: ignore[arg-type]
+        assert found.attribution is (other if pushed is truth else runs)
+        assert "by free runs and by forces together" in found.notes[-1]
