@@ -33,7 +33,7 @@ from orbisim.effects.screening import Candidate
 from orbisim.errors import OrbiSimError
 from orbisim.evidence import Blocks, Gain
 from orbisim.host.deadline import NEVER, Deadline
-from orbisim.motion.samples import Samples
+from orbisim.motion.samples import Samples, extent
 from orbisim.scene import Scene
 from orbisim.shooting.fits import WEAK, Fit
 from orbisim.shooting.hypothesis import Hypothesis
