@@ -90,3 +90,4 @@ def _possible(
 _LOST = 1e12
 """Mean square of a window that cannot be simulated."""
 _MOST_WINDOWS = 96
+"""Windows that are scored: as many as a final fit has."""
