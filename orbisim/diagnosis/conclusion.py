@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
+import numpy as np
+
 from orbisim.diagnosis.context import Context, Progress
 from orbisim.diagnosis.found import Rival
 from orbisim.diagnosis.search import Found, Sure, Tried, only_sure, search
@@ -181,18 +183,20 @@ def _on_contacts(context: Context, after: Judged) -> list[int]:
 def _resized(context: Context, after: Judged) -> Judged:
     """The same effects with other numbers of contacts, where bodies touch and more than noise is
     left: through impacts the cost is rugged, and a fit stays where it began. The first parameter of
-    each such effect is begun at other sizes."""
+    each such effect is simulated once at other sizes, and fitted from those that leave least."""
     model = context.bench.scene.model
     for number in _on_contacts(context, after):
         effect = after.hypothesis.effects[number]
         name = find(effect.effect).free_parameters(model, effect.target)[0]
         context.say(f"trying other sizes of {effect.effect} at {effect.target}")
-        tried, begin = [after], context.judge.begin(after)
+        tried, begin, starts = [after], context.judge.begin(after), list[Hypothesis]()
         for size in _SIZES:
             effects = list(after.hypothesis.effects)
             effects[number] = effect.replace(**{name: size * effect.values[name]})
-            start = dataclasses.replace(after.hypothesis, effects=tuple(effects))
-            judged = context.judge.judge(start, 5, polish=False, begin=begin)
+            starts.append(dataclasses.replace(after.hypothesis, effects=tuple(effects)))
+        left = [context.judge.glance(one, begin) for one in starts]
+        for index in np.argsort(left, kind="stable")[:_CLOSEST]:
+            judged = context.judge.judge(starts[index], 5, polish=False, begin=begin)
             tried += [judged] if judged is not None else []
         after = min(tried, key=lambda one: one.loss)
     return after
@@ -215,5 +219,7 @@ def rivals_of(tried: Sequence[Tried]) -> tuple[Rival, ...]:
 
 
 _SIZES = (0.6, 0.75, 0.9, 1.1, 1.3, 1.5)
+_CLOSEST = 2
+"""Of these, how many are fitted: one simulation ranks them well, and a fit hardly moves them."""
 _MOST_WINDOWS = 96
 """What final fits take: as many as `windows_enough` has fitted of 144."""

@@ -119,12 +119,13 @@ def attribute_forces(
 
 
 def _idle(hypothesis: Hypothesis, fit: Fit, number: int, scene: Scene) -> bool:
-    """Whether an effect's numbers cannot be told from those that change nothing (Wald's test), or
-    one of them ran off."""
+    """Whether an effect's numbers cannot be told from those that change nothing (Wald's test), the
+    data feel none of them, or one of them ran off."""
     free = hypothesis.free(scene)
     own = [k for k, (i, _) in enumerate(free) if i == number]
     unknowns = hypothesis.unknowns(scene)
-    if any(unknowns[k].ran_off(float(fit.values[k])) for k in own):
+    felt = _felt(np.sqrt(np.diag(fit.information.sum(axis=0))), fit.values)
+    if not felt[own].any() or any(unknowns[k].ran_off(float(fit.values[k])) for k in own):
         return True
     instance = hypothesis.effects[number]
     known = find(instance.effect).parameters(scene.model, instance.target)
@@ -266,12 +267,21 @@ def _step(slopes: Floats, left: Floats, values: Floats) -> Floats:
     """[P]: of all parameters that the data feel."""
     flat = slopes.reshape(-1, slopes.shape[2])
     scale = np.linalg.norm(flat, axis=0)
-    change = scale * np.maximum(np.abs(values), 1e-3)
-    felt = change > WEAK * change.max(initial=0.0)
+    felt = _felt(scale, values)
     step = np.zeros(len(values))
     step[felt] = np.linalg.lstsq(flat[:, felt] / scale[felt], left.ravel(), rcond=1e-6)[0]
     step[felt] /= scale[felt]
     return step
+
+
+def _felt(scale: Floats, values: Floats) -> npt.NDArray[np.bool_]:
+    """[P]: whether parameters change the data, compared with the others.
+
+    Args:
+      scale: [P] size of the change by a unit of each.
+    """
+    change = scale * np.maximum(np.abs(values), 1e-3)
+    return np.asarray(change > WEAK * change.max(initial=0.0))
 
 
 def _fit_of(data: ForceData, left: Floats, slopes: Floats, values: Floats) -> Fit:

@@ -509,7 +509,9 @@ def _all(context: Context, every: Iterable[Hypothesis], start: Judged) -> list[J
 
 
 def named(found: Found) -> Found:
-    """With the law without a name that is the better explanation, if there is one."""
+    """With the law without a name that is the better explanation, if there is one. An effect that
+    by itself leaves no more than noise keeps its name, though: not it, but what was added to it
+    below that, is what a law does as well."""
     context, best = found.context, found.best
     effects = best.hypothesis.effects
     if context.bench.contacts or not effects or (len(effects) < 2 and best.ratio <= NEAR):
@@ -519,10 +521,26 @@ def named(found: Found) -> Found:
     for judged in better:
         gain = worth(context.bench, best, judged)
         if (gain.total if best.ratio <= NEAR else gain.sure) > 0:
+            alone = _alone(found)
+            if alone is not None:
+                return dataclasses.replace(found, best=alone)
             own = judged.hypothesis.effects[-1]
             phrase = f"{find(own.effect).phrase}, at {own.target!r} alone, explains it as well"
             return dataclasses.replace(found, law=phrase)
     return found
+
+
+def _alone(found: Found) -> Judged | None:
+    """The best single effect that was surely worth it and leaves no more than noise."""
+    first = [one for one in found.tried if one.round == 1 and one.gain.sure > 0]
+    alone = [
+        one
+        for one in first
+        if len(one.judged.hypothesis.effects) == 1
+        and not one.judged.hypothesis.factors
+        and one.judged.ratio <= NEAR
+    ]
+    return max(alone, key=lambda one: one.gain.total).judged if alone else None
 
 
 _FEW = 3

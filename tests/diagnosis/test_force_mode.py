@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.force_data import ForceData
+from orbisim.diagnosis.force_data import ForceData, force_data, spread
 from orbisim.diagnosis.force_result import _implausible
+from orbisim.diagnosis.force_search import _idle, fit_forces
 from orbisim.effects import EffectInstance
 from orbisim.errors import InputError
+from orbisim.motion.samples import prepare_all
 from orbisim.recording import Recording
+from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.testing import inject_effect
 
 
@@ -69,6 +72,27 @@ def test_noise_beyond_the_machine_is_said(arm: orbisim.Scene) -> None:
     )
     notes = _implausible(arm, SimpleNamespace(data=one))  # type: ignore[arg-type]
     assert len(notes) == 1 and "'elbow'" in notes[0] and "positions jump" in notes[0]
+
+
+def test_what_no_force_shows_is_not_fitted_but_dropped() -> None:
+    """The distal link is a point on its own axis: its joint's dry friction needs an inertia to be
+    seen by inverse dynamics, and an offset along the axis moves nothing."""
+    scene = orbisim.load_scene(
+        "<mujoco><worldbody><body><joint name='one' axis='0 1 0'/>"
+        "<geom type='capsule' fromto='0 0 0 0 0 -.3' size='.02' mass='1'/>"
+        "<body name='tip' pos='0 0 -.3'><joint name='two' axis='0 0 1'/>"
+        "<inertial pos='0 0 -.05' mass='.2' diaginertia='1e-6 1e-6 1e-6'/></body></body>"
+        "</worldbody><actuator><motor name='one' joint='one'/><motor name='two' joint='two'/>"
+        "</actuator></mujoco>"
+    )
+    truth = EffectInstance("viscous_damping", "one", {"coefficient": 0.1})
+    runs = inject_effect(scene, truth, duration=3.0, episodes=1, noise=1e-4, seed=2)
+    data = force_data(scene, prepare_all(runs, scene), 300)
+    both = (truth, EffectInstance("coulomb_friction", "two", {"torque": 0.3}))
+    fitted, fit = fit_forces(data, Hypothesis(both), spread(data, data.force))
+    assert fitted.effects[0].values["coefficient"] == pytest.approx(0.1, rel=0.1)
+    assert fitted.effects[1].values["torque"] < 10
+    assert [_idle(fitted, fit, number, scene) for number in range(2)] == [False, True]
 
 
 def test_refuses_an_unknown_residual(arm: orbisim.Scene) -> None:

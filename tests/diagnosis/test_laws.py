@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 import orbisim
+from orbisim.diagnosis import search
 from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.context import begun
-from orbisim.diagnosis.search import Found, named
+from orbisim.diagnosis.search import Found, Tried
 from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.worth import worth
 from orbisim.effects import EffectInstance
 from orbisim.effects.unnamed import OneSidedLaw
 from orbisim.motion.samples import prepare_all
@@ -33,7 +35,7 @@ def found(arm: orbisim.Scene, truth: EffectInstance) -> tuple[Bench, Judged, str
     context = begun(bench, Settings(), lambda _: None)
     judged = context.judge.judge(Hypothesis((SPRING,)), 8)
     assert judged is not None
-    return bench, judged, named(Found(context, judged, judged)).law
+    return bench, judged, search.named(Found(context, judged, judged)).law
 
 
 def test_a_spring_is_no_name_for_a_cord_that_pulls_on_one_side(arm: orbisim.Scene) -> None:
@@ -49,6 +51,27 @@ def test_a_spring_is_one(arm: orbisim.Scene) -> None:
     assert law == ""
     assert inconsistency(bench, judged, 0) is None
     assert judged.hypothesis.effects[0].values["stiffness"] == pytest.approx(0.3, rel=0.02)
+
+
+def test_what_leaves_but_noise_by_itself_keeps_its_name(
+    arm: orbisim.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A needless second effect beside damping: what does as well as both, with fewer numbers, takes
+    the names of both away, but not of damping if that was enough."""
+    damping = EffectInstance("viscous_damping", "elbow", {"coefficient": 0.08})
+    monkeypatch.setattr(search, "laws", lambda *_: [Hypothesis((damping,))])
+    runs = inject_effect(arm, damping, duration=3.0, episodes=1, noise=2e-4, seed=3)
+    context = begun(make_bench(arm, prepare_all(runs, arm), 0.5), Settings(), lambda _: None)
+    needless = EffectInstance("quadratic_damping", "elbow", {"coefficient": 1e-3})
+    declared, alone, both = (
+        context.judge.judge(Hypothesis(effects), 3)
+        for effects in ((), (damping,), (damping, needless))
+    )
+    assert declared is not None and alone is not None and both is not None
+    assert "'elbow' alone" in search.named(Found(context, declared, both)).law
+    tried = Tried(alone, 1, worth(context.bench, declared, alone))
+    kept = search.named(Found(context, declared, both, tried=(tried,)))
+    assert kept.best is alone and not kept.law
 
 
 def test_a_law_of_one_side_is_fitted_from_either_side() -> None:
