@@ -118,16 +118,16 @@ def diagnose(
     ):
         say("reading the recordings")
         engine = backend if isinstance(backend, str) else backend.name
-        known = residual is None and not learn_rest and _driven(loaded, fit)
+        either = residual is None and not learn_rest
 
         def by_forces(share: float) -> Diagnosis:
-            both, own = (bounded(fit, []), bounded(held, [])), list(notes)
-            limit = Deadline(start + share * settings.patience)
+            own, limit = list(notes), Deadline(start + share * settings.patience)
+            both = bounded(fit, own), bounded(held, own)
             return diagnose_forces(loaded, named, *both, settings, engine, own, say, limit)
 
         result: Diagnosis | None = None
         forces: Diagnosis | None = None
-        if residual == "force" or (known and loaded.model.nv >= _ARM):
+        if residual == "force" or (either and _arm(loaded, fit)):
             forces = by_forces(_SEARCH if residual else _FORCES)
             if residual == "force" or len(forces.effects) >= loaded.model.nv:
                 result = forces
@@ -136,7 +136,7 @@ def diagnose(
             result = _by_motion(
                 loaded, named, fit, held, settings, chosen, backend, learn_rest, notes, say, start
             )
-            if known and _leaves_something(result):
+            if either and _leaves_something(result):
                 forces = forces or by_forces(_FITS)
                 say("weighing what forces show against what free runs show")
                 result = _weighed(result, forces)
@@ -196,10 +196,13 @@ motion, a search, and the final fits."""
 
 
 def _leaves_something(motion: Diagnosis) -> bool:
-    """Whether more than noise is left of free runs, and no law without a name accounts for it."""
-    found = motion.attribution
+    """Whether more than noise is left of free runs, no law without a name accounts for it, and the
+    forces at all joints are known, where nothing touches."""
+    found, model = motion.attribution, motion.scene.model
+    if not isinstance(found, Attribution) or found.law or found.bench.contacts:
+        return False
     left = motion.verdict in ("partly_explained", "unexplained")
-    return left and isinstance(found, Attribution) and not found.law
+    return left and model.nq == model.nv and _forces_known(motion.scene, found.samples)
 
 
 def _weighed(motion: Diagnosis, forces: Diagnosis) -> Diagnosis:
@@ -218,9 +221,9 @@ def _weighed(motion: Diagnosis, forces: Diagnosis) -> Diagnosis:
     return dataclasses.replace(better, notes=tuple(dict.fromkeys([*better.notes, told])))
 
 
-def _driven(scene: Scene, recordings: Sequence[Recording]) -> bool:
-    """Whether the forces at all joints are known, and nothing touches."""
-    if scene.model.nq != scene.model.nv:
+def _arm(scene: Scene, recordings: Sequence[Recording]) -> bool:
+    """Whether the forces at all of several joints are known, and nothing touches."""
+    if scene.model.nv < _ARM or scene.model.nq != scene.model.nv:
         return False
     samples = prepare_all([recordings[0]], scene)
     return _forces_known(scene, samples) and not touches(scene, samples)
