@@ -195,9 +195,16 @@ class _Binder(Assembly):
         )
         example = missing[0]
         remedy = f"record 'qpos/{example.label}'"
+        names = [f"qpos/{example.label}"]
         if example.kind == 0:
             body = body_label(self.model, example.body)
             remedy += f", or 'xpos/{body}' and 'xquat/{body}'"
+            names.append(f"xpos/{body}")
+        unseen = [name for name in names if name in self.recording.signals]
+        if unseen:
+            first, last = self.recording.time[[0, -1]]
+            why += f": {unseen[0]!r} has no sample from {first:.4g} to {last:.4g} s"
+            remedy = "leave out the stretch in which it is not seen, or " + remedy
         plural = "joint" if len(missing) == 1 else "joints"
         raise RecordingError(
             self.recording.source,

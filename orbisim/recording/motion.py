@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection
+import math
+from collections.abc import Collection, Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +39,26 @@ class SmoothedRotation:
     angacc_std: Floats
     noise_std: float
     jumps: Bools
+
+
+def stated_noise(bound: Bound, joint: Joint) -> tuple[float, float]:
+    """Noise of a joint's position and orientation, m or rad, as its recording states it; else 0.
+
+    `metadata["noise"]` holds standard deviations by the names of signals (as `orbisim infer` writes
+    them): a fit to images errs alike from frame to frame, and where nothing moves it repeats
+    itself, so that the samples alone look better than they are.
+    """
+    given = bound.recording.metadata.get("noise")
+    if not isinstance(given, Mapping):
+        return 0.0, 0.0
+    body = bound.model.body(joint.body).name
+
+    def largest(*names: str) -> float:
+        known = [given.get(name) for name in names if name in bound.recording.signals]
+        numbers = [float(v) for v in known if isinstance(v, (int, float))]
+        return max((v for v in numbers if math.isfinite(v)), default=0.0)
+
+    return largest(f"qpos/{joint.name}", f"xpos/{body}"), largest(f"xquat/{body}")
 
 
 def rotation_noise(time: Floats, quats: Floats) -> float:
@@ -151,15 +172,19 @@ class _Plan:
         self.bound = bound
         self.columns: list[int] = []
         self.straight_v: list[int] = []
+        stated: list[float] = []
         for joint in wanted:
             width = 3 if joint.kind == Kind.FREE else 1 if joint.scalar else 0
             self.columns += range(joint.q.start, joint.q.start + width)
             self.straight_v += range(joint.v.start, joint.v.start + width)
+            stated += [stated_noise(bound, joint)[0]] * width
+        self.stated = np.array(stated)
         self.turning: list[tuple[Joint, slice, float]] = []
         self.unseen = [j for j in wanted if j.id in bound.unseen_turns]
         for joint in wanted:
             if joint.quat is not None and joint not in self.unseen:
                 noise = rotation_noise(bound.time, bound.qpos[:, joint.quat])
+                noise = np.fmax(noise, stated_noise(bound, joint)[1])
                 place = slice(len(self.columns), len(self.columns) + 4)
                 self.turning.append((joint, place, noise))
                 self.columns += range(joint.quat.start, joint.quat.stop)
@@ -168,6 +193,7 @@ class _Plan:
         """[C]: of every column."""
         straight = self.columns[: len(self.straight_v)]
         each = noise_std(self.bound.time, self.bound.qpos[:, straight])
+        each = np.fmax(each, self.stated)
         return np.concatenate([each, *([n / 2.0] * 4 for _, _, n in self.turning)])
 
 

@@ -69,7 +69,11 @@ def test_named_and_whole_signals_bind_to_the_same(everything, trajectory):
         ({"qpos/hinge": np.zeros((101, 2))}, "'qpos/hinge': has 2 columns; 'hinge' needs 1"),
         ({"qpos/hinge": T, "qpos": 2 * T}, "'qpos/hinge': differs from what 'qpos' holds"),
         ({"qvel/hinge": T}, "joint 'hinge' of scene 'pendulum' not recorded.*record 'qpos/hinge'"),
-        ({"qpos/hinge": np.full(101, np.nan)}, "joint 'hinge' of scene 'pendulum' not recorded"),
+        (
+            {"qpos/hinge": np.full(101, np.nan)},
+            "joint 'hinge' of scene 'pendulum' not recorded.*'qpos/hinge' has no sample from 0 to "
+            "1 s.*leave out the stretch",
+        ),
     ],
 )
 def test_what_does_not_fit_is_refused(pendulum, signals, pattern):

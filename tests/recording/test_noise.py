@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from orbisim.recording import noise_std
+from orbisim.recording import Recording, bind, estimate_motion, noise_std
 from orbisim.recording.noise import lattice_step
+from orbisim.scene import load_scene
 
 
 def swing(t):
@@ -92,3 +93,18 @@ def test_long_signals_are_sampled():
     t = np.arange(3_000_000) * 1e-3
     y = swing(t) + 1e-3 * np.random.default_rng(0).standard_normal(len(t))
     assert noise_std(t, y) == pytest.approx(1e-3, rel=0.05)
+
+
+def test_noise_that_a_recording_states_is_a_floor() -> None:
+    scene = load_scene(
+        "<mujoco><worldbody><body name='cube'><freejoint name='cube'/>"
+        "<geom type='box' size='.1 .1 .1'/></body></worldbody></mujoco>"
+    )
+    place, turn = np.tile([0.0, 0.0, 0.1], (20, 1)), np.tile([1.0, 0.0, 0.0, 0.0], (20, 1))
+    still = Recording(np.arange(20) / 30, {"xpos/cube": place, "xquat/cube": turn})
+    assert estimate_motion(bind(still, scene)).noise_std.max() < 1e-6
+    said = still.replace(metadata={"noise": {"xpos/cube": 1e-3, "xquat/cube": 0.04}})
+    found = estimate_motion(bind(said, scene)).noise_std
+    np.testing.assert_allclose(found, [1e-3] * 3 + [0.04] * 3, rtol=1e-6)
+    odd = still.replace(metadata={"noise": {"xpos/cube": "much", "xquat/cube": float("inf")}})
+    assert estimate_motion(bind(odd, scene)).noise_std.max() < 1e-6
