@@ -80,8 +80,11 @@ def _mechanisms() -> list[DataSet]:
     for family in MECHANISMS:
         name, task = f"mechanism_{family}", f"task:mechanism:{family}"
         if family not in HELD_OUT_MECHANISMS:
-            sets.append(DataSet(f"{name}_train", task, subtask="train"))
-        sets.append(DataSet(f"{name}_test", task, seed=TEST, subtask="held_out"))
+            tries = {"release": 0.7}  # what a lock holds shows where nothing releases it
+            sets.append(DataSet(f"{name}_train", task, subtask="train", changes=tries))
+        held = {"task": task, "seed": TEST, "subtask": "held_out"}
+        sets.append(DataSet(f"{name}_test", **held))
+        sets.append(DataSet(f"{name}_locked", changes={"release": 0.0}, **held))
     return sets
 
 

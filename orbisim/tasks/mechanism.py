@@ -49,6 +49,7 @@ class MechanismConfig:
       turn: of the base about the vertical, rad.
       speed: of the hand, m/s. turning: of the hand, rad/s.
       slip: how far beside where it should the hand takes hold, m.
+      release: share of the episodes in which the hand releases what is locked before it pulls.
     """
 
     instance: int = -1
@@ -57,6 +58,7 @@ class MechanismConfig:
     speed: Range = (0.25, 0.35)
     turning: Range = (0.8, 1.1)
     slip: Range = (-0.002, 0.002)
+    release: float = 1.0
 
 
 class MechanismTask(Task):
@@ -153,6 +155,8 @@ class MechanismTask(Task):
             offset=(float(rng.uniform(*config.slip)), 0.0, float(rng.uniform(*config.slip))),
         )
         start = np.array(_START)
+        if stream(seed, 3).random() >= config.release:
+            mechanism = without_release(mechanism)
         script = Script(
             (),
             _START,
@@ -164,6 +168,15 @@ class MechanismTask(Task):
             joints=(0.0,) * len(mechanism.joints),
         )
         return perform(model, script, controller(_ARM), self.steps, self.control_timestep)
+
+
+def without_release(mechanism: Mechanism) -> Mechanism:
+    """With operations that leave out the first motion, or the first operation if it has no other:
+    the hand pulls without having turned or pressed."""
+    first, *others = mechanism.operations
+    if len(first.motions) > 1:
+        others = [dataclasses.replace(first, motions=first.motions[1:]), *others]
+    return dataclasses.replace(mechanism, operations=tuple(others))
 
 
 def succeeded(model: mujoco.MjModel, mechanism: Mechanism, qpos: Any) -> bool:
