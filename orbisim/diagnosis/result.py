@@ -85,6 +85,7 @@ class Diagnosis:
             error=self.error,
             residual=self.residual,
             of_sensors=self.error_is_of_sensors,
+            cut_short=getattr(self.attribution, "cut_short", False),
         )
 
     @property

@@ -184,9 +184,6 @@ def _by_motion(
             unseen=unseen, seed=settings.seed, say=say,
         )  # fmt: skip
         result = dataclasses.replace(result, rest=learned)
-    if result.verdict == "unexplained" and not bench.contacts and _forces_known(scene, samples):
-        hint = "the forces at all joints are known: residual='force' explains them instead"
-        result = dataclasses.replace(result, notes=(*result.notes, hint))
     return result
 
 
@@ -236,14 +233,15 @@ simulate many effects one by one takes long."""
 
 def _forces_known(scene: Scene, samples: Sequence[Samples]) -> bool:
     """Whether every degree of freedom is driven by a recorded force, or by an actuator whose force
-    follows from its control alone."""
-    model = scene.model
+    follows from its recorded control alone."""
+    model, recorded = scene.model, {name for one in samples for name in one.bound.recording.signals}
     driven = np.zeros(model.nv, bool)
     for one in samples:
         driven |= np.asarray(one.bound.applied, bool)
     for actuator in actuators(model):
         plain = model.actuator_biastype[actuator.id] == mujoco.mjtBias.mjBIAS_NONE
-        if actuator.driven and actuator.joint >= 0 and plain and not model.na:
+        known = not recorded.isdisjoint(("ctrl", f"ctrl/{actuator.name}"))
+        if known and actuator.driven and actuator.joint >= 0 and plain and not model.na:
             driven[model.jnt_dofadr[actuator.joint]] = True
     return bool(driven.all())
 

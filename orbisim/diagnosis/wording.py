@@ -18,12 +18,14 @@ def sentence(
     error: Mapping[str, Any],
     residual: Mapping[str, Any],
     of_sensors: bool,
+    cut_short: bool = False,
 ) -> str:
     """The verdict in one sentence.
 
     Args:
       verdict, effects, retuned, error, residual: as in `Diagnosis`.
       of_sensors: whether what is wrong are readings of sensors, and the motion is not.
+      cut_short: whether the search ended because its time was up.
     """
     unit = error["unit"]
     before, after = error["held_out"]["before"], error["held_out"]["after"]
@@ -39,9 +41,9 @@ def sentence(
     if verdict == "unexplained":
         times = number(residual["ratio_to_noise"])
         return (
-            f"The recordings deviate from the scene ({times} times the noise), and no effect of "
-            f"the catalogue explains it: {what_error} on held-out data {number(before)} "
-            f"{unit}, {floor}."
+            f"The recordings deviate from the scene ({times} times the noise), and "
+            f"{_CUT_SHORT if cut_short else _NOTHING}: {what_error} on held-out data "
+            f"{number(before)} {unit}, {floor}."
         )
     moving = [e for e in effects if not e.error_unit]
     if effects and not moving and not retuned:
@@ -59,6 +61,8 @@ def sentence(
     )
 
 
+_NOTHING = "no effect of the catalogue explains it"
+_CUT_SHORT = "the search ended before it found what explains it (a longer --patience lets it go on)"
 _REMAINS = "; something structured remains"
 _FAR = 2.0
 """Times the noise from which on a reader asks why that is called explained."""

@@ -11,6 +11,7 @@ import orbisim
 from orbisim.diagnosis.force_data import ForceData, force_data, spread
 from orbisim.diagnosis.force_result import _implausible
 from orbisim.diagnosis.force_search import _idle, fit_forces
+from orbisim.diagnosis.run import _forces_known
 from orbisim.effects import EffectInstance
 from orbisim.errors import InputError
 from orbisim.motion.samples import prepare_all
@@ -103,3 +104,13 @@ def test_refuses_an_unknown_residual(arm: orbisim.Scene) -> None:
 def test_a_learned_rest_belongs_to_the_motion(arm: orbisim.Scene) -> None:
     with pytest.raises(InputError, match="learn_rest goes with residual='motion'"):
         orbisim.diagnose(arm, recorded(arm), residual="force", learn_rest=True, progress=False)
+
+
+def test_a_control_that_is_not_recorded_is_no_known_force(arm: orbisim.Scene) -> None:
+    whole = recorded(arm)[0]
+    blind = Recording(
+        time=whole.time,
+        signals={name: x for name, x in whole.signals.items() if not name.startswith("ctrl")},
+    )
+    assert _forces_known(arm, prepare_all([whole], arm))
+    assert not _forces_known(arm, prepare_all([blind], arm))

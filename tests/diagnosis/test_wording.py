@@ -35,3 +35,23 @@ def test_an_error_far_above_the_noise_is_accounted_for(
     )
     end = text.partition("(measurement noise 0.00028 rad)")[2]
     assert said in end and (end == "." if not said else end.startswith("; "))
+
+
+@pytest.mark.parametrize(
+    ("cut_short", "said", "not_said"),
+    [(False, "no effect of the catalogue", "--patience"), (True, "--patience", "no effect of")],
+)
+def test_a_search_whose_time_was_up_does_not_speak_of_the_whole_catalogue(
+    cut_short: bool, said: str, not_said: str
+) -> None:
+    error = {"unit": "rad", "noise_floor": 1e-3, "held_out": {"before": 0.03, "after": 0.03}}
+    text = sentence(
+        verdict="unexplained",
+        effects=[],
+        retuned=[],
+        error=error,
+        residual={"ratio_to_noise": 30.0},
+        of_sensors=False,
+        cut_short=cut_short,
+    )
+    assert said in text and not_said not in text
