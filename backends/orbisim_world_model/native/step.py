@@ -41,7 +41,7 @@ class NativeStep:
         outputs = translator.run()
         writer = translator.writer
         results = [writer.elementwise(out.shape, "{0}", [out]) for out in outputs]
-        self._function = compiled(writer.source())
+        self._function = compiled(writer.source(), careful=model.contacts is not None)
         self._constants = np.ascontiguousarray(torch.cat(writer.constants).numpy())
         self._workspace = np.zeros(max(writer.workspace, 1), np.float32)
         self._inputs = [np.zeros(tuple(t.shape), np.float32) for t in (*example, memory)]

@@ -32,6 +32,7 @@ _UNARY = {
     aten.sqrt.default: "sqrtf({0})",
     aten.rsqrt.default: "1.0f / sqrtf({0})",
     aten.reciprocal.default: "1.0f / {0}",
+    aten.log1p.default: "log1pf({0})",
     aten.neg.default: "-{0}",
     aten.abs.default: "fabsf({0})",
 }
@@ -43,6 +44,7 @@ _BINARY = {
     aten.rsub.Scalar: "{1} - {0}",
     aten.lt.Scalar: "({0} < {1}) ? 1.0f : 0.0f",
     aten.lt.Tensor: "({0} < {1}) ? 1.0f : 0.0f",
+    aten.gt.Tensor: "({0} > {1}) ? 1.0f : 0.0f",
     aten.gt.Scalar: "({0} > {1}) ? 1.0f : 0.0f",
     aten.bitwise_and.Tensor: "{0} * {1}",
     aten.maximum.default: "({0} > {1}) ? {0} : {1}",
@@ -150,10 +152,20 @@ class Translator:
         return self.writer.elementwise(total.shape, f"{{0}} * {1.0 / count!r}f", [total])
 
     def _op__softmax(self, shape: Any, x: Value, axis: int, half: bool) -> Value:
-        # scores are bounded by the layer normalisation before them: no need to subtract the largest
-        e = self.writer.elementwise(shape, "expf(clampf({0}, -80.0f, 80.0f))", [x])
+        above = self._largest(x, axis % len(shape))
+        e = self.writer.elementwise(shape, "expf(clampf({0} - {1}, -80.0f, 0.0f))", [x, above])
         total = self.writer.summed(e, [axis], True)
         return self.writer.elementwise(shape, "{0} / {1}", [e, total])
+
+    def _largest(self, x: Value, axis: int) -> Value:
+        """The largest of each row, by halves."""
+        while (count := x.shape[axis]) > 1:
+            half = count // 2
+            cuts = ((0, half), (half, 2 * half), (2 * half, count))
+            one, other, spare = (_moved(aten.slice.Tensor, (x, axis, *cut), {}) for cut in cuts)
+            best = self.writer.elementwise(one.shape, "({0} > {1}) ? {0} : {1}", [one, other])
+            x = self.writer.concatenated([best, spare], axis) if count % 2 else best
+        return x
 
     def _op_native_layer_norm(
         self, shape: Any, x: Value, size: Any, weight: Any, bias: Any, eps: float

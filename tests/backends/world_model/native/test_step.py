@@ -17,7 +17,7 @@ from orbisim_world_model.trainer import new_model
 from orbisim import load_scene, make_backend
 from orbisim.errors import DivergedError, MissingDependencyError
 from tests.backends.world_model.conftest import toy
-from tests.backends.world_model.synthetic import BOX, PENDULUM, TABLE, simulate
+from tests.backends.world_model.synthetic import BOX, PENDULUM, PUSHER, TABLE, simulate
 
 needs_compiler = pytest.mark.skipif(
     not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="no C compiler"
@@ -27,7 +27,7 @@ needs_compiler = pytest.mark.skipif(
 @needs_compiler
 @pytest.mark.parametrize(
     ("xml", "name"),
-    [(TABLE, "default"), (BOX, "recurrent"), (PENDULUM, "default")],
+    [(PUSHER, "contacts"), (BOX, "recurrent"), (PENDULUM, "default")],
 )
 def test_the_compiled_step_agrees_with_torch(xml: str, name: str) -> None:
     pack = simulate(xml, 3, 20, 2)
