@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Container
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ def save_progress(folder: Path, tensors: dict[str, Tensor], notes: dict[str, Any
 
 
 def load_progress(
-    folder: Path, dtypes: Container[torch.dtype] = (torch.float32,)
+    folder: Path, dtypes: Collection[torch.dtype] = (torch.float32,)
 ) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
     """What `save_progress` wrote, or None if nothing was.
 
@@ -54,7 +54,8 @@ def load_progress(
                 raise ValueError(f"its notes say {name} {notes[name]}")
         for name, tensor in tensors.items():
             if tensor.dtype not in dtypes or not torch.isfinite(tensor).all():
-                raise ValueError(f"{name} is not finite numbers of a known type")
+                known = " or ".join(sorted(str(one).removeprefix("torch.") for one in dtypes))
+                raise ValueError(f"{name} is not finite numbers in {known}")
     except (OSError, SafetensorError, ValueError, RuntimeError) as error:
         said = " ".join(str(error).split())[:300]
         raise InputError(f"{path}: damaged; delete it to start afresh ({said})") from None

@@ -38,6 +38,7 @@ def found(arm: orbisim.Scene, truth: EffectInstance) -> tuple[Bench, Judged, str
     return bench, judged, search.named(Found(context, judged, judged)).law
 
 
+@pytest.mark.slow
 def test_a_spring_is_no_name_for_a_cord_that_pulls_on_one_side(arm: orbisim.Scene) -> None:
     bench, judged, law = found(arm, CORD)
     assert judged.ratio > 1.5

@@ -310,6 +310,7 @@ def change(chromium: Chromium, name: str, value: str) -> None:
     assert done
 
 
+@pytest.mark.slow
 def test_a_live_pages_controls(chromium: Chromium) -> None:
     with live(ROBOT) as running:
         chromium.open(running.url)
@@ -344,6 +345,7 @@ def test_a_live_pages_controls(chromium: Chromium) -> None:
         assert chromium.errors == []
 
 
+@pytest.mark.slow
 def test_on_a_phone_the_scene_is_seen_and_the_panel_opens_by_a_click(
     chromium: Chromium, run_page: str, tmp_path: Path
 ) -> None:

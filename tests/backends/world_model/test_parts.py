@@ -202,7 +202,9 @@ def checkpoint(both: Pack, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.filterwarnings("ignore::orbisim_world_model.backend.OutsideTrainingWarning")
-@pytest.mark.parametrize(("xml", "count"), [(DOOR, 4), (PANEL, 5)])
+@pytest.mark.parametrize(
+    ("xml", "count"), [(DOOR, 4), pytest.param(PANEL, 5, marks=pytest.mark.slow)]
+)
 def test_the_backend_steps_mechanisms(checkpoint: Path, xml: str, count: int) -> None:
     """Of any number of parts; singly and in batches, in compiled C and by torch."""
     scene = load_scene(xml)
