@@ -15,11 +15,12 @@ from fuzz_kinds import KINDS
 _COUNTS = {
     "archive": 6,
     "usdz": 3,
+    "csv": 12,
     "hdf5": 10,
     "texts": 8,
     "checkpoint": 6,
     "progress": 8,
-    "log_hdf5": 6,
+    "log_hdf5": 3,
 }
 """Fewer than `_COUNT` where each takes long."""
 _COUNT = 40
