@@ -82,6 +82,7 @@ def test_finds_what_is_wrong_with_a_sensor(
     assert result.noise[f"sensor/{target}"] == pytest.approx(2e-3, rel=0.1)
 
 
+@pytest.mark.slow
 def test_one_axis_and_two_faults_at_once(arm: orbisim.Scene, tmp_path: Path) -> None:
     bias = EffectInstance("sensor_bias", "gyro", {"offset": 0.03}, {"axis": "z"})
     friction = EffectInstance("coulomb_friction", "elbow", {"torque": 0.1})

@@ -60,6 +60,7 @@ def test_a_sample_passes_with_ours(tool: ModuleType, file: str, tmp_path: Path) 
     assert sys.modules.get("orbisim_replacement") is None  # it ran elsewhere
 
 
+@pytest.mark.slow
 def test_a_replacement_that_fails_is_noticed(tool: ModuleType, tmp_path: Path) -> None:
     """A tool that compares nothing would pass."""
     root = tmp_path / "dm_control"

@@ -95,6 +95,7 @@ def test_speed_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     assert slept == [2.0]
 
 
+@pytest.mark.slow
 def test_pages_change_a_running_simulation() -> None:
     with live(ROBOT) as running:
         page = Page(running.url)
