@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -43,6 +43,27 @@ def worth_in_both(bench: Bench, data: ForceData, before: Hypothesis, after: Hypo
     parts = gain(runs[0], runs[1], moved), gain(forces[0], forces[1], pushed)
     error = math.hypot(parts[0].error, parts[1].error)
     return Gain(sum(one.mean for one in parts), error, odds(after) - odds(before))
+
+
+class Runs(NamedTuple):
+    """What free runs say of an explanation.
+
+    Attributes:
+      gain: over the declared scene. left: root mean square over the noise, windows' starts fitted.
+    """
+
+    gain: Gain
+    left: float
+
+
+def by_runs(bench: Bench, one: Hypothesis) -> Runs:
+    """An explanation, as it is, beside the declared scene by free runs alone.
+
+    Args:
+      bench: see `worth_in_both`.
+    """
+    (declared, own), blocks = _of_runs(bench, Hypothesis(), one)
+    return Runs(gain(declared, own, blocks), float(np.sqrt(own.mean())))
 
 
 def _of_runs(bench: Bench, *both: Hypothesis) -> tuple[list[Floats], Blocks]:

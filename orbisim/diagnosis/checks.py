@@ -50,6 +50,18 @@ _MOST = 24
 """Windows that are simulated twice."""
 
 
+def shortened(declared: Scene, taken: Scene) -> str | None:
+    """A note if a shorter timestep than the declared one was taken."""
+    before, after = (float(one.model.opt.timestep) for one in (declared, taken))
+    if before == after:
+        return None
+    return (
+        f"free runs with a timestep of {after:.3g} s predict surely better than with the declared "
+        f"{before:.3g} s: the augmented scene has the shorter step, and what is named is missing "
+        "beside that"
+    )
+
+
 def disabled(scene: Scene) -> str | None:
     """A note on effects that a disabled flag of the scene makes impossible."""
     flags = int(scene.model.opt.disableflags)

@@ -8,9 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from orbisim.diagnosis.context import Context, Progress
+from orbisim.diagnosis.explanations import Found, Tried
 from orbisim.diagnosis.found import Rival
-from orbisim.diagnosis.search import Found, Sure, Tried, only_sure, search
+from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.simplification import Sure, only_sure
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.worth import worth
 from orbisim.effects import EffectInstance, find

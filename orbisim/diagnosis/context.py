@@ -60,6 +60,11 @@ class Context:
         judge = self._judge(bench, intervals, judged.ratio > NEAR)
         return dataclasses.replace(self, bench=bench, intervals=intervals, judge=judge)
 
+    def on(self, bench: Bench) -> Context:
+        """With the same data along another form of the declared scene."""
+        judge = self._judge(bench, bench.intervals, self.judge.heavy)
+        return dataclasses.replace(self, bench=bench, intervals=bench.intervals, judge=judge)
+
     def whole(self, deadline: Deadline, most: int) -> Context:
         """With all windows fitted and checked (so many at most), until another deadline."""
         bench = dataclasses.replace(self.bench.whole(), deadline=deadline)

@@ -10,12 +10,12 @@ import numpy as np
 
 from orbisim.backend import Backend
 from orbisim.diagnosis.conclusion import Attribution
+from orbisim.diagnosis.explanations import enough
 from orbisim.diagnosis.found import (
     Retuned,
     Verdict,
 )
 from orbisim.diagnosis.scoring import Score, score
-from orbisim.diagnosis.search import enough
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import find
 from orbisim.effects.estimate import Estimate, FoundEffect
@@ -78,6 +78,24 @@ def verdict_with_sensors(motion: Verdict, sensed: Sensed) -> Verdict:
     if motion in ("no_residual", "explained"):
         return "partly_explained" if left else "explained"
     return "partly_explained" if sensed.effects else motion
+
+
+def honest(verdict: Verdict, error: dict[str, Any], notes: list[str]) -> Verdict:
+    """A verdict that held-out recordings do not contradict: where free runs from measured starts
+    are further off there with what was found than without, it does not explain everything,
+    whatever it left of the windows that it was chosen by. What was found stays.
+
+    Args:
+      error: as reported. notes: get the reason.
+    """
+    before, after = error["held_out"]["before"], error["held_out"]["after"]
+    if verdict != "explained" or not after > before:
+        return verdict
+    notes.append(
+        f"on held-out data free runs are further off with what was found ({after:.3g} "
+        f"{error['unit']} instead of {before:.3g}): it does not explain everything"
+    )
+    return "partly_explained"
 
 
 def with_sensors(residual: dict[str, Any], sensed: Sensed) -> dict[str, Any]:

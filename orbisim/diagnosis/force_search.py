@@ -99,7 +99,10 @@ def attribute_forces(
     if ratio <= settings.enough:
         return _nothing(data, ratio, ())
     say("what effects would give along the recordings")
-    chosen = _selected(data, settings, say, deadline)
+    offered = candidates(data, settings.effects)
+    if not offered[0]:
+        return _nothing(data, ratio, ())
+    chosen = _selected(data, *offered, say, deadline)
     suspects = tuple((_named(o.group), _named(o.instead_of), o.gain) for o in chosen.rivals)
     known = instances(scene, chosen)
     if not known:
@@ -139,9 +142,14 @@ _TOLD = 2.0
 """Standard deviations by which an effect's numbers must differ from nothing."""
 
 
-def _selected(data: ForceData, settings: Settings, say: Progress, deadline: Deadline) -> Selected:
+def _selected(
+    data: ForceData,
+    found: Sequence[Candidate],
+    columns: Floats,
+    say: Progress,
+    deadline: Deadline,
+) -> Selected:
     """Effects, selected with weights that follow from what they leave."""
-    found, columns = candidates(data, settings.effects)
 
     def blocks(left: Floats) -> tuple[list[Normal], Blocks]:
         say("selecting effects")
@@ -173,6 +181,8 @@ def _common(data: ForceData, found: Sequence[Candidate], columns: Floats) -> Flo
     """[N, nv]: what all common effects together leave. What is missing is no noise: weights and
     the share of independent data are to be those of what effects cannot explain."""
     rare = [find(one.effect).rarity < BEGINNINGS[0] for one in found for _ in one.columns]
+    if all(rare):  # or none is offered
+        return np.nan_to_num(data.force)
     flat = columns[:, :, ~np.array(rare)].reshape(-1, len(rare) - sum(rare))
     scale, force = np.maximum(np.linalg.norm(flat, axis=0), 1e-300), np.nan_to_num(data.force)
     x = np.linalg.lstsq(flat / scale, force.ravel(), rcond=_FLAT)[0]

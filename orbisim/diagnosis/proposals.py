@@ -154,7 +154,8 @@ def exchanges(
     scene, own = context.bench.scene, current.hypothesis.effects[index]
     every = [*find(own.effect).equivalents(scene.model, own), *generalizations(context, own)]
     near = [clean(scene, one) for one in every if context.allowed(one)]
-    seen = {(own.effect, own.target)}
+    # the same effect at the same target twice is one with other numbers
+    seen = {(one.effect, one.target) for one in current.hypothesis.effects}
     for one in near:
         if (one.effect, one.target) not in seen:
             seen.add((one.effect, one.target))

@@ -14,13 +14,14 @@ import numpy as np
 
 from orbisim.backend import Backend
 from orbisim.diagnosis.alternatives import alternatives_of, candidates_of
-from orbisim.diagnosis.both import worth_in_both
-from orbisim.diagnosis.checks import disabled, doubts
+from orbisim.diagnosis.both import by_runs, worth_in_both
+from orbisim.diagnosis.checks import disabled, doubts, shortened
 from orbisim.diagnosis.conclusion import Attribution, attribute
 from orbisim.diagnosis.findings import (
     effects_of,
     errors_of,
     free_run_error,
+    honest,
     noise_of,
     residual_of,
     retuned_of,
@@ -36,8 +37,10 @@ from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.scoring import score
 from orbisim.diagnosis.sensor_faults import sensor_faults
 from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.timestep import along
 from orbisim.effects import add_effects, find
 from orbisim.errors import InputError
+from orbisim.evidence import NEAR, SURE
 from orbisim.host.deadline import Deadline
 from orbisim.host.engine_log import engine_warnings, ignore
 from orbisim.host.progress import status
@@ -173,7 +176,8 @@ def _by_motion(
     if found.cut_short:
         notes.append(f"the search was ended after {settings.patience:g} s; more may be found")
     say("checking on held-out data")
-    unseen = unseen.whole(found.bench.noise)
+    unseen = along(unseen.whole(found.bench.noise), found.bench.scene)
+    notes += [note for note in (shortened(scene, found.bench.scene),) if note is not None]
     notes += doubts(found)
     sensed = sensor_faults(found, unseen, notes, say)
     result = _result(scene, named, found, settings, fit, held, window, backend, notes, sensed)
@@ -204,17 +208,26 @@ def _leaves_something(motion: Diagnosis) -> bool:
 
 def _weighed(motion: Diagnosis, forces: Diagnosis) -> Diagnosis:
     """What explains forces in the place of what explains free runs if that is surely worth it by
-    both kinds of evidence."""
+    both kinds of evidence. Evidence of one kind must not outweigh that the other contradicts: what
+    predicts free runs surely worse than the declared scene is no answer, and what leaves more than
+    noise of them does not explain everything."""
     runs, pushed = motion.attribution, forces.attribution
     assert isinstance(runs, Attribution) and isinstance(pushed, ForceAttribution)
     if not pushed.hypothesis.effects:
         return motion
+    alone = by_runs(runs.bench, pushed.hypothesis)
+    if alone.gain.mean + SURE * alone.gain.error < 0:
+        told = "what explains the forces predicts free runs worse than the declared scene does"
+        return dataclasses.replace(motion, notes=tuple(dict.fromkeys([*motion.notes, told])))
     worth = worth_in_both(runs.bench, pushed.data, runs.hypothesis, pushed.hypothesis)
     told = (
         f"by free runs and by forces together, what explains the forces is worth {worth.total:.3g} "
         f"+- {worth.error:.2g} more in the logarithm of the odds than what explains free runs"
     )
-    better = forces if worth.sure > 0 else motion
+    better = motion
+    if worth.sure > 0:
+        whole = forces.verdict != "explained" or alone.left <= NEAR
+        better = forces if whole else dataclasses.replace(forces, verdict="partly_explained")
     return dataclasses.replace(better, notes=tuple(dict.fromkeys([*better.notes, told])))
 
 
@@ -288,13 +301,13 @@ def _result(
     notes: list[str],
     sensed: Sensed,
 ) -> Diagnosis:
-    hypothesis = found.after.hypothesis
-    augmented = hypothesis.scene(scene)
+    hypothesis, stepped = found.after.hypothesis, found.bench.scene
+    augmented = hypothesis.scene(stepped)
     measuring = [e for e in hypothesis.effects if find(e.effect).measurement]
     measuring += sensed.instances
     if measuring:
         augmented = add_effects(augmented, measuring)
-    changed = bool(hypothesis.effects or hypothesis.factors)
+    changed = bool(hypothesis.effects or hypothesis.factors) or stepped is not scene
     before = {"fit": score(scene, fit, window, (), backend)}
     before["held_out"] = score(scene, held, window, (), backend)
     after = dict(before)
@@ -303,6 +316,8 @@ def _result(
             "fit": score(augmented, fit, window, hypothesis.effects, backend),
             "held_out": score(augmented, held, window, hypothesis.effects, backend),
         }
+    error = errors_of(before, after, found.bench, window)
+    verdict = honest(verdict_with_sensors(verdict_of(found, settings), sensed), error, notes)
     return Diagnosis(
         scene=scene,
         source=named,
@@ -311,14 +326,14 @@ def _result(
         held_out=tuple(held),
         noise={**noise_of(scene, found.bench.noise), **sensor_noise_of(sensed)},
         residual=with_sensors(residual_of(found, settings), sensed),
-        verdict=verdict_with_sensors(verdict_of(found, settings), sensed),
+        verdict=verdict,
         effects=(
             *effects_of(
                 scene,
                 hypothesis,
                 found.after.fit,
                 found.evidence,
-                free_run_error(scene, held, window, backend),
+                free_run_error(stepped, held, window, backend),
                 settings.seed,
             ),
             *sensed.effects,
@@ -327,7 +342,7 @@ def _result(
         alternatives=alternatives_of(found),
         candidates=candidates_of(found),
         retuned=retuned_of(scene, found),
-        error=errors_of(before, after, found.bench, window),
+        error=error,
         augmented_scene=augmented,
         notes=tuple(dict.fromkeys([*notes, *before["fit"].notes, *before["held_out"].notes])),
         attribution=found,

@@ -46,6 +46,7 @@ class Group:
       fixed: whether the coefficients are ones instead of fitted.
       shape: number of parameters that were tried at several values.
       prior: logarithm of the odds of the effect beside those of any.
+      values: the same of what it says for coefficients, beside those of the effect.
     """
 
     index: tuple[int, ...]
@@ -54,6 +55,7 @@ class Group:
     fixed: bool = False
     shape: int = 0
     prior: float = 0.0
+    values: Prior = lambda _: 0.0
 
 
 def groups_of(
@@ -105,7 +107,7 @@ def _group(
     index = tuple(int(i) for i in start + felt)
     key = (candidate.effect, candidate.target)
     odds = find(candidate.effect).odds(model, candidate.target)
-    return Group(index, key, instance, candidate.fixed, candidate.shape, odds)
+    return Group(index, key, instance, candidate.fixed, candidate.shape, odds, prior)
 
 
 _FELT = 1e-12
@@ -322,10 +324,16 @@ class _Search:
         self, before: Floats, after: Floats, more: Sequence[Group], fewer: Sequence[Group] = ()
     ) -> Gain:
         """Of a change by which some groups come and others go."""
-        prior = sum(map(_log_prior, more)) - sum(map(_log_prior, fewer))
+        prior = self.prior(more) - self.prior(fewer)
         least = self.data.counts.floor**2  # what is below the noise is no better than that
         before, after = np.maximum(before, least), np.maximum(after, least)
-        return gain(before, after, self.data.counts, float(prior))
+        return gain(before, after, self.data.counts, prior)
+
+    def prior(self, chosen: Sequence[Group]) -> float:
+        """Logarithm of the prior odds of groups with the values that they have together."""
+        found = coefficients(self.whole, chosen)
+        said = [(g.values, g.instance(x)) for g, x in zip(chosen, found, strict=True)]
+        return sum(map(_log_prior, chosen)) + sum(of(one) for of, one in said if one is not None)
 
     def worth(self, other: _Search) -> float:
         """What another end of the search is worth more."""
@@ -446,8 +454,8 @@ class _Search:
         """What was chosen, and what could stand in its place."""
         gains = []
         for out in self.chosen:
-            left = predicted(self.data, _less(self.chosen, out))
-            gains.append(self.gain(left, self.now, [out]))
+            kept = _less(self.chosen, out)
+            gains.append(self.gain(predicted(self.data, kept), self.now, self.chosen, kept))
         order = sorted(range(len(gains)), key=lambda i: -gains[i].total)
         found = coefficients(self.whole, self.chosen)
         return Selected(

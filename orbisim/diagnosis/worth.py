@@ -28,10 +28,9 @@ def worth(bench: Bench, before: Judged, after: Judged) -> Gain:
 def gains(bench: Bench, before: Judged, others: Sequence[Judged]) -> list[Gain]:
     """What each of some explanations is worth more than one, all by the same data.
 
-    Windows that parameters were fitted to count, too; each fitted number of an effect costs half
-    the logarithm of the number of independent data (Laplace's approximation of the evidence, with a
-    prior worth one datum), and so does, in each window, the state of a joint that an effect adds.
-    How many are independent, what the best of them leaves says.
+    Windows that parameters were fitted to count, too; what each fitted number costs, `log_prior`
+    says. In each window, the state of a joint that an effect adds costs half the logarithm of its
+    data. How many are independent, what the best of them leaves says.
 
     Args:
       bench: the data. before, others: judged on the same windows.
@@ -63,13 +62,33 @@ def _squares(judged: Judged, count: int) -> Floats:
 def log_prior(bench: Bench, judged: Judged, data: float) -> float:
     """Logarithm of the prior odds of effects with such values, less what fitted numbers cost.
 
+    Laplace's approximation of the evidence is the likelihood at the fitted numbers, times their
+    prior density there, times the volume that the data leave of them. The density is that of its
+    peak (in `number_costs` and `retuning_costs`, with the volume) and how far below the peak the
+    fitted numbers are (in `prior`).
+
     Args:
       data: how many data are independent.
     """
-    hypothesis = judged.hypothesis
-    numbers = len(hypothesis.free(bench.scene)) + len(hypothesis.frozen)
-    effects = prior(bench, hypothesis) - 0.5 * numbers * float(np.log(data))
+    effects = prior(bench, judged.hypothesis) - float(number_costs(bench, judged, data).sum())
     return effects - float(retuning_costs(bench, judged, data).sum())
+
+
+def number_costs(bench: Bench, judged: Judged, data: float) -> Floats:
+    """[P]: by how much each number of an effect lowers the log evidence at its prior's peak: half
+    the logarithm of the number of data with a prior worth one datum; with one that is stated
+    (`Parameter.usual`), width of the prior over what the data leave of it, which costs no more."""
+    hypothesis, model = judged.hypothesis, bench.scene.model
+    most = 0.5 * float(np.log(data))
+    found = np.full(len(hypothesis.free(bench.scene)) + len(hypothesis.frozen), most)
+    for k, (i, name) in enumerate(hypothesis.free(bench.scene)):
+        one = hypothesis.effects[i]
+        known = {p.name: p.usual for p in find(one.effect).parameters(model, one.target)}
+        deviation = float(np.sqrt(max(judged.fit.covariance[k, k], 1e-300)))
+        if known.get(name):
+            width = known[name] * np.sqrt(np.pi / 2) / deviation  # 1 / (peak sqrt(2 pi) deviation)
+            found[k] = np.clip(np.log(width), 0.0, most)
+    return found
 
 
 def retuning_costs(bench: Bench, judged: Judged, data: float) -> Floats:

@@ -9,13 +9,11 @@ from orbisim.effects.base import (
     LARGE,
     Effect,
     EffectInstance,
-    Extent,
     Hook,
     Parameter,
     StepInputs,
     actuator_unit,
     index_of,
-    only_if,
     spec_element,
 )
 from orbisim.effects.screening import Candidate, Column, Floats, MotionRegressors, keyed
@@ -51,19 +49,14 @@ class TorqueGain(ActuatorEffect):
     family = "drive"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (Parameter("gain", "1", -10.0, 100.0, 1.0, neutral=1.0),)
+        half, twice = 0.5, 2.0  # what is further off is another motor
+        return (Parameter("gain", "1", -10.0, 100.0, 1.0, neutral=1.0, possible=(half, twice)),)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         actuator = spec_element(spec, "actuator", instance.target)
         gain = instance.values["gain"]
         actuator.gainprm[:3] = np.asarray(actuator.gainprm[:3]) * gain
         actuator.biasprm[:3] = np.asarray(actuator.biasprm[:3]) * gain
-
-    def log_prior(
-        self, model: mujoco.MjModel, instance: EffectInstance, extent: Extent | None = None
-    ) -> float:
-        """A gain is not off by more than a factor of two."""
-        return only_if(0.5 <= instance.values["gain"] <= 2.0)
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         index = index_of(view.model, "actuator", target)

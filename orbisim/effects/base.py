@@ -43,6 +43,10 @@ class Parameter:
       low, high: bounds of what is physically meaningful.
       scale: a typical size, where a search starts.
       neutral: the value at which nothing changes, where all others have theirs.
+      usual: by how much machines that have the effect are off: scale of a Cauchy prior about
+        `neutral` (half of them are less off, and ten times that is rare, not impossible). 0 where
+        nothing is stated: then the prior is worth one datum, wherever that puts it.
+      possible: beyond these no machine is: where a fit ends, and the prior with it.
     """
 
     name: str
@@ -51,6 +55,14 @@ class Parameter:
     high: float
     scale: float
     neutral: float = 0.0
+    usual: float = 0.0
+    possible: tuple[float, float] = (-np.inf, np.inf)
+
+    def tail(self, value: float) -> float:
+        """Logarithm of the prior density at a value over that at its peak."""
+        if not self.possible[0] <= value <= self.possible[1]:
+            return -np.inf
+        return -float(np.log1p(((value - self.neutral) / self.usual) ** 2)) if self.usual else 0.0
 
     def check(self, effect: str, target: str, value: float) -> float:
         """The value as a float.
@@ -121,12 +133,13 @@ class Extent:
 
     Attributes:
       duration: of the longest one, s. travel: [nv] of each degree of freedom. speed: [nv] its
-        velocity, root mean square.
+        velocity, root mean square. middle: [nv] of its travel.
     """
 
     duration: float
     travel: Floats
     speed: Floats
+    middle: Floats
 
 
 class Effect(abc.ABC):
@@ -221,13 +234,16 @@ class Effect(abc.ABC):
     def log_prior(
         self, model: mujoco.MjModel, instance: EffectInstance, extent: Extent | None = None
     ) -> float:
-        """Logarithm of the prior odds that a machine has the effect with such values, beside what
-        each of its parameters costs; minus infinity for what no machine has.
+        """Logarithm of the prior density at such values over that at its peak, beside what each of
+        its parameters costs; minus infinity for what no machine has.
 
         Args:
           extent: of the recordings, where they are known: what is periodic must come round twice.
         """
-        return 0.0 if all(np.isfinite(v) for v in instance.values.values()) else -np.inf
+        if not all(np.isfinite(v) for v in instance.values.values()):
+            return -np.inf
+        known = self.parameters(model, instance.target)
+        return sum(p.tail(instance.values[p.name]) for p in known if p.name in instance.values)
 
     def scaled(self, values: Values, size: float) -> Values:
         """Values of the effect so many times as large; numbers that say where it is stay."""

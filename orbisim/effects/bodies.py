@@ -444,7 +444,7 @@ class GravityTilt(Effect):
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         parts = [Parameter(axis, "m/s^2", -100.0, 100.0, 0.5) for axis in AXES]
-        return (Parameter("angle", "deg", 0.0, 180.0, 3.0), *parts)
+        return (Parameter("angle", "deg", 0.0, 180.0, 3.0, usual=_TILTED), *parts)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         spec.option.gravity = [instance.values[axis] for axis in AXES]
@@ -481,6 +481,10 @@ class GravityTilt(Effect):
                     force += view.body_motion(body).force(weight)
             columns.append(Column("force", force))
         return [Candidate(self.name, target, tuple(columns), keyed("tilt_1", "tilt_2"))]
+
+
+_TILTED = 2.0
+"""Degrees: tables and floors are level to about one, what is mounted by hand to a few."""
 
 
 def _norm(values: Values) -> float:

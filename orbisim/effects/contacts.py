@@ -62,6 +62,7 @@ class TorsionalFriction(_Coefficient):
     """The torsional coefficient: MJCF `friction`, `condim` at least 4."""
 
     name = "torsional_friction"
+    rarity = -1.0
     phrase = "torsional friction"
     index, condim, unit, scale = 1, 4, "m", 0.01
 
@@ -70,6 +71,7 @@ class RollingFriction(_Coefficient):
     """The rolling coefficient: MJCF `friction`, `condim` 6."""
 
     name = "rolling_friction"
+    rarity = -1.0
     phrase = "rolling friction"
     index, condim, unit, scale = 2, 6, "m", 0.005
 
@@ -82,6 +84,7 @@ class AnisotropicFriction(ContactEffect):
     """
 
     name = "anisotropic_friction"
+    rarity = -2.0
     phrase = "anisotropic friction"
     family = "slip"
 
@@ -201,6 +204,7 @@ class Adhesion(ContactEffect):
     """A force that holds the geom to what it touches: MJCF `adhesion`."""
 
     name = "adhesion"
+    rarity = -3.0
     phrase = "adhesion"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:

@@ -137,9 +137,21 @@ class JointSpring(JointEffect):
         stiffness = joint_unit(model, target, "N*m/rad", "N/m")
         position = joint_unit(model, target, "rad", "m")
         return (
-            Parameter("stiffness", stiffness, -LARGE, LARGE, 1.0),
+            Parameter("stiffness", stiffness, -LARGE, LARGE, 1.0, possible=(0.0, LARGE)),
             Parameter("rest_position", position, -100.0, 100.0, 0.1),
         )
+
+    def log_prior(
+        self, model: mujoco.MjModel, instance: EffectInstance, extent: Extent | None = None
+    ) -> float:
+        """It pulls back, to where the joint goes: a spring far away is a constant force."""
+        found = super().log_prior(model, instance, extent)
+        if extent is None:
+            return found
+        dof = _dof(model, instance.target)
+        away = instance.values["rest_position"] - float(extent.middle[dof])
+        usual = max(float(extent.travel[dof]), _STILL)
+        return found - float(np.log1p((away / usual) ** 2))
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         joint = spec_element(spec, "joint", instance.target)
@@ -466,7 +478,8 @@ class LoadDependentFriction(JointEffect):
     needs = (mujoco.mjtDisableBit.mjDSBL_CONSTRAINT, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (Parameter("coefficient", "1", 0.0, 10.0, 0.1),)
+        half = 0.5  # a transmission that loses more could not be driven backwards
+        return (Parameter("coefficient", "1", 0.0, 10.0, 0.1, usual=_LOST, possible=(0.0, half)),)
 
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         load = instance.options.get("load", "actuator")
@@ -475,12 +488,6 @@ class LoadDependentFriction(JointEffect):
         hook = _FrictionLevel(model, instance, _LOADS[load])
         hook.derived = frozenset(_LOAD_FIELDS[load])
         return hook
-
-    def log_prior(
-        self, model: mujoco.MjModel, instance: EffectInstance, extent: Extent | None = None
-    ) -> float:
-        """A transmission that loses half of what it carries could not be driven backwards."""
-        return only_if(instance.values["coefficient"] <= 0.5)
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         dof, sign = _dof(view.model, target), _sign(view, target)
@@ -686,3 +693,8 @@ def _second_joint(spec: mujoco.MjSpec, joint: Any, name: str) -> Any:
 
 _MOTOR_ARMATURE = 1e-3
 """kg m^2 (kg) of a motor that is declared without: a degree of freedom needs some inertia."""
+
+_STILL = 1e-3
+"""rad or m: travel of a joint that does not move."""
+_LOST = 0.2
+"""Share of what a gear carries that it loses: spur gears 0.02 a stage, worms and screws half."""

@@ -14,7 +14,6 @@ from orbisim.effects.base import (
     index_of,
     is_scalar_joint,
     names_of_kind,
-    only_if,
 )
 from orbisim.effects.screening import Candidate, Column, Floats, MotionRegressors, keyed
 from orbisim.effects.servo_offsets import same_offsets
@@ -107,6 +106,7 @@ class SensorScale(MeasurementEffect):
     """
 
     name = "sensor_scale"
+    rarity = -1.0
     measured_as = "scale"
     phrase = "a wrong sensor scale"
 
@@ -119,7 +119,7 @@ class SensorScale(MeasurementEffect):
         return (*super().targets(model), *free)
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (Parameter("factor", "1", 0.1, 10.0, 1.0, neutral=1.0),)
+        return (Parameter("factor", "1", 0.1, 10.0, 1.0, neutral=1.0, usual=_MISSCALED),)
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         if target not in names_of_kind(view.model, "joint"):
@@ -142,7 +142,15 @@ class SensorDelay(MeasurementEffect):
     phrase = "a sensor delay"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (Parameter("delay", "s", -1.0, 1.0, 0.01),)
+        return (Parameter("delay", "s", -1.0, 1.0, 0.01, usual=_LATE),)
+
+    def log_prior(
+        self, model: mujoco.MjModel, instance: EffectInstance, extent: Extent | None = None
+    ) -> float:
+        """Filters, buses and cameras take time; a reading that comes before what it reads takes
+        commands that are stamped late."""
+        early = _EARLY if instance.values["delay"] < 0 else 0.0
+        return super().log_prior(model, instance, extent) + early
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         if target not in names_of_kind(view.model, "joint"):
@@ -153,9 +161,13 @@ class SensorDelay(MeasurementEffect):
 
 
 class ClockSkew(Effect):
-    """The recording's clock is fast: recorded time = factor * true time."""
+    """The recording's clock is fast: recorded time = factor * true time.
+
+    It is hardly ever off by percents: that is a wrong rate that somebody has written down.
+    """
 
     name = "clock_skew"
+    rarity = -2.0
     measured_as = "clock"
     kind = "recording"
     phrase = "a skewed clock"
@@ -163,13 +175,9 @@ class ClockSkew(Effect):
     measurement = True
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (Parameter("factor", "1", 0.1, 10.0, 1.0, neutral=1.0),)
-
-    def log_prior(
-        self, model: mujoco.MjModel, instance: EffectInstance, extent: Extent | None = None
-    ) -> float:
-        """A clock is not off by more than a factor of two."""
-        return only_if(0.5 <= instance.values["factor"] <= 2.0)
+        return (
+            Parameter("factor", "1", 0.1, 10.0, 1.0, neutral=1.0, usual=_FAST, possible=(0.5, 2.0)),
+        )
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         """A fast clock makes every interval look longer than it was."""
@@ -178,6 +186,16 @@ class ClockSkew(Effect):
         rate = np.concatenate([view.qvel[:n], view.qacc[:n]], axis=1)
         column = Column("state", -step * rate)
         return [Candidate(self.name, target, (column,), lambda c: {"factor": 1 + float(c[0])})]
+
+
+_LATE = 0.01
+"""s: drivers and filters of encoders take 1 to 10 ms, cameras and networks 20 to 50."""
+_EARLY = -4.0
+"""Logarithm of the odds of a sensor that is early beside one that is late."""
+_MISSCALED = 0.02
+"""Of analogue sensors; a wrong gear ratio or count is further off, and rarer."""
+_FAST = 1e-3
+"""Crystals are off by 1e-4 at most, host clocks that are being adjusted by 1e-3."""
 
 
 def _dofs(view: MotionRegressors, joint: str) -> tuple[int, int]:

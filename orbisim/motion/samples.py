@@ -259,4 +259,5 @@ def extent(samples: Sequence[Samples]) -> Extent:
     nv = samples[0].absolute.shape[1] // 2
     state = np.concatenate([one.absolute[one.usable] for one in samples])
     speed = np.sqrt(np.mean(state[:, nv:] ** 2, axis=0))
-    return Extent(longest, np.asarray(np.ptp(state[:, :nv], axis=0)), np.asarray(speed))
+    low, high = state[:, :nv].min(axis=0), state[:, :nv].max(axis=0)
+    return Extent(longest, high - low, np.asarray(speed), (low + high) / 2)

@@ -110,7 +110,8 @@ class Hypothesis:
             known = {p.name: p for p in effect.parameters(model, e.target)}
             low, high, scale = -1e6, 1e6, 0.02
             if name in known:
-                low, high, scale = known[name].low, known[name].high, known[name].scale
+                one, scale = known[name], known[name].scale
+                low, high = max(one.low, one.possible[0]), min(one.high, one.possible[1])
             value = float(_free_values(declared, e)[name])
             step = 1e-4 * max(abs(value), 0.05 * abs(scale), 1e-9)
             step = max(step, effect.resolution(model, name))

@@ -239,6 +239,8 @@ def fit(
 ) -> tuple[Floats, float]:
     """Least-squares coefficients of some columns and the sum of squares that is left.
 
+    A column of which nothing is left has a coefficient of zero.
+
     Args:
       ridge: [len(columns)] inverse prior variances.
     """
@@ -246,7 +248,8 @@ def fit(
     if not index:
         return np.zeros(0), normal.square
     gram = normal.gram[np.ix_(index, index)].copy()
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    strength = np.diag(gram)  # none, but for rounding, where others that are gone explain it all
+    scale = np.sqrt(np.where(strength > 0, strength, np.inf))
     if ridge is not None:
         gram = gram + np.diag(ridge)
     moment = normal.moment[index]

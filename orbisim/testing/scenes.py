@@ -80,6 +80,22 @@ RESTING_BOX = """
 """
 """A box on the floor: it stays there, and the floor carries its weight."""
 
+CLOTH = """
+<mujoco model="cloth">
+  <option timestep="0.002" integrator="implicitfast" solver="CG" tolerance="1e-6"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="2 2 0.1"/>
+    <geom name="ball" size="0.1" pos="0.02 0 0.1"/>
+    <flexcomp name="cloth" type="grid" count="4 4 1" spacing="0.08 0.08 0.08" dim="2"
+      radius="0.006" mass="0.02" pos="0 0 0.25">
+      <contact solref="0.008 1" selfcollide="none"/>
+      <edge equality="true" solref="0.01 1" damping="0.01"/>
+    </flexcomp>
+  </worldbody>
+</mujoco>
+"""
+"""A flex of free vertices above a ball on the floor."""
+
 COLOURS = """
 <mujoco model="colours">
   <visual><headlight ambient="0.6 0.6 0.6" diffuse="0.4 0.4 0.4" specular="0 0 0"/></visual>

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.both import _of_forces, _of_runs, worth_in_both
+from orbisim.diagnosis.both import _of_forces, _of_runs, by_runs, worth_in_both
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.force_data import ForceData, force_data
 from orbisim.diagnosis.force_search import ForceAttribution
 from orbisim.diagnosis.run import _weighed
 from orbisim.effects import EffectInstance
-from orbisim.evidence import gain
+from orbisim.evidence import Gain, gain
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
@@ -67,6 +67,7 @@ class Answer:
 
     attribution: object
     notes: tuple[str, ...] = ()
+    verdict: str = "explained"
 
 
 def test_the_better_answer_is_given_whichever_was_fitted_to_what(
@@ -82,3 +83,33 @@ def test_the_better_answer_is_given_whichever_was_fitted_to_what(
         found = _weighed(Answer(runs), Answer(other))  # type: ignore[arg-type]
         assert found.attribution is (other if pushed is truth else runs)
         assert "by free runs and by forces together" in found.notes[-1]
+
+
+def test_what_free_runs_contradict_is_no_answer(
+    data: tuple[Bench, ForceData, Hypothesis], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However much forces are in favour of it."""
+    monkeypatch.setattr("orbisim.diagnosis.run.worth_in_both", lambda *_: Gain(1e3, 1.0))
+    bench, forces, truth = data
+    judged = Judge(bench, bench.intervals).judge(truth.without(1), 3)
+    assert judged is not None
+    pushed = EffectInstance("torque_bias", "elbow", {"offset": 50.0})
+    assert by_runs(bench, truth).gain.sure > 0 and by_runs(bench, truth).left < 1.5
+    assert by_runs(bench, Hypothesis((pushed,))).left > 100
+    runs = Attribution(bench, judged, judged, None, (), (), (), False)
+    other = ForceAttribution(forces, Hypothesis((pushed,)), None, 9.0, 1.0)  # type: ignore[arg-type]
+    found = _weighed(Answer(runs), Answer(other))  # type: ignore[arg-type]
+    assert found.attribution is runs and "worse than the declared scene" in found.notes[-1]
+
+
+def test_what_leaves_something_of_free_runs_does_not_explain_everything(
+    data: tuple[Bench, ForceData, Hypothesis],
+) -> None:
+    bench, forces, truth = data
+    declared = Judge(bench, bench.intervals).judge(Hypothesis(), 1)
+    assert declared is not None
+    runs = Attribution(bench, declared, declared, None, (), (), (), False)
+    for pushed, verdict in ((truth, "explained"), (truth.without(1), "partly_explained")):
+        other = ForceAttribution(forces, pushed, None, 9.0, 1.0)  # type: ignore[arg-type]
+        found = _weighed(Answer(runs), Answer(other))  # type: ignore[arg-type]
+        assert found.attribution is other and found.verdict == verdict

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from orbisim.diagnosis.conclusion import rivals_of
-from orbisim.diagnosis.search import Tried
+from orbisim.diagnosis.explanations import Tried
 from orbisim.effects import EffectInstance
 from orbisim.evidence import Gain
 from orbisim.shooting.hypothesis import Hypothesis

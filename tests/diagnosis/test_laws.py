@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis import search
+from orbisim.diagnosis import simplification
 from orbisim.diagnosis.consistency import inconsistency
 from orbisim.diagnosis.context import begun
-from orbisim.diagnosis.search import Found, Tried
+from orbisim.diagnosis.explanations import Found, Tried
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.worth import worth
 from orbisim.effects import EffectInstance
@@ -35,7 +35,7 @@ def found(arm: orbisim.Scene, truth: EffectInstance) -> tuple[Bench, Judged, str
     context = begun(bench, Settings(), lambda _: None)
     judged = context.judge.judge(Hypothesis((SPRING,)), 8)
     assert judged is not None
-    return bench, judged, search.named(Found(context, judged, judged)).law
+    return bench, judged, simplification.named(Found(context, 0.002, judged, judged)).law
 
 
 @pytest.mark.slow
@@ -60,7 +60,7 @@ def test_what_leaves_but_noise_by_itself_keeps_its_name(
     """A needless second effect beside damping: what does as well as both, with fewer numbers, takes
     the names of both away, but not of damping if that was enough."""
     damping = EffectInstance("viscous_damping", "elbow", {"coefficient": 0.08})
-    monkeypatch.setattr(search, "laws", lambda *_: [Hypothesis((damping,))])
+    monkeypatch.setattr(simplification, "laws", lambda *_: [Hypothesis((damping,))])
     runs = inject_effect(arm, damping, duration=3.0, episodes=1, noise=2e-4, seed=3)
     context = begun(make_bench(arm, prepare_all(runs, arm), 0.5), Settings(), lambda _: None)
     needless = EffectInstance("quadratic_damping", "elbow", {"coefficient": 1e-3})
@@ -69,9 +69,9 @@ def test_what_leaves_but_noise_by_itself_keeps_its_name(
         for effects in ((), (damping,), (damping, needless))
     )
     assert declared is not None and alone is not None and both is not None
-    assert "'elbow' alone" in search.named(Found(context, declared, both)).law
+    assert "'elbow' alone" in simplification.named(Found(context, 0.002, declared, both)).law
     tried = Tried(alone, 1, worth(context.bench, declared, alone))
-    kept = search.named(Found(context, declared, both, tried=(tried,)))
+    kept = simplification.named(Found(context, 0.002, declared, both, tried=(tried,)))
     assert kept.best is alone and not kept.law
 
 

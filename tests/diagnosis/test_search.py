@@ -13,10 +13,12 @@ import pytest
 import orbisim
 from orbisim.diagnosis.conclusion import attribute, concluded
 from orbisim.diagnosis.context import begun
+from orbisim.diagnosis.explanations import Found, best_few
+from orbisim.diagnosis.moves import _generalized
 from orbisim.diagnosis.proposals import events, exchanges, merged
-from orbisim.diagnosis.search import Found, _best, search
+from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.worth import prior, worth
+from orbisim.diagnosis.worth import number_costs, prior, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.motion.samples import prepare_all
@@ -79,8 +81,8 @@ def test_the_scene_as_declared_is_no_start_for_other_effects(arm: orbisim.Scene)
     declared = context.judge.judge(Hypothesis())
     one = context.judge.judge(Hypothesis((FRICTION,)))
     assert declared is not None and one is not None
-    assert _best(context, declared, [declared, one]) == [one]
-    assert _best(context, one, [declared]) == []
+    assert best_few(context, declared, [declared, one]) == [one]
+    assert best_few(context, one, [declared]) == []
 
 
 def test_a_needless_effect_is_dropped(arm: orbisim.Scene) -> None:
@@ -91,7 +93,7 @@ def test_a_needless_effect_is_dropped(arm: orbisim.Scene) -> None:
     declared = context.judge.judge(Hypothesis())
     both = context.judge.judge(Hypothesis((FRICTION, idle)))
     assert declared is not None and both is not None and both.ratio > 3
-    found = concluded(Found(context, declared, both), NEVER)
+    found = concluded(Found(context, 0.002, declared, both), NEVER)
     assert names(found.hypothesis) == {("coulomb_friction", "shoulder")}
     assert "not sure" in found.rejected[0][1] and found.rejected[0][0].effect == "armature"
 
@@ -113,6 +115,25 @@ def test_what_looks_the_same_is_proposed_in_its_place(arm: orbisim.Scene) -> Non
     proposed = list(exchanges(context, best, 0, fewer))
     tuned = [dict(one.factors) for one in proposed if not one.effects]
     assert [list(factors) for factors in tuned] == [[Tunable("damping", "elbow")]]
+
+
+def test_no_effect_is_proposed_twice_at_a_target(arm: orbisim.Scene) -> None:
+    """What generalizes an effect may be there already: with other numbers it is the same one."""
+    heavy = EffectInstance(
+        "payload", "forearm", {"mass": 0.2, "com_x": 0.0, "com_y": 0.0, "com_z": 0.0}
+    )
+    offset = find("com_offset").trials(arm.model, "forearm")[0]
+    part = EffectInstance("com_offset", "forearm", dict(offset))
+    context = begun(bench_of(arm, heavy), Settings(), lambda _: None)
+    both = context.judge.judge(Hypothesis((heavy, part)))
+    fewer = context.judge.judge(Hypothesis((heavy,)))
+    assert both is not None and fewer is not None
+    for other in exchanges(context, both, 1, fewer):
+        places = [(e.effect, e.target) for e in other.effects]
+        assert len(set(places)) == len(places)
+    for judged in _generalized(context, fewer, [both]):
+        places = [(e.effect, e.target) for e in judged.hypothesis.effects]
+        assert len(set(places)) == len(places)
 
 
 def test_a_payload_is_proposed_for_two_parts_of_it(arm: orbisim.Scene) -> None:
@@ -183,3 +204,20 @@ def test_the_best_so_far_is_returned_when_the_time_is_up(arm: orbisim.Scene) -> 
     assert found.bench.deadline is NEVER
     none = search(dataclasses.replace(whole, deadline=Deadline(0.0)), Settings())
     assert none.late and none.best is none.declared
+
+
+def test_a_number_of_a_usual_size_costs_the_width_of_its_prior(arm: orbisim.Scene) -> None:
+    clock = EffectInstance("clock_skew", "recording", {"factor": 1.002})
+    context = begun(bench_of(arm, clock), Settings(), lambda _: None)
+    judged = context.judge.judge(Hypothesis((clock, DAMPING)))
+    assert judged is not None
+    most = 0.5 * np.log(1000.0)
+
+    def costs(deviation: float) -> list[float]:
+        known = np.diag([deviation**2, 1e-12])
+        fit = dataclasses.replace(judged.fit, covariance=known)
+        return list(number_costs(context.bench, dataclasses.replace(judged, fit=fit), 1000.0))
+
+    assert costs(2e-4) == pytest.approx([np.log(np.sqrt(np.pi / 2) * 5), most])
+    assert costs(1e-9) == pytest.approx([most, most])  # never more than one of unknown size
+    assert costs(1.0) == pytest.approx([0.0, most])  # nor a reward

@@ -13,8 +13,8 @@ import orbisim
 from orbisim.diagnosis.checks import bad_windows
 from orbisim.diagnosis.conclusion import concluded
 from orbisim.diagnosis.context import Context, begun
+from orbisim.diagnosis.explanations import Found
 from orbisim.diagnosis.proposals import begin
-from orbisim.diagnosis.search import Found
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.suspects import Suspect
 from orbisim.effects import EffectInstance
@@ -63,14 +63,14 @@ def test_friction_that_makes_a_joint_stick_begins_smaller() -> None:
 
 def test_a_long_first_step_is_shortened_until_it_helps(arm: orbisim.Scene) -> None:
     """Where a joint does not stick yet, friction seems to do little."""
-    truth = dataclasses.replace(STUCK, values={"coefficient": 0.8})
+    truth = dataclasses.replace(STUCK, values={"coefficient": 0.45})
     judge = context_of(bench_of(arm, truth)).judge
     nothing = judge.judge(Hypothesis())
-    small = dataclasses.replace(STUCK, values={"coefficient": 0.3})
+    small = dataclasses.replace(STUCK, values={"coefficient": 0.15})
     assert nothing is not None
     found = judge.judge(Hypothesis((small,)), 8, begin=judge.begin(nothing))
     assert found is not None
-    assert found.hypothesis.effects[0].values["coefficient"] == pytest.approx(0.8, rel=0.02)
+    assert found.hypothesis.effects[0].values["coefficient"] == pytest.approx(0.45, rel=0.02)
 
 
 def test_what_some_windows_did_not_determine_all_windows_do(arm: orbisim.Scene) -> None:
@@ -79,7 +79,7 @@ def test_what_some_windows_did_not_determine_all_windows_do(arm: orbisim.Scene) 
     held = Hypothesis((wrong,), frozen=frozenset({(0, "offset")}))
     declared, best = context.judge.judge(Hypothesis()), context.judge.judge(held)
     assert declared is not None and best is not None
-    found = concluded(Found(context, declared, best), NEVER)
+    found = concluded(Found(context, 0.002, declared, best), NEVER)
     assert found.hypothesis.effects[0].values["offset"] == pytest.approx(0.2, rel=0.01)
     assert found.evidence[0] > 100 and not found.rejected
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.search import quiet
+from orbisim.diagnosis.explanations import quiet
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
 from orbisim.motion.samples import prepare_all

@@ -37,7 +37,7 @@ def sensible(
     duration: float = 100.0,
     travel: tuple[float, float] = (10.0, 10.0),
 ) -> bool:
-    known = Extent(duration, np.array(travel), np.array([1.0, 1.0]))
+    known = Extent(duration, np.array(travel), np.array([1.0, 1.0]), np.zeros(2))
     return find(instance.effect).log_prior(model, instance, known) > -np.inf
 
 
@@ -65,3 +65,23 @@ def test_what_a_machine_can_have(arm: orbisim.Scene) -> None:
     for factor, possible in ((0.7, True), (1.02, True), (2.3, False), (0.4, False)):
         skew = EffectInstance("clock_skew", "recording", {"factor": factor})
         assert sensible(model, skew) == possible
+
+
+def test_what_is_unusual(arm: orbisim.Scene) -> None:
+    """Priors of values: how far from its peak, in logarithms, beside what a number costs."""
+    known = Extent(10.0, np.array([2.0, 2.0]), np.array([1.0, 1.0]), np.array([0.5, 0.5]))
+
+    def told(effect: str, target: str, **values: float) -> float:
+        one = EffectInstance(effect, target, values)
+        return find(effect).log_prior(arm.model, one, known)
+
+    assert told("clock_skew", "recording", factor=1.001) == pytest.approx(-np.log(2))
+    assert told("clock_skew", "recording", factor=1.09) < -8
+    late, early = (told("sensor_delay", "elbow", delay=sign * 0.01) for sign in (1, -1))
+    assert late == pytest.approx(-np.log(2)) and early == late - 4
+    assert told("sensor_scale", "elbow", factor=1.0) == 0
+    near, far = (
+        told("joint_spring", "elbow", stiffness=1.0, rest_position=at) for at in (0.5, 200.5)
+    )
+    assert near == 0 and far == pytest.approx(-2 * np.log(100), abs=0.01)
+    assert told("joint_spring", "elbow", stiffness=-1.0, rest_position=0.5) == -np.inf

@@ -1,5 +1,7 @@
 """Normal equations, against least squares of all columns at once."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -38,3 +40,14 @@ def test_windows_add_up() -> None:
     whole, added = normal_of(DESIGN, TARGET, 30), total(parts)
     np.testing.assert_allclose(added.gram, whole.gram)
     assert (added.count, added.square) == (30, pytest.approx(whole.square))
+
+
+def test_a_column_of_which_nothing_is_left_has_no_coefficient() -> None:
+    """Of strong columns rounding leaves a little, on either side of nothing."""
+    huge = np.column_stack([DESIGN, DESIGN[:, 0]]) * np.array([1e18, 1, 1, 1, 1, 1e18])
+    rest = profiled(normal_of(huge, TARGET, 30), [0], np.zeros(1))
+    below = rest.gram.copy()
+    below[5, 5] = -abs(below[5, 5]) - 1.0
+    x, left = fit(dataclasses.replace(rest, gram=below), [1, 5])
+    assert x[1] == 0.0
+    assert left == pytest.approx(fit(rest, [1])[1], rel=1e-6)

@@ -1,0 +1,224 @@
+"""The moves that add: one effect, declared parameters, many effects at once.
+
+Kinds of moves are generators of explanations that are fitted; what they are worth decides which is
+made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from orbisim.diagnosis.context import Context
+from orbisim.diagnosis.explanations import (
+    FEW,
+    Found,
+    Tried,
+    best_few,
+    done,
+    fitted_from,
+    names_of,
+    winner,
+)
+from orbisim.diagnosis.force_search import attribute_forces
+from orbisim.diagnosis.glances import generalizations
+from orbisim.diagnosis.proposals import additions, begin, pairs
+from orbisim.diagnosis.together import propose
+from orbisim.diagnosis.worth import gains
+from orbisim.effects import EffectInstance
+from orbisim.errors import InputError
+from orbisim.host.deadline import Deadline, TimeIsUpError
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.judge import Judge, Judged
+
+
+def best_move(found: Found, number: int) -> tuple[Judged | None, list[Tried], bool]:
+    """The explanation that is worth most, if it surely is better; all that were tried; and whether
+    the time was up. Kinds of moves are tried in turns until one reaches the noise, or a share of
+    the time is over and one is sure: the next round sees more from there. In the first round, each
+    kind has such a share: one effect that does little may do much beside declared parameters that
+    are a little off, or beside others."""
+    context, current = found.context, found.best
+    fitted: list[Judged] = []
+    best: Judged | None = None
+    late = False
+    until = Deadline.after(_OF_TIME * context.deadline.left)
+    for kind in (_added, _retuned, _together, _two):
+        if best is not None and (number > 1 or kind is _two):
+            if until.passed or _enough_for_now(context, current, best):
+                continue
+        else:
+            until = Deadline.after(_OF_TIME * context.deadline.left)
+        try:
+            for judged in kind(found, number, fitted):
+                fitted.append(judged)
+                if until.passed and winner(context, current, fitted) is not None:
+                    break
+        except TimeIsUpError:
+            late = True
+        best = winner(context, current, fitted)
+        if late or (best is not None and done(context, best)):
+            break
+    return best, _told(context, current, fitted, best, number), late
+
+
+def _told(
+    context: Context, current: Judged, fitted: Sequence[Judged], best: Judged | None, number: int
+) -> list[Tried]:
+    found = []
+    for one, gain in zip(fitted, gains(context.bench, current, fitted), strict=True):
+        reason = ""
+        if best is not None and one is not best:
+            reason = f"it explains less than {names_of(best)}"
+        elif best is None:
+            reason = f"it is worth {gain.total:.3g} +- {gain.error:.2g}, which is not sure"
+        found.append(Tried(one, number, gain, reason))
+    return found
+
+
+def _enough_for_now(context: Context, current: Judged, best: Judged) -> bool:
+    """Whether nothing is left, or so much less that what else is missing will be seen better from
+    there: of two effects, the first may make the second one plain."""
+    return done(context, best) or best.loss - _AT_NOISE < _MUCH * (current.loss - _AT_NOISE)
+
+
+_OF_TIME = 0.2
+"""Share of the time left that a round may take to look for more than one sure move."""
+
+
+_AT_NOISE = float(np.log(2.0))
+
+
+_MUCH = 0.5
+"""Share of the loss above the noise that a move may leave to be made without looking at others."""
+
+
+def _added(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
+    """With an effect more."""
+    context, current = found.context, found.best
+    screening = found.screening
+    if number > 1:
+        context.say(f"screening what is left ({current.ratio:.3g} times the noise)")
+        screening = context.screen(current)
+    assert screening is not None
+    contacts = context.bench.contacts
+    first = [one.last for one in found.tried if one.round == 1 and one.last is not None][:FEW]
+    own: list[Judged] = []
+    for candidate in additions(context, current, screening, first):
+        if any(done(context, one) for one in own) and (
+            candidate.slow or len(own) >= (2 * FEW if contacts else FEW)
+        ):
+            break
+        instance = candidate.instance
+        context.say(f"round {number}: fitting {instance.effect} at {instance.target}")
+        start = begin(context, current, candidate)
+        judged = fitted_from(context, start, current, polish=not contacts)
+        if judged is not None:
+            own.append(judged)
+            yield judged
+    yield from _generalized(context, current, own)
+    for judged in best_few(context, current, own):
+        closer = context.judge.closer(judged)
+        if closer is not judged:
+            yield closer
+
+
+def _generalized(context: Context, current: Judged, fitted: Sequence[Judged]) -> Iterator[Judged]:
+    """What is more general than one of the best, fitted from there: a fit begun at a poor place may
+    end at one."""
+    for special in best_few(context, current, fitted):
+        own = special.hypothesis.effects[-1]
+        less = special.hypothesis.without(len(special.hypothesis.effects) - 1)
+        there = {(one.effect, one.target) for one in special.hypothesis.effects}
+        starts: dict[str, list[Hypothesis]] = {}
+        for one in generalizations(context, own):
+            if (one.effect, one.target) not in there and context.allowed(one):
+                starts.setdefault(one.effect, []).append(less.plus(one))
+        for same in starts.values():
+            begin = context.judge.begin(special)
+            left = [context.judge.glance(one, begin) for one in same]
+            judged = fitted_from(context, same[int(np.argmin(left))], special)
+            if judged is not None:
+                yield judged
+
+
+def _retuned(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
+    """With declared parameters retuned, alone and with the best additions."""
+    context, current = found.context, found.best
+    if not context.tunables or current.hypothesis.factors:
+        return
+    context.say("retuning declared parameters")
+    tuned = fitted_from(context, current.hypothesis.tuned(context.tunables), current)
+    if tuned is None:
+        return
+    yield tuned
+    context.say("effects with declared parameters retuned")
+    near = [one.hypothesis for one in best_few(context, current, fitted)]
+    if number == 1 and found.screening is not None:
+        suspects = found.screening.tuned[: context.settings.shortlist]
+        near += [current.hypothesis.plus(one.instance) for one in suspects]
+    seen: set[tuple[str, str]] = set()
+    for hypothesis in near:
+        last = hypothesis.effects[-1]
+        if (last.effect, last.target) in seen:
+            continue
+        seen.add((last.effect, last.target))
+        judged = fitted_from(context, hypothesis.tuned(context.tunables), tuned)
+        if judged is not None:
+            yield judged
+
+
+def _two(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
+    """Two effects at once."""
+    context, current = found.context, found.best
+    if number > 1 or found.screening is None:
+        return
+    own: list[Judged] = []
+    for hypothesis in pairs(context, found.screening):
+        context.say(f"fitting {' and '.join(e.effect for e in hypothesis.effects)}")
+        judged = fitted_from(context, hypothesis, current)
+        if judged is not None:
+            own.append(judged)
+            yield judged
+            if sum(done(context, one) for one in own) > 1:
+                break
+    for judged in best_few(context, current, own):
+        closer = context.judge.closer(judged)
+        if closer is not judged:
+            yield closer
+
+
+def _together(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
+    """Many at once: on a real machine each looks wrong as long as the others are missing. What
+    windows of free runs say of all together, and what the forces that are missing along the motion
+    say."""
+    context = found.context
+    if number > 1 or context.bench.contacts:
+        return
+    context.say("several effects at once")
+    bench, settings = context.bench, context.settings
+    judge = Judge(bench, context.intervals, (), None, settings.windows, heavy=True)
+    for proposed in (_by_windows, _by_forces):
+        effects = proposed(context)
+        judged = judge.judge(Hypothesis(effects), _ITERATIONS) if effects else None
+        if judged is not None:
+            yield judged
+
+
+def _by_windows(context: Context) -> tuple[EffectInstance, ...]:
+    settings = context.settings
+    return propose(context.bench, context.intervals, settings.effects, settings.most_effects)
+
+
+def _by_forces(context: Context) -> tuple[EffectInstance, ...]:
+    bench, until = context.bench, Deadline.after(_OF_TIME * context.deadline.left)
+    try:
+        found = attribute_forces(bench.scene, bench.samples, context.settings, deadline=until)
+    except InputError:  # too few samples with accelerations
+        return ()
+    return found.hypothesis.effects[: context.settings.most_effects]
+
+
+_ITERATIONS = 8
+"""Of a fit of many effects at once, which begins far off."""

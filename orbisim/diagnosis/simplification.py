@@ -1,0 +1,192 @@
+"""Simpler explanations, others in the place of parts of one, and laws without a name."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+from orbisim.diagnosis.context import Context
+from orbisim.diagnosis.explanations import (
+    EVEN,
+    Found,
+    Tried,
+    best_few,
+    fitted_from,
+    names_of,
+    winner,
+)
+from orbisim.diagnosis.proposals import exchanges, laws, merged
+from orbisim.diagnosis.timestep import coarser
+from orbisim.diagnosis.worth import worth
+from orbisim.effects import EffectInstance, find
+from orbisim.evidence import NEAR, Gain
+from orbisim.host.deadline import TimeIsUpError
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.judge import Judged, is_structural
+
+
+def simplified(found: Found, number: int) -> Found:
+    """Without effects that are not surely worth it beside the others, with others in their places
+    where these are better, one in the place of two, and no shorter a timestep than it takes."""
+    if not found.best.hypothesis.effects:
+        return found
+    for change in (_coarser, _exchanged, _united, removed):
+        try:
+            found = change(found, number)
+        except TimeIsUpError:
+            return dataclasses.replace(found, late=True)
+    return found
+
+
+def _coarser(found: Found, number: int) -> Found:
+    other = coarser(found.context, found.best, found.timestep)
+    return found if other is None else stepped(found, other)
+
+
+def stepped(found: Found, other: tuple[Context, Judged]) -> Found:
+    """With another timestep."""
+    context, best = other
+    found = dataclasses.replace(found, context=context, best=best)
+    if best.hypothesis.effects or best.hypothesis.factors:
+        return found
+    found = dataclasses.replace(found, declared=best)
+    try:
+        return dataclasses.replace(found, screening=context.screen(best))
+    except TimeIsUpError:
+        return dataclasses.replace(found, late=True)
+
+
+def removed(found: Found, number: int) -> Found:
+    """Without effects that are not surely worth it beside the others."""
+    context = found.context
+
+    def refit(less: Hypothesis, now: Judged) -> Judged | None:
+        return fitted_from(context, less, now)
+
+    return dataclasses.replace(found, best=only_sure(context, found.best, refit).judged)
+
+
+class Sure(NamedTuple):
+    """An explanation without needless effects, the worth of each beside the others, and what went,
+    with the reason."""
+
+    judged: Judged
+    gains: tuple[Gain, ...] = ()
+    rejected: tuple[tuple[EffectInstance, str], ...] = ()
+
+
+def only_sure(
+    context: Context,
+    judged: Judged,
+    refit: Callable[[Hypothesis, Judged], Judged | None],
+    bare: Judged | None = None,
+) -> Sure:
+    """With those effects only that are surely worth it beside the others; what is least so goes
+    first.
+
+    Args:
+      refit: fits an explanation with an effect less, from where the one with it is.
+      bare: without any effect, if it may come to that; else one effect stays.
+    """
+    rejected: list[tuple[EffectInstance, str]] = []
+    while len(judged.hypothesis.effects) > (1 if bare is None else 0):
+        doubt: list[tuple[Gain, EffectInstance, Judged]] = []
+        for index, effect in enumerate(judged.hypothesis.effects):
+            less = judged.hypothesis.without(index)
+            nothing = bare is not None and not less.effects and not less.factors
+            fewer = bare if nothing else refit(less, judged) or bare
+            if fewer is not None:
+                doubt.append((worth(context.bench, fewer, judged), effect, fewer))
+        if not doubt:
+            break
+        gain, effect, simpler = min(doubt, key=lambda one: one[0].sure)
+        if gain.sure > 0:
+            return Sure(judged, tuple(one[0] for one in doubt), tuple(rejected))
+        reason = (
+            f"beside the others it is worth {gain.total:.3g} +- {gain.error:.2g} in the logarithm "
+            "of the odds, which is not sure"
+        )
+        rejected.append((effect, reason))
+        judged = simpler
+    return Sure(judged, (), tuple(rejected))
+
+
+def _exchanged(found: Found, number: int) -> Found:
+    context, best = found.context, found.best
+    places = [(e.effect, e.target) for e in best.hypothesis.effects]
+    for place in places:
+        now = [(e.effect, e.target) for e in best.hypothesis.effects]
+        if place not in now:
+            continue
+        index = now.index(place)
+        fewer: Judged | None = dataclasses.replace(best, hypothesis=Hypothesis())
+        if len(now) > 1 or best.hypothesis.factors:
+            fewer = fitted_from(context, best.hypothesis.without(index), best)
+        if fewer is None:
+            continue
+        context.say(f"looking for another effect instead of {place[0]} at {place[1]}")
+        beside = sorted(found.tried, key=lambda t: -t.gain.total)
+        ranked = [t.last for t in beside if t.last is not None]
+        others = _all(context, exchanges(context, best, index, fewer, ranked), best)
+        others += list(map(context.judge.closer, best_few(context, best, others)))
+        better = winner(context, best, others)
+        if better is not None and worth(context.bench, best, better).total > EVEN:
+            gain = worth(context.bench, better, best)
+            lost = Tried(best, number, gain, f"it explains less than {names_of(better)}")
+            found, best = dataclasses.replace(found, tried=(*found.tried, lost)), better
+    return dataclasses.replace(found, best=best)
+
+
+def _united(found: Found, number: int) -> Found:
+    context, best = found.context, found.best
+    count = len(best.hypothesis.effects)
+    if count < 2 or context.bench.contacts or is_structural(best.hypothesis):
+        return found
+    for one, other in itertools.combinations(range(count), 2):
+        context.say("looking for one effect instead of two")
+        others = _all(context, merged(context, best, one, other), best)
+        better = [one for one in others if worth(context.bench, best, one).total > EVEN]
+        if better:
+            return dataclasses.replace(found, best=best_few(context, best, better)[0])
+    return found
+
+
+def _all(context: Context, every: Iterable[Hypothesis], start: Judged) -> list[Judged]:
+    return [one for h in every if (one := fitted_from(context, h, start)) is not None]
+
+
+def named(found: Found) -> Found:
+    """With the law without a name that is the better explanation, if there is one. An effect that
+    by itself leaves no more than noise keeps its name, though: not it, but what was added to it
+    below that, is what a law does as well."""
+    context, best = found.context, found.best
+    effects = best.hypothesis.effects
+    if context.bench.contacts or not effects or (len(effects) < 2 and best.ratio <= NEAR):
+        return found
+    context.say("laws without a name")
+    better = best_few(context, best, _all(context, laws(context, best), best))[:1]
+    for judged in better:
+        gain = worth(context.bench, best, judged)
+        if (gain.total if best.ratio <= NEAR else gain.sure) > 0:
+            alone = _alone(found)
+            if alone is not None:
+                return dataclasses.replace(found, best=alone)
+            own = judged.hypothesis.effects[-1]
+            phrase = f"{find(own.effect).phrase}, at {own.target!r} alone, explains it as well"
+            return dataclasses.replace(found, law=phrase)
+    return found
+
+
+def _alone(found: Found) -> Judged | None:
+    """The best single effect that was surely worth it and leaves no more than noise."""
+    first = [one for one in found.tried if one.round == 1 and one.gain.sure > 0]
+    alone = [
+        one
+        for one in first
+        if len(one.judged.hypothesis.effects) == 1
+        and not one.judged.hypothesis.factors
+        and one.judged.ratio <= NEAR
+    ]
+    return max(alone, key=lambda one: one.gain.total).judged if alone else None

@@ -1,0 +1,76 @@
+"""The integration step is no effect: what a long one does is not named as one."""
+
+from __future__ import annotations
+
+import pytest
+
+import orbisim
+from orbisim.diagnosis.context import begun
+from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.timestep import coarser, finer, with_timestep
+from orbisim.effects import EffectInstance
+from orbisim.motion.samples import prepare_all
+from orbisim.shooting.bench import make_bench
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.testing import inject_effect
+
+SERVO = """<mujoco><option timestep="{step}" integrator="implicitfast"/><worldbody>
+<body><joint name="hinge" axis="0 1 0" damping=".01"/>
+<geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass=".3"/></body></worldbody>
+<actuator><position name="servo" joint="hinge" kp="4" kv=".2"/></actuator></mujoco>"""
+
+
+def _scene(step: float) -> orbisim.Scene:
+    return orbisim.load_scene(SERVO.format(step=step))
+
+
+def test_a_step_that_is_too_long_is_shortened_instead_of_explained() -> None:
+    runs = inject_effect(_scene(0.0005), [], duration=4.0, episodes=4, noise=5e-4, seed=1)
+    result = orbisim.diagnose(_scene(0.01), runs, progress=False)
+    assert result.verdict == "no_residual" and not result.effects
+    assert result.augmented_scene.model.opt.timestep < 0.006
+    assert any("predict surely better than with the declared 0.01 s" in n for n in result.notes)
+    assert result.error["held_out"]["after"] < 0.8 * result.error["held_out"]["before"]
+
+
+def test_an_effect_is_found_beside_it() -> None:
+    friction = EffectInstance("coulomb_friction", "hinge", {"torque": 0.05})
+    runs = inject_effect(_scene(0.0005), friction, duration=4.0, episodes=4, noise=5e-4, seed=1)
+    few = Settings(effects=("coulomb_friction", "viscous_damping", "clock_skew"))
+    result = orbisim.diagnose(_scene(0.01), runs, settings=few, progress=False)
+    assert [(e.effect, e.target) for e in result.effects] == [("coulomb_friction", "hinge")]
+    assert result.effects[0].parameters["torque"].value == pytest.approx(0.05, rel=0.1)
+
+
+def test_a_step_that_is_right_stays() -> None:
+    scene = _scene(0.005)
+    runs = inject_effect(scene, [], duration=4.0, episodes=4, noise=5e-4, seed=1)
+    bench = make_bench(scene, prepare_all(runs, scene), 0.5)
+    context = begun(bench, Settings(), lambda _: None)
+    judged = context.judge.judge(Hypothesis())
+    assert judged is not None
+    assert finer(context, judged) is None and coarser(context, judged, 0.005) is None
+
+
+def test_a_step_does_not_stand_in_for_an_effect_in_the_end() -> None:
+    """As long as damping is missing, another step is better; beside it, none is."""
+    scene = _scene(0.005)
+    damping = EffectInstance("viscous_damping", "hinge", {"coefficient": 0.05})
+    runs = inject_effect(scene, damping, duration=4.0, episodes=4, noise=5e-4, seed=1)
+    few = Settings(effects=("viscous_damping", "armature", "clock_skew"))
+    result = orbisim.diagnose(scene, runs, settings=few, progress=False)
+    assert [(e.effect, e.target) for e in result.effects] == [("viscous_damping", "hinge")]
+    assert result.augmented_scene.model.opt.timestep == pytest.approx(0.005)
+
+
+def test_one_that_was_shortened_in_vain_grows_again() -> None:
+    scene = _scene(0.005)
+    runs = inject_effect(scene, [], duration=4.0, episodes=4, noise=5e-4, seed=1)
+    fine = with_timestep(scene, 0.00125)
+    bench = make_bench(fine, prepare_all(runs, fine), 0.5)
+    context = begun(bench, Settings(), lambda _: None)
+    judged = context.judge.judge(Hypothesis())
+    assert judged is not None
+    found = coarser(context, judged, 0.005)
+    assert found is not None
+    assert found[0].bench.scene.model.opt.timestep == pytest.approx(0.005)
