@@ -1,6 +1,6 @@
 """Speed of the diffusion renderer and of its training.
 
-    python tools/bench_vision.py render [--checkpoint FOLDER] [--worlds 1 64] [--out FILE]
+    python tools/bench_vision.py render [--checkpoint FOLDER] [--worlds 1 64] [--compiled] [--out F]
     python tools/bench_vision.py train DATA.h5 [--checkpoint FOLDER] [--seconds 90] [--out FILE]
 
 `render` compares with MuJoCo's renderer in this process. `train` takes a step of each network, as
@@ -25,6 +25,7 @@ import torch
 from orbisim_diffusion import edm
 from orbisim_diffusion.autoencoder import autoencoder_loss, to_float
 from orbisim_diffusion.checkpoint import Checkpoint, load_checkpoint
+from orbisim_diffusion.config import DenoiserConfig
 from orbisim_diffusion.loop import mixed
 from orbisim_diffusion.store import Store, draw_frames, load
 from orbisim_diffusion.training import draw_condition, encoded
@@ -48,6 +49,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=0, help="of torch; 0 leaves them")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--seconds", type=float, default=120.0, help="no trial begins after")
+    parser.add_argument("--compiled", action="store_true", help="`render`: rays are compiled")
     parser.add_argument("--out", type=Path, help="a file for the lines, too")
     arguments = parser.parse_args()
     if arguments.threads:
@@ -99,12 +101,17 @@ def rendering(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
         states = _states(scene.model, worlds)
         for steps in arguments.steps:
             renderer = make_renderer(
-                f"diffusion:{arguments.checkpoint}", scene, steps=steps, device=str(device)
+                f"diffusion:{arguments.checkpoint}",
+                scene,
+                steps=steps,
+                device=str(device),
+                compiled=arguments.compiled,
             )
             if device.type == "cuda":
                 torch.cuda.reset_peak_memory_stats(device)
             found = _seconds(lambda r=renderer, s=states: r.render_batch(s, **look), device)
             line = {"renderer": "diffusion", "worlds": worlds, "steps": steps}
+            line["compiled"] = arguments.compiled
             if device.type == "cuda":
                 line["gigabytes"] = round(torch.cuda.max_memory_allocated(device) / 1e9, 2)
             yield {**line, **_summary(found, worlds)}
@@ -152,7 +159,7 @@ def training(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
 def _rays(store: Store, compiled: bool) -> Callable[[], Any]:
     made = dataclasses.replace(store, compiled=compiled)
     index = torch.randint(len(store), (64,), device=store.device)
-    return lambda: made.conditions(index, "geometry")
+    return lambda: made.conditions(index, DenoiserConfig())
 
 
 def _autoencoder(

@@ -7,7 +7,9 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from orbisim.errors import InputError
 from orbisim.scene.visible import ROBOT, STATIC
+from orbisim_diffusion.config import DenoiserConfig
 from orbisim_diffusion.raycast import cast, shade
 from orbisim_diffusion.shapes import PRIMITIVES, Meet
 from orbisim_diffusion.solids import ABSENT, Lamps, Solids, View, project
@@ -22,6 +24,10 @@ HEATMAP_CHANNELS = 8
 TOKEN_FEATURES = 27
 """Of each geom: type 8, size 3, colour 3, position 3, orientation 6, on the image 2, depth 1, kind
 1."""
+MOST_GEOMS = 32
+"""That a single token of all has room for; the tasks' scenes have 15 to 18."""
+STEPS, CONTROLS = 6, 16
+"""Tokens of controls: as many steps as there are context frames, and room for so many actuators."""
 _TYPES = 8  # of MuJoCo's geoms that are drawn: plane to mesh
 _ORIGIN = (0.5, 0.0, 0.0)
 """Middle of the tasks' tables, m: positions are seen from there, in units of half a metre."""
@@ -98,3 +104,46 @@ def object_tokens(solids: Solids, view: View) -> tuple[Tensor, Tensor]:
     ]
     there = solids.entity != ABSENT
     return torch.cat(parts, dim=-1) * there[..., None], there
+
+
+def map_channels(config: DenoiserConfig) -> int:
+    """M of the spatial condition maps; without any there is one map of zeros."""
+    return {"geometry": GEOMETRY_CHANNELS, "heatmaps": HEATMAP_CHANNELS, "none": 1}[config.maps]
+
+
+def token_features(config: DenoiserConfig) -> int:
+    """F of the tokens."""
+    one = MOST_GEOMS * TOKEN_FEATURES
+    return {"geoms": TOKEN_FEATURES, "one": one, "controls": CONTROLS + STEPS}[config.tokens]
+
+
+def one_token(tokens: Tensor, there: Tensor) -> tuple[Tensor, Tensor]:
+    """All geoms' features [B, G, 27] as a global state [B, 1, 32 * 27] (w/o Object-Centric).
+
+    Raises:
+      InputError: more geoms than there is room for.
+    """
+    if tokens.shape[1] > MOST_GEOMS:
+        raise InputError(f"a token of all geoms is of at most {MOST_GEOMS}; got {tokens.shape[1]}")
+    padded = tokens.new_zeros(len(tokens), MOST_GEOMS, TOKEN_FEATURES)
+    padded[:, : tokens.shape[1]] = tokens
+    return padded.flatten(1)[:, None], there.any(1, keepdim=True)
+
+
+def control_tokens(controls: Tensor, index: Tensor, first: Tensor) -> tuple[Tensor, Tensor]:
+    """Controls that led to a frame instead of its state (w/o Decoupling).
+
+    Args:
+      controls: [N, 16], those between a frame and the one before, zeros where there is none.
+      index: [B] numbers of frames. first: [B] those of their episodes' first frames.
+
+    Returns:
+      [B, 6, 22] the last six steps' controls and which step it is, latest first, and which of them
+      are there [B, 6]; the latest always is, since attention needs a token.
+    """
+    ago = torch.arange(STEPS, device=index.device)
+    rows = index[:, None] - ago
+    there = (rows > first[:, None]) | (ago == 0)
+    which = torch.eye(STEPS, device=index.device).expand(len(index), -1, -1)
+    tokens = torch.cat([controls[rows.clamp_min(0)], which], dim=-1)
+    return tokens * there[..., None], there

@@ -33,7 +33,11 @@ class DenoiserConfig:
 
     Attributes:
       maps: spatial condition maps: `geometry` (depth, normals, instance, base colour and position
-        by ray casting) or `heatmaps` (one Gaussian for each entity, and depth; the paper's).
+        by ray casting), `heatmaps` (one Gaussian for each entity, and depth; the paper's), or
+        `none`.
+      tokens: what cross-attention goes to: `geoms` (one token for each geom), `one` (a single one
+        of all geoms' features, one after another), or `controls` (those of the last steps; with
+        `maps` of `none` nothing of the state is known).
       widths: of the features at the latents' size and at half of it.
       blocks: residual blocks at each size, on the way down and on the way up.
       heads: of attention. token: width of the object tokens.
@@ -45,7 +49,8 @@ class DenoiserConfig:
       anchor: range of the noise on the anchor latent, log-uniform.
     """
 
-    maps: Literal["geometry", "heatmaps"] = "geometry"
+    maps: Literal["geometry", "heatmaps", "none"] = "geometry"
+    tokens: Literal["geoms", "one", "controls"] = "geoms"
     widths: tuple[int, int] = (80, 112)
     blocks: int = 2
     heads: int = 4
@@ -99,6 +104,14 @@ PRESETS: dict[str, Config] = {
         name="paper",
         denoiser=DenoiserConfig(maps="heatmaps", noisy_context=True, noise_mean=1.2, noise_std=1.6),
     ),
+    "no_decoupling": Config(
+        name="no_decoupling",
+        denoiser=DenoiserConfig(maps="none", tokens="controls", consecutive=1.0),
+    ),
+    "no_random_sampling": Config(
+        name="no_random_sampling", denoiser=DenoiserConfig(consecutive=1.0)
+    ),
+    "no_object_centric": Config(name="no_object_centric", denoiser=DenoiserConfig(tokens="one")),
     "tiny": Config(
         name="tiny",
         size=32,
@@ -109,7 +122,8 @@ PRESETS: dict[str, Config] = {
         train_one_step=TrainConfig(batch=4),
     ),
 }
-"""`tiny` is for tests: it trains in seconds and shows little."""
+"""`no_...` are the paper's ablations: each leaves one thing of `default` out (docs/equations.md).
+`tiny` is for tests: it trains in seconds and shows little."""
 
 
 def preset(name: str) -> Config:

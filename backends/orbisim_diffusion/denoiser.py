@@ -18,7 +18,7 @@ from orbisim_diffusion.blocks import (
     norm,
     silent,
 )
-from orbisim_diffusion.conditions import GEOMETRY_CHANNELS, HEATMAP_CHANNELS, TOKEN_FEATURES
+from orbisim_diffusion.conditions import map_channels, token_features
 from orbisim_diffusion.config import MOST_CONTEXT, DenoiserConfig
 
 
@@ -29,7 +29,8 @@ class Condition(NamedTuple):
       context: [B, K, C, h, w] clean latents y_{t-K:t-1}, K from 0 to 6.
       anchor: [B, C, h, w] perturbed copy of y_{t-1}; zeros where K is 0.
       maps: [B, M, 8h, 8w] spatial condition maps of the state at t.
-      tokens: [B, G, F] object tokens; there: [B, G] which of them are no padding.
+      tokens: [B, G, F] object tokens, or what stands for them (see `DenoiserConfig.tokens`);
+        there: [B, G] which of them are no padding.
     """
 
     context: Tensor
@@ -105,13 +106,12 @@ class Denoiser(nn.Module):
         super().__init__()
         self.config, self.channels = config, channels
         a, b = config.widths
-        maps = GEOMETRY_CHANNELS if config.maps == "geometry" else HEATMAP_CHANNELS
         count = config.blocks
-        self.maps = MapEncoder(maps, a)
+        self.maps = MapEncoder(map_channels(config), a)
         self.noise = NoiseEmbedding(_embedding(config))
         self.age = nn.Embedding(MOST_CONTEXT + 1, _embedding(config))
         self.token = nn.Sequential(
-            nn.Linear(TOKEN_FEATURES, config.token),
+            nn.Linear(token_features(config), config.token),
             nn.SiLU(),
             nn.Linear(config.token, config.token),
         )

@@ -10,17 +10,12 @@ from torch import Tensor
 from orbisim import cameras
 from orbisim.errors import InputError, UnsupportedSceneError
 from orbisim.scene import Scene, visible
+from orbisim_diffusion.chain import Chain
 from orbisim_diffusion.shapes import MESH, PRIMITIVES
 from orbisim_diffusion.solids import Lamps, Solids, View, matrices
 
-_FREE, _BALL, _SLIDE = (
-    int(kind)
-    for kind in (
-        mujoco.mjtJoint.mjJNT_FREE,
-        mujoco.mjtJoint.mjJNT_BALL,
-        mujoco.mjtJoint.mjJNT_SLIDE,
-    )
-)
+Poses = tuple[Tensor, Tensor]
+"""What `Kinematics.bodies` gives."""
 _FIXED = int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED)
 
 
@@ -42,39 +37,46 @@ class Kinematics:
         rows = visible.rows(self.model)
         self.rows = rows
         self._rows = torch.as_tensor(rows, dtype=torch.float32, device=device)
+        turns = matrices(self._constant(self.model.cam_quat))
+        self._cameras = self._constant(self.model.cam_pos), turns
         self._lights = torch.as_tensor(
             visible.lights(self.model), dtype=torch.float32, device=device
         )
         self._shown = visible.seen(self.model)
+        self._chain = Chain(self.model, device)
+        self._owner = torch.as_tensor(self.model.geom_bodyid[self._shown], device=device).long()
+        self._place = self._constant(self.model.geom_pos[self._shown])
+        self._turn = matrices(self._constant(self.model.geom_quat[self._shown]))
         self.meshes = {
             place: self._triangles(geom)
             for place, geom in enumerate(self._shown)
             if int(self.model.geom_type[geom]) == MESH
         }
 
-    def solids(self, qpos: Tensor) -> Solids:
-        """The geoms at coordinates [B, nq]."""
-        pos, rot = self.bodies(qpos)
-        model, count = self.model, len(qpos)
-        bodies = torch.as_tensor(model.geom_bodyid[self._shown], device=self.device).long()
-        place = self._constant(model.geom_pos[self._shown]).to(qpos.dtype)
-        turn = matrices(self._constant(model.geom_quat[self._shown])).to(qpos.dtype)
+    def solids(self, qpos: Tensor, poses: Poses | None = None) -> Solids:
+        """The geoms at coordinates [B, nq]; `poses` are the bodies', if they are known."""
+        pos, rot = self.bodies(qpos) if poses is None else poses
+        place, turn = (v.to(qpos.dtype) for v in (self._place, self._turn))
+        count, owner = len(qpos), self._owner
+        at, axes = pos[:, owner], rot[:, owner]
         rows = self._rows.to(qpos.dtype).expand(count, -1, -1)
         return Solids(
             kind=rows[..., 0].long(),
             size=rows[..., 1:4],
             colour=rows[..., 4:7],
             entity=rows[..., 7].long(),
-            pos=pos[:, bodies] + (rot[:, bodies] @ place[..., None])[..., 0],
-            rot=rot[:, bodies] @ turn,
+            pos=at + (axes @ place[..., None])[..., 0],
+            rot=axes @ turn,
         )
 
     def lamps(self, count: int) -> Lamps:
         """The lights, for each of so many worlds."""
         return Lamps(self._lights.expand(count, -1, -1))
 
-    def view(self, qpos: Tensor, camera: int) -> View:
+    def view(self, qpos: Tensor, camera: int, poses: Poses | None = None) -> View:
         """A camera of the scene at coordinates [B, nq]; -1 is MuJoCo's free camera.
+
+        `poses` are the bodies', if they are known.
 
         Raises:
           InputError: the camera follows or looks at a body, or is orthographic.
@@ -90,49 +92,16 @@ class Kinematics:
                 f"camera {model.camera(camera).name!r} tracks a body; only cameras that are fixed "
                 "to one (mode='fixed') are known here"
             )
-        pos, rot = self.bodies(qpos)
+        pos, rot = self.bodies(qpos) if poses is None else poses
         body = int(model.cam_bodyid[camera])
-        turn = matrices(self._constant(model.cam_quat[camera])).to(qpos.dtype)
-        place = self._constant(model.cam_pos[camera]).to(qpos.dtype)
+        place, turn = (v[camera].to(qpos.dtype) for v in self._cameras)
         return View(
             pos[:, body] + rot[:, body] @ place, rot[:, body] @ turn, focal, torch.zeros_like(focal)
         )
 
-    def bodies(self, qpos: Tensor) -> tuple[Tensor, Tensor]:
-        """Positions [B, nbody, 3] and rotations [B, nbody, 3, 3] of all bodies."""
-        model, count = self.model, len(qpos)
-        pos = [qpos.new_zeros(count, 3)]
-        rot = [torch.eye(3, device=qpos.device, dtype=qpos.dtype).expand(count, 3, 3)]
-        for body in range(1, model.nbody):
-            parent = int(model.body_parentid[body])
-            place = self._constant(model.body_pos[body]).to(qpos.dtype)
-            turn = matrices(self._constant(model.body_quat[body])).to(qpos.dtype)
-            p, r = pos[parent] + rot[parent] @ place, rot[parent] @ turn
-            first = int(model.body_jntadr[body])
-            for joint in range(first, first + int(model.body_jntnum[body])):
-                p, r = self._moved(qpos, joint, p, r)
-            pos.append(p)
-            rot.append(r)
-        return torch.stack(pos, 1), torch.stack(rot, 1)
-
-    def _moved(self, qpos: Tensor, joint: int, pos: Tensor, rot: Tensor) -> tuple[Tensor, Tensor]:
-        """The body's pose after one of its joints has moved it."""
-        model, adr = self.model, int(self.model.jnt_qposadr[joint])
-        kind = int(model.jnt_type[joint])
-        if kind == _FREE:
-            return qpos[:, adr : adr + 3], matrices(qpos[:, adr + 3 : adr + 7])
-        axis = self._constant(model.jnt_axis[joint]).to(qpos.dtype)
-        change = qpos[:, adr] - float(model.qpos0[adr])
-        if kind == _SLIDE:
-            return pos + change[:, None] * (rot @ axis), rot
-        if kind == _BALL:
-            turn = matrices(qpos[:, adr : adr + 4])
-        else:
-            half = 0.5 * change[:, None]
-            turn = matrices(torch.cat([half.cos(), half.sin() * axis], dim=1))
-        anchor = self._constant(model.jnt_pos[joint]).to(qpos.dtype)
-        after = rot @ turn
-        return pos + rot @ anchor - after @ anchor, after
+    def bodies(self, qpos: Tensor) -> Poses:
+        """Positions [B, nbody, 3] and rotations [B, nbody, 3, 3] of all bodies at [B, nq]."""
+        return self._chain.bodies(qpos)
 
     def _still(self, camera: cameras.Camera, qpos: Tensor, focal: Tensor) -> View:
         pos, rot = (self._constant(v).to(qpos.dtype) for v in (camera.pos, camera.rot))

@@ -92,7 +92,8 @@ class Lighting:
         gloss = specular * facing.clamp_min(1e-6) ** sharp
         for number in range(len(self._diffuse)):
             row = self.lamps.rows[:, number : number + 1].expand(len(point), 1, -1)
-            open_, way = unblocked(point, normal, size, solids, Lamps(row), meshes)
+            free, ways = unblocked(point, normal, size, solids, Lamps(row), meshes)
+            open_, way = free[:, 0], ways[:, 0]
             light = (open_ * self._reach(number, way))[..., None]
             way = way / way.norm(dim=-1, keepdim=True)
             cosine = (normal * way).sum(-1, keepdim=True)

@@ -52,7 +52,7 @@ def single_frames(
 
 
 def _frames(painter: Painter, store: Store, index: Tensor, context: int, steps: int) -> Tensor:
-    maps, tokens, there = store.conditions(index, painter.config.denoiser.maps)
+    maps, tokens, there = store.conditions(index, painter.config.denoiser)
     with mixed(store.device):
         past = [painter.encode(to_float(store.frames[index - 1]))] * context
         given = Condition(*painter.history(past, len(index), maps), maps, tokens, there)

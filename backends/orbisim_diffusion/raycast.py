@@ -21,6 +21,8 @@ _EDGE = 0.35
 """Width of a soft outline, pixels: it falls from 0.95 to 0.05 within two."""
 _NEAR = 1e-3
 """What is nearer is not seen, m; of the way to a light: what is nearer casts no shadow."""
+_PAIRS = 2**25
+"""Pairs of rays and geoms at once, where there is a choice: 128 MB for each number of a pair."""
 _LIFT, _FAR = 2e-3, 10.0
 """Shadow rays start so far above the surface, m, and reach so far towards directional lights."""
 
@@ -140,11 +142,12 @@ def shade(
     point = buffers.point.flatten(2).transpose(1, 2)
     size = buffers.depth.flatten(1).clamp_min(0.1) / (height * view.focal[:, 1:])
     free, lit = torch.zeros_like(size), torch.zeros_like(size)
-    for light in range(lamps.rows.shape[1]):
-        lamp = Lamps(lamps.rows[:, light : light + 1])
-        open_, ray = unblocked(point, normal, size, solids, lamp, meshes, primitives)
-        cosine = (ray * normal).sum(-1) / ray.norm(dim=-1).clamp_min(1e-6)
-        free, lit = free + open_, lit + open_ * cosine.clamp_min(0.0)
+    # few pairs take less time than starting one more set of kernels; many would fill the memory
+    at_once = max(1, _PAIRS // max(1, solids.kind.numel() * size.shape[1]))
+    for rows in lamps.rows.split(at_once, dim=1):
+        open_, ray = unblocked(point, normal, size, solids, Lamps(rows), meshes, primitives)
+        cosine = (ray * normal[:, None]).sum(-1) / ray.norm(dim=-1).clamp_min(1e-6)
+        free, lit = free + open_.sum(1), lit + (open_ * cosine.clamp_min(0.0)).sum(1)
     count = max(1, lamps.rows.shape[1])
     there = buffers.weight.sum(1)
     return tuple(x.unflatten(-1, (height, width)) * there / count for x in (free, lit))
@@ -155,26 +158,29 @@ def unblocked(
     normal: Tensor,
     size: Tensor,
     solids: Solids,
-    lamp: Lamps,
+    lamps: Lamps,
     meshes: Mapping[int, Tensor] | None = None,
     primitives: Mapping[int, Meet] = PRIMITIVES,
 ) -> tuple[Tensor, Tensor]:
-    """How much of the first light reaches points.
+    """How much of L lights reaches points.
 
     Args:
       point, normal: [B, P, 3] of the surfaces, world frame, m. size: [B, P] of a pixel there, m.
-      solids: what may be in the way. lamp: the light.
+      solids: what may be in the way. lamps: the lights.
 
     Returns:
-      The share [B, P] that nothing is in the way of, and the way to the light [B, P, 3], m.
+      The share [B, L, P] that nothing is in the way of, and the way to the lights [B, L, P, 3], m.
     """
-    start = point + _LIFT * normal
-    far = -_FAR * lamp.direction[:, :1]
-    ray = torch.where(lamp.directional[:, :1, None] > 0, far, lamp.pos[:, :1] - start)
-    t, inside, _ = _meet(solids, start, ray, meshes or {}, primitives)
-    cover = torch.sigmoid(inside / (_EDGE * size[:, None]))
-    blocked = torch.where((t > _NEAR) & (t < 1.0), cover, 0.0)
-    return 1.0 - lamp.shadow[:, :1] * (1.0 - (1.0 - blocked).prod(1)), ray
+    start = (point + _LIFT * normal)[:, None]
+    far = -_FAR * lamps.direction[:, :, None]
+    ray = torch.where(lamps.directional[..., None, None] > 0, far, lamps.pos[:, :, None] - start)
+    shape = ray.shape[:3]
+    eye = start.expand_as(ray).flatten(1, 2)
+    t, inside, _ = _meet(solids, eye, ray.flatten(1, 2), meshes or {}, primitives, False)
+    width = _EDGE * size[:, None].expand(shape).flatten(1)[:, None]
+    blocked = torch.where((t > _NEAR) & (t < 1.0), torch.sigmoid(inside / width), 0.0)
+    passed = (1.0 - blocked).prod(1).unflatten(-1, shape[1:])
+    return 1.0 - lamps.shadow[..., None] * (1.0 - passed), ray
 
 
 def _layers(t: Tensor, cover: Tensor) -> tuple[Tensor, Tensor]:
@@ -196,26 +202,32 @@ def _meet(
     ray: Tensor,
     meshes: Mapping[int, Tensor],
     primitives: Mapping[int, Meet],
+    normals: bool = True,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """t, inside, and normals in the world frame, of every geom and ray (from `eye` [B, P, 3])."""
+    """t, inside, and normals in the world frame, of every geom and ray (from `eye` [B, P, 3]).
+
+    Where they are not wanted, normals are zeros.
+    """
     shape = (*solids.kind.shape, ray.shape[1])
     t, inside = ray.new_zeros(shape), ray.new_full(shape, -1.0)
-    normal = ray.new_zeros((*shape, 3))
+    normal = ray.new_zeros((*(shape if normals else [1] * 3), 3))
     there = solids.entity != ABSENT
     for kind, meet in primitives.items():
         b, g = ((solids.kind == kind) & there).nonzero(as_tuple=True)
         if len(b):
-            rot = solids.rot[b, g]
             origin, local = _local(solids, eye, ray, b, g)
             found = meet(origin, local, solids.size[b, g])
             t, inside = t.index_put((b, g), found[0]), inside.index_put((b, g), found[1])
-            normal = normal.index_put((b, g), found[2] @ rot.transpose(-1, -2))
+            if normals:
+                turned = found[2] @ solids.rot[b, g].transpose(-1, -2)
+                normal = normal.index_put((b, g), turned)
     for b, g in ((solids.kind == MESH) & there).nonzero().tolist():
         where = torch.tensor([b], device=ray.device), torch.tensor([g], device=ray.device)
         origin, local = _local(solids, eye, ray, *where)
         found = mesh(origin[0], local[0], meshes[g])
         t, inside = t.index_put(where, found[0][None]), inside.index_put(where, found[1][None])
-        normal = normal.index_put(where, (found[2] @ solids.rot[b, g].T)[None])
+        if normals:
+            normal = normal.index_put(where, (found[2] @ solids.rot[b, g].T)[None])
     return t, inside, normal
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -9,12 +10,21 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from scipy import ndimage
-from scipy.spatial.transform import Rotation
 
 from orbisim.scene import Scene
 from orbisim.scene.visible import ROBOT
 from orbisim_diffusion.levenberg import Fit, fit, losses
-from orbisim_diffusion.resting import Body, at_rest, free_bodies, scalar_joints, surfaces
+from orbisim_diffusion.resting import (
+    MARGIN,
+    Body,
+    at_rest,
+    directions,
+    free_bodies,
+    overlap,
+    scalar_joints,
+    surfaces,
+    window,
+)
 from orbisim_diffusion.solids import rays
 from orbisim_diffusion.synthesis import Eye
 
@@ -25,9 +35,7 @@ _NOISE = 0.02
 """Of a pixel's value, 0 to 1; what drawing cannot say of a rendered image is 0.03 rms."""
 _ALIKE = 4.0
 """Neighbouring pixels err together: so many count as one where uncertainties are stated."""
-_MARGIN = 5
-"""Pixels around an object's outline that count in its fit."""
-_SEEN_PIXELS, _SEEN_SHARE, _EXPLAINED = 6.0, 0.15, 0.5
+_SEEN_PIXELS, _SEEN_SHARE, EXPLAINED = 6.0, 0.15, 0.5
 """What counts as seen: at least so many pixels (of 128 x 128) of an object that are right with it
 and wrong without, that share of its outline, and that share of the improvement which a perfect
 match would be."""
@@ -40,6 +48,8 @@ _LIES, _FREE = 0.9, 0.15
 anywhere, if that lowers the cost by such a share."""
 _ROBOT_PIXELS = 700
 """Pixels that a robot's fit looks at, at most."""
+_CERTAIN = 3.0
+"""Standard deviations by which two objects must be within each other to be called impossible."""
 _SURE, _SAME = 0.75, 0.015
 """Share of the improvement from which on no other place is tried; places so near, m, are one."""
 _ROUGH, _STEPS = 6, 12
@@ -66,11 +76,13 @@ class Frame(NamedTuple):
     Attributes:
       qpos: [nq] of the scene; objects that are not seen stay where they were looked for.
       joints_std: [joints] of the scalar joints, rad or m. objects: of each free body in order.
+      joints_seen: whether the frame shows what the joints move.
     """
 
     qpos: Floats
     joints_std: Floats
     objects: tuple[Pose, ...]
+    joints_seen: bool = True
 
 
 class Refiner:
@@ -155,7 +167,59 @@ class Refiner:
                 here = qpos[body.qpos : body.qpos + 7]
                 found[i] = self._object(image, qpos, i, others, [here], found[i])
                 qpos[body.qpos : body.qpos + 7] = found[i].qpos  # type: ignore[union-attr]
-        return Frame(qpos, std, tuple(pose for pose in found if pose is not None))
+        shown = Frame(qpos, std, tuple(pose for pose in found if pose is not None))
+        return self.possible(self._exchanged(image, shown) if before is None else shown)
+
+    def possible(self, frame: Frame) -> Frame:
+        """The frame without what is within another object: of two, what explains less is not seen.
+
+        What is hidden for the most part has a place in the image, not along the line of sight, and
+        is easily put into its neighbour; solids are not in one place.
+        """
+        objects = list(frame.objects)
+        for i, j in itertools.combinations(range(len(objects)), 2):
+            if not (objects[i].seen and objects[j].seen):
+                continue
+            spread = np.hypot(objects[i].std[:3].max(), objects[j].std[:3].max())
+            if overlap(self.eye, frame.qpos, self.bodies[i], self.bodies[j]) > _CERTAIN * spread:
+                worse = min(i, j, key=lambda k: objects[k].explained)
+                objects[worse] = objects[worse]._replace(seen=False)
+        return frame._replace(objects=tuple(objects))
+
+    def _exchanged(self, image: torch.Tensor, frame: Frame) -> Frame:
+        """The frame with two objects in each other's places, where its image is then more alike.
+
+        What is like another object is easily found in its place; the other one, pushed out of it,
+        is not seen then or half explained.
+        """
+        for i, j in itertools.combinations(range(len(self.bodies)), 2):
+            if min(frame.objects[i].explained, frame.objects[j].explained) > _LIES:
+                continue
+            other = self._exchange(image, frame, i, j)
+            if self._loss(image, other) < self._loss(image, frame):
+                frame = other
+        return frame
+
+    def _exchange(self, image: torch.Tensor, frame: Frame, i: int, j: int) -> Frame:
+        """Both fitted again from each other's places, in turn."""
+        qpos, objects = frame.qpos.copy(), list(frame.objects)
+        for number, place in ((i, objects[j].qpos), (j, objects[i].qpos)):
+            qpos[self.bodies[number].qpos :][:7] = place
+        present = {k for k, pose in enumerate(objects) if pose.seen} | {i, j}
+        for number in (i, j, i):  # the first saw the other one where it had been
+            body = self.bodies[number]
+            scene = _Around(image, qpos, number, tuple(sorted(present - {number})))
+            starts = self._upright(scene, qpos[body.qpos : body.qpos + 7])[1]
+            objects[number] = self._near(scene, starts)
+            qpos[body.qpos : body.qpos + 7] = objects[number].qpos
+            present = present - {number} | ({number} if objects[number].seen else set())
+        return Frame(qpos, frame.joints_std, tuple(objects))
+
+    def _loss(self, image: torch.Tensor, frame: Frame) -> float:
+        """Of the whole image, drawn with what is seen."""
+        seen = [i for i, pose in enumerate(frame.objects) if pose.seen]
+        drawn = self.eye.draw(frame.qpos[None], self._all, self.shown(seen)).pixels[0]
+        return float(losses(drawn.double().numpy() - image.reshape(-1, 3).numpy()).sum())
 
     def _order(self, before: Frame | None) -> list[int]:
         """Bodies in the order of their fit: large and sure ones first."""
@@ -169,13 +233,13 @@ class Refiner:
         self, image: torch.Tensor, qpos: Floats, present: list[int], steps: int
     ) -> tuple[Floats, Floats]:
         """The joints, and their standard deviations."""
-        geoms = self._with(present)
-        static = geoms[~self._robot[geoms]]
+        geoms = self.shown(present)
+        static = self.unmoved(geoms)
         drawn = self.eye.draw(qpos[None], self._all, geoms)
         without = self.eye.draw(qpos[None], self._all, static)
         touched = (drawn.pixels - without.pixels).abs().amax(-1)[0] > 0.03
         near = ndimage.binary_dilation(
-            touched.reshape(self.size, self.size).numpy(), iterations=_MARGIN
+            touched.reshape(self.size, self.size).numpy(), iterations=MARGIN
         )
         pixels = torch.as_tensor(np.flatnonzero(near))
         pixels = pixels[:: max(1, len(pixels) // _ROBOT_PIXELS)]
@@ -239,7 +303,7 @@ class Refiner:
         """How well standing there explains the frame, and the two best such poses [2, 7]."""
         body = self.bodies[scene.number]
         starts = at_rest(body, spot, self.surfaces, self._eye, False)
-        pixels = self._window(body, spot[:3], 2.0)
+        pixels = window(self.view, self.size, body, spot[:3], 2.0)
         if not len(pixels):
             return -np.inf, starts[:2]
         geoms = self._relevant(scene, starts[0], pixels)
@@ -254,7 +318,7 @@ class Refiner:
         rest = np.concatenate(
             [at_rest(body, start, self.surfaces, self._eye, True) for start in starts]
         )
-        pixels = self._window(body, starts[0, :3], 1.5)
+        pixels = window(self.view, self.size, body, starts[0, :3], 1.5)
         if not len(pixels):
             return Pose(starts[0], False, 0.0, np.full(6, np.inf))
         geoms = self._relevant(scene, starts[0], pixels)
@@ -293,54 +357,24 @@ class Refiner:
         body = self.bodies[scene.number]
         states = np.repeat(scene.qpos[None], len(starts), 0)
         states[:, body.qpos : body.qpos + 7] = starts
-        directions = np.stack([self._directions(body, start, upright) for start in starts])
+        ways = np.stack([directions(self.model.nv, body, start, upright) for start in starts])
         return fit(
             self.eye,
             scene.image,
             pixels,
             states,
-            directions,
+            ways,
             noise=_NOISE,
             geoms=geoms,
             steps=steps,
         )
-
-    def _directions(self, body: Body, pose: Floats, upright: bool) -> Floats:
-        """[nv, 3 or 6]: along x, y and about the vertical; or all six."""
-        columns = [0, 1] if upright else [0, 1, 2]
-        found = np.zeros((self.model.nv, 3 if upright else 6))
-        for i, axis in enumerate(columns):
-            found[body.dof + axis, i] = 1.0
-        turn = Rotation.from_quat(np.roll(pose[3:], -1)).as_matrix()
-        local = slice(body.dof + 3, body.dof + 6)  # a free joint turns about the body's own axes
-        if upright:
-            found[local, 2] = turn.T @ np.array([0.0, 0.0, 1.0])
-        else:
-            found[local, 3:] = turn.T
-        return found
-
-    def _window(self, body: Body, place: Floats, wide: float) -> torch.Tensor:
-        """Pixels around an object."""
-        rot, pos = self.view.rot[0].double().numpy(), self._eye
-        local = rot.T @ (place - pos)
-        depth = -local[2]
-        if depth < 0.05:
-            return torch.zeros(0, dtype=torch.long)
-        focal = self.view.focal[0].double().numpy() * self.size
-        offset = self.view.offset[0].double().numpy() * self.size
-        x = focal[0] * local[0] / depth + offset[0] + self.size / 2
-        y = -focal[1] * local[1] / depth + offset[1] + self.size / 2
-        radius = 0.6 * wide * np.linalg.norm(body.half) * focal[1] / depth + _MARGIN
-        rows = np.arange(max(0, int(y - radius)), min(self.size, int(y + radius) + 1))
-        columns = np.arange(max(0, int(x - radius)), min(self.size, int(x + radius) + 1))
-        return torch.as_tensor((rows[:, None] * self.size + columns).reshape(-1))
 
     def _relevant(self, scene: _Around, pose: Floats, pixels: torch.Tensor) -> torch.Tensor:
         """Geoms that show or throw shadows in the window, the object's among them."""
         body = self.bodies[scene.number]
         state = scene.qpos[None].copy()
         state[:, body.qpos : body.qpos + 7] = pose
-        geoms, few = self._with([*scene.others, scene.number]), pixels[::4]
+        geoms, few = self.shown([*scene.others, scene.number]), pixels[::4]
         base = self.eye.draw(state, few, geoms)
         own = set(body.geoms.tolist())
         kept = geoms.tolist()
@@ -371,12 +405,12 @@ class Refiner:
         right = np.abs(shown - wanted).max(-1) < _RIGHT
         telling = float(share[right & (np.abs(blank - wanted).max(-1) > _RIGHT)].sum())
         enough = telling > max(_SEEN_PIXELS * (self.size / 128) ** 2, _SEEN_SHARE * whole)
-        return enough and explained > _EXPLAINED, explained
+        return enough and explained > EXPLAINED, explained
 
     def _alike(self, scene: _Around) -> list[Floats]:
         """Places [7] where the image has the object's colour and nothing else explains it."""
         body, n = self.bodies[scene.number], self.size
-        known = self._with(scene.others)
+        known = self.shown(scene.others)
         blank = self.eye.draw(scene.qpos[None], self._all, known).pixels[0].numpy()
         seen = scene.image.numpy().reshape(-1, 3)
         odd = np.abs(seen - blank).max(-1) > 0.06
@@ -402,10 +436,14 @@ class Refiner:
             smooth[max(0, row - r) : row + r + 1, max(0, column - r) : column + r + 1] = 0.0
         return found
 
-    def _with(self, numbers: Sequence[int]) -> torch.Tensor:
+    def shown(self, numbers: Sequence[int]) -> torch.Tensor:
         """What is not an object, and some objects: places among the geoms that are drawn."""
         parts = [self._fixed, *(self.bodies[i].geoms for i in numbers)]
         return torch.cat(parts).sort().values
+
+    def unmoved(self, geoms: torch.Tensor) -> torch.Tensor:
+        """Those of some geoms that no scalar joint moves."""
+        return geoms[~self._robot[geoms]]
 
 
 class _Around(NamedTuple):

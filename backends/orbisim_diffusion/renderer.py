@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,15 +22,15 @@ from orbisim.state import State
 from orbisim_diffusion import zoo
 from orbisim_diffusion.autoencoder import to_bytes, to_float
 from orbisim_diffusion.checkpoint import Checkpoint, load_checkpoint
-from orbisim_diffusion.conditions import object_tokens
 from orbisim_diffusion.config import MOST_CONTEXT, PATCH
 from orbisim_diffusion.denoiser import Condition
-from orbisim_diffusion.kinematics import Kinematics
+from orbisim_diffusion.kinematics import Kinematics, Poses
 from orbisim_diffusion.loop import mixed
 from orbisim_diffusion.model import MOST_STEPS, Painter
 from orbisim_diffusion.scope import scene_concerns, scene_problem, view_problem
+from orbisim_diffusion.shapes import PRIMITIVES, compiled_primitives
 from orbisim_diffusion.solids import View
-from orbisim_diffusion.store import condition_maps
+from orbisim_diffusion.store import condition_maps, tokens_of
 
 LATENTS, TIMES, VIEWS = "diffusion_latents", "diffusion_times", "diffusion_views"
 """Names in `State.memory`: latents of past frames [nworld, 6, C, h, w], when they were shown
@@ -61,6 +61,8 @@ class DiffusionRenderer(Renderer):
       seed: of the noise that sampling starts from.
       context: whether earlier frames are continued; else each is made from its state alone.
       device: `cpu`, `cuda`, `cuda:1`; None for the GPU, if there is one.
+      compiled: whether torch compiles the ray casting: half a minute at the first image, then fewer
+        and larger kernels.
     """
 
     name = "diffusion"
@@ -75,6 +77,7 @@ class DiffusionRenderer(Renderer):
         seed: int = 0,
         context: bool = True,
         device: str | None = None,
+        compiled: bool = False,
     ) -> None:
         if not 1 <= steps <= MOST_STEPS:
             raise InputError(f"a sampler takes 1 to {MOST_STEPS} steps; got {steps}")
@@ -83,6 +86,7 @@ class DiffusionRenderer(Renderer):
         self._folder = Path(argument) if argument else None
         self._steps, self._seed, self._context = steps, seed, context
         self._device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
+        self._primitives = compiled_primitives() if compiled else PRIMITIVES
         self._checkpoint: Checkpoint | None = None
 
     @property
@@ -157,8 +161,9 @@ class DiffusionRenderer(Renderer):
         state = state.numpy()
         with torch.no_grad():
             qpos = torch.as_tensor(state.qpos, dtype=torch.float32, device=self._device)
-            view = self._view(qpos, frame)
-            latents = self._latents(qpos, view, state, frame)
+            poses = self.kinematics.bodies(qpos)
+            view = self._view(qpos, frame, poses)
+            latents = self._latents(qpos, view, state, frame, poses)
             with mixed(self._device):
                 images = self.painter.decode(latents)
             images = resized(images.float(), height, width)
@@ -176,7 +181,8 @@ class DiffusionRenderer(Renderer):
         blank = State(
             np.zeros(count), np.zeros((count, 1)), np.zeros((count, 1)), np.zeros((count, 0))
         )
-        return self._latents(qpos, self._view(qpos, frame), blank, frame)
+        poses = self.kinematics.bodies(qpos)
+        return self._latents(qpos, self._view(qpos, frame, poses), blank, frame, poses)
 
     def remembering(self, state: State, image: npt.NDArray[np.uint8], camera: int | str) -> State:
         """The state with an image [H, W, 3] of it, from wherever, as the frame shown last.
@@ -210,23 +216,26 @@ class DiffusionRenderer(Renderer):
         size = self.checkpoint.config.size
         return Frame(number, size, max(1, round(size * width / height / PATCH)) * PATCH)
 
-    def _view(self, qpos: Tensor, frame: Frame) -> View:
-        view = self.kinematics.view(qpos, frame.camera)
+    def _view(self, qpos: Tensor, frame: Frame, poses: Poses | None = None) -> View:
+        view = self.kinematics.view(qpos, frame.camera, poses)
         pos, rot, focal = (v[0].detach().cpu().double().numpy() for v in view[:3])
         camera = cameras.Camera(pos, rot, (float(focal[0]), float(focal[1])))
         if problem := view_problem(self.checkpoint.scope, camera):
             raise InputError(f"renderer 'diffusion', {self.checkpoint.path}: {problem}")
         return view
 
-    def _latents(self, qpos: Tensor, view: View, state: State, frame: Frame) -> Tensor:
+    def _latents(
+        self, qpos: Tensor, view: View, state: State, frame: Frame, poses: Poses
+    ) -> Tensor:
         """Of all worlds; those with equally many frames to continue are made together."""
-        solids, lamps = self.kinematics.solids(qpos), self.kinematics.lamps(len(qpos))
+        solids, lamps = self.kinematics.solids(qpos, poses), self.kinematics.lamps(len(qpos))
         settings = self.painter.config.denoiser
         maps = condition_maps(
-            solids, view, lamps, frame.height, frame.width, settings.maps, self.kinematics.meshes
+            *(solids, view, lamps, frame.height, frame.width, settings.maps),
+            *(self.kinematics.meshes, self._primitives),
         )
-        tokens, there = object_tokens(solids, view)
-        past = self._past(state, view, self.painter.shape(1, maps))
+        tokens, there = tokens_of(solids, view, settings)
+        past = self._past(state, view, self.painter.shape(1, maps)[1:])
         noise = self._noise(state, self.painter.shape(len(qpos), maps))
         found: list[tuple[int, Tensor]] = []
         for count in sorted({len(frames) for frames in past}):
@@ -242,40 +251,43 @@ class DiffusionRenderer(Renderer):
             found += zip(worlds, made, strict=True)
         return torch.stack([latent for _, latent in sorted(found, key=lambda pair: pair[0])])
 
-    def _past(self, state: State, view: View, shape: tuple[int, ...]) -> list[list[Tensor]]:
-        """For each world the latents to continue: earlier ones, of this camera, oldest first."""
+    def _kept(self, state: State, view: View, shape: Sequence[int]) -> list[list[int]]:
+        """For each world the places of frames to continue: earlier ones, of this camera.
+
+        Args:
+          state: with its memory. view: the camera. shape: [C, h, w] of its latents.
+        """
         memory = state.memory
-        nothing: list[list[Tensor]] = [[] for _ in range(state.nworld)]
         if not self._context or not self.memory <= memory.keys():
-            return nothing
-        latents, times, views = (memory[name] for name in (LATENTS, TIMES, VIEWS))
-        if latents.shape[2:] != shape[1:]:
-            return nothing
-        rows = _view_rows(view)
-        for world, found in enumerate(nothing):
-            same = np.abs(views[world] - rows[world]).max(1) < _SAME_VIEW
-            earlier = times[world] < state.time[world] - 1e-9
-            for k in np.flatnonzero(same & earlier):
-                found.append(
-                    torch.as_tensor(latents[world, k], dtype=torch.float32, device=self._device)
-                )
-        return nothing
+            return [[]] * state.nworld
+        if memory[LATENTS].shape[2:] != tuple(shape):
+            return [[]] * state.nworld
+        same = np.abs(memory[VIEWS] - _view_rows(view)[:, None]).max(-1) < _SAME_VIEW
+        earlier = memory[TIMES] < np.asarray(state.time)[:, None] - 1e-9
+        return [np.flatnonzero(row).tolist() for row in same & earlier]
+
+    def _past(self, state: State, view: View, shape: Sequence[int]) -> list[list[Tensor]]:
+        """For each world the latents to continue, oldest first."""
+        kept = self._kept(state, view, shape)
+        if not any(kept):
+            return [[]] * state.nworld
+        latents = np.asarray(state.memory[LATENTS], np.float32)
+        stored = torch.as_tensor(latents, device=self._device)  # one copy for all worlds
+        return [[stored[world, k] for k in places] for world, places in enumerate(kept)]
 
     def _remembered(self, state: State, latents: Tensor, view: View) -> dict[str, npt.NDArray[Any]]:
         """The memory with these latents after what is still earlier."""
         made, rows = latents.detach().float().cpu().numpy(), _view_rows(view)
-        kept = self._past(state, view, (1, *made.shape[1:]))
         count = state.nworld
         frames = np.zeros((count, MOST_CONTEXT, *made.shape[1:]), np.float32)
         times = np.full((count, MOST_CONTEXT), np.inf)
         views = np.tile(rows[:, None], (1, MOST_CONTEXT, 1))
-        for world, past in enumerate(kept):
-            before = np.sort(state.memory[TIMES][world]) if past else np.zeros(0)
-            before = before[before < state.time[world] - 1e-9][-len(past) :] if past else before
-            rows_ = [*(p.cpu().numpy() for p in past), made[world]][-MOST_CONTEXT:]
-            stamps = [*before, float(state.time[world])][-MOST_CONTEXT:]
-            frames[world, : len(rows_)] = rows_
-            times[world, : len(stamps)] = stamps
+        for world, kept in enumerate(self._kept(state, view, made.shape[1:])):
+            last = kept[1 - MOST_CONTEXT :]
+            if last:
+                frames[world, : len(last)] = state.memory[LATENTS][world, last]
+                times[world, : len(last)] = state.memory[TIMES][world, last]
+            frames[world, len(last)], times[world, len(last)] = made[world], state.time[world]
         return {LATENTS: frames, TIMES: times, VIEWS: views}
 
     def _noise(self, state: State, shape: tuple[int, ...]) -> Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from orbisim.scene.visible import ROBOT
+from orbisim_diffusion.solids import View
 from orbisim_diffusion.symmetry import cube_rotations
 from orbisim_diffusion.synthesis import Eye
 
@@ -20,6 +22,8 @@ Floats = npt.NDArray[np.float64]
 
 _JOINT, _SLIDE = 0.15, 0.01
 """Prior of a joint about a first guess, rad and m, for what a frame does not show."""
+MARGIN = 5
+"""Pixels around an object's outline that count in its fit."""
 _TURNS = 4
 """Turns about the vertical from which an upright box is fitted, over its period."""
 
@@ -89,6 +93,55 @@ def at_rest(
             about = Rotation.from_euler("z", yaw + i * body.period / steps).as_matrix()
             poses.append(_resting(body, spot, about @ face, surfaces, eye))
     return np.stack(poses)
+
+
+def overlap(eye: Eye, qpos: Floats, one: Body, other: Body) -> float:
+    """By how much a body is within another one, m; 0 if they are apart or never collide."""
+    model, data = eye.model, mujoco.MjData(eye.model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    deepest = 0.0
+    for a, b in itertools.product(one.geoms.tolist(), other.geoms.tolist()):
+        g, h = int(eye.rows[a, 8]), int(eye.rows[b, 8])
+        collide = model.geom_contype[g] & model.geom_conaffinity[h]
+        if collide or model.geom_contype[h] & model.geom_conaffinity[g]:
+            deepest = min(deepest, mujoco.mj_geomDistance(model, data, g, h, 0.0, None))
+    return -deepest
+
+
+def directions(nv: int, body: Body, pose: Floats, upright: bool) -> Floats:
+    """[nv, 3 or 6]: along x, y and about the vertical; or all six."""
+    columns = [0, 1] if upright else [0, 1, 2]
+    found = np.zeros((nv, 3 if upright else 6))
+    for i, axis in enumerate(columns):
+        found[body.dof + axis, i] = 1.0
+    turn = Rotation.from_quat(np.roll(pose[3:], -1)).as_matrix()
+    local = slice(body.dof + 3, body.dof + 6)  # a free joint turns about the body's own axes
+    if upright:
+        found[local, 2] = turn.T @ np.array([0.0, 0.0, 1.0])
+    else:
+        found[local, 3:] = turn.T
+    return found
+
+
+def window(view: View, height: int, body: Body, place: Floats, wide: float) -> torch.Tensor:
+    """Pixels [P] around an object, `wide` times as wide as it is; numbers, row by row.
+
+    Args:
+      view: one camera. height: and width of its image, pixels. place: [3] of the object, m.
+    """
+    pos, rot, focal, offset = (field[0].double().numpy() for field in view)
+    local = rot.T @ (place - pos)
+    depth = -local[2]
+    if depth < 0.05:
+        return torch.zeros(0, dtype=torch.long)
+    focal, offset = focal * height, offset * height
+    x = focal[0] * local[0] / depth + offset[0] + height / 2
+    y = -focal[1] * local[1] / depth + offset[1] + height / 2
+    radius = 0.6 * wide * np.linalg.norm(body.half) * focal[1] / depth + MARGIN
+    rows = np.arange(max(0, int(y - radius)), min(height, int(y + radius) + 1))
+    columns = np.arange(max(0, int(x - radius)), min(height, int(x + radius) + 1))
+    return torch.as_tensor((rows[:, None] * height + columns).reshape(-1))
 
 
 def scalar_joints(model: mujoco.MjModel) -> Scalar:

@@ -167,15 +167,13 @@ def _with_maps(store: Store, config: Config, report: Callable[[str], None]) -> S
     """Condition maps of all frames, where the device has the room."""
     if store.device.type != "cuda":
         return store
-    one = store.conditions(
-        torch.zeros(1, dtype=torch.long, device=store.device), config.denoiser.maps
-    )
+    one = store.conditions(torch.zeros(1, dtype=torch.long, device=store.device), config.denoiser)
     need = 2 * one[0].numel() * len(store)
     room = torch.cuda.mem_get_info(store.device)[0]
     if need > _KEEP_MAPS * room:
         report(f"condition maps of {need / 1e9:.0f} GB are computed as they are needed")
         return store
-    return store.with_maps(config.denoiser.maps)
+    return store.with_maps(config.denoiser)
 
 
 def _spent(loop: Loop) -> dict[str, float]:

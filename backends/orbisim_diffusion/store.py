@@ -20,13 +20,16 @@ from orbisim.host.progress import track
 from orbisim.scene import visible
 from orbisim.tasks.dataset import EpisodeFile
 from orbisim_diffusion.conditions import (
-    GEOMETRY_CHANNELS,
-    HEATMAP_CHANNELS,
+    CONTROLS,
     Meshes,
+    control_tokens,
     geometry_maps,
     heatmaps,
+    map_channels,
     object_tokens,
+    one_token,
 )
+from orbisim_diffusion.config import DenoiserConfig
 from orbisim_diffusion.own import read_own
 from orbisim_diffusion.shapes import PRIMITIVES, Meet, compiled_primitives
 from orbisim_diffusion.solids import ABSENT, Lamps, Solids, View, matrices
@@ -37,6 +40,7 @@ _STEP = 64
 _FRAMES = "frames/"
 _EXTRAS = ("robot/qpos", "robot/pos", "robot/quat")
 """What is kept of the robot, where there is one."""
+_CONTROLS = "ctrl"
 
 
 def read_episode(path: Path, index: int) -> Arrays:
@@ -56,7 +60,8 @@ def read_episode(path: Path, index: int) -> Arrays:
             [
                 *(f"{_FRAMES}{camera}", f"cameras/{camera}/pos", f"cameras/{camera}/rot"),
                 *(f"descriptor/intrinsics/{camera}", "descriptor/geoms", "descriptor/lights"),
-                *("geoms/pos", "geoms/quat", *(name for name in _EXTRAS if name in names)),
+                *("geoms/pos", "geoms/quat"),
+                *(name for name in (*_EXTRAS, _CONTROLS) if name in names),
             ],
         )
     geoms = found["descriptor/geoms"]
@@ -77,7 +82,7 @@ def read_episode(path: Path, index: int) -> Arrays:
         "pos": found["geoms/pos"],
         "quat": found["geoms/quat"],
         "lights": found["descriptor/lights"].astype(np.float32),
-        **{name: found[name] for name in _EXTRAS if name in found},
+        **{name: found[name] for name in (*_EXTRAS, _CONTROLS) if name in found},
     }
 
 
@@ -92,6 +97,7 @@ class Store:
       lights: [E, L, columns] as in `orbisim.scene.visible`.
       pos, quat: [N, G, 3 | 4] of the geoms. view_pos, view_rot: [N, 3], [N, 3, 3].
       lens: [E, 4] focal lengths and offsets. extras: [N, ...] of the robot, by name.
+      controls: [N, 16] that led to a frame, zeros for an episode's first; None where not recorded.
       latents: [N, C, h, w], once they were computed. maps: [N, M, H, W], likewise.
       compiled: whether rays are cast by compiled kernels. step: time between frames, s.
     """
@@ -109,6 +115,7 @@ class Store:
     lens: Tensor
     lights: Tensor
     extras: dict[str, list[Tensor]]
+    controls: Tensor | None = None
     latents: Tensor | None = None
     maps: Tensor | None = None
     compiled: bool = False
@@ -149,29 +156,38 @@ class Store:
         return Lamps(self.lights[self.episode[index]])
 
     @torch.no_grad()  # type: ignore[untyped-decorator]
-    def conditions(self, index: Tensor, maps: str) -> tuple[Tensor, Tensor, Tensor]:
-        """Condition maps, object tokens and which of them are there, of frames [B]."""
-        parts = [self._conditions(part, maps) for part in index.split(_STEP)]
+    def conditions(self, index: Tensor, config: DenoiserConfig) -> tuple[Tensor, Tensor, Tensor]:
+        """Condition maps, tokens and which of them are there, of frames [B]."""
+        parts = [self._conditions(part, config) for part in index.split(_STEP)]
         found, tokens, there = (torch.cat(field) for field in zip(*parts, strict=True))
         return found, tokens, there
 
-    def _conditions(self, index: Tensor, maps: str) -> tuple[Tensor, Tensor, Tensor]:
+    def _conditions(self, index: Tensor, config: DenoiserConfig) -> tuple[Tensor, Tensor, Tensor]:
         solids, view = self.solids(index), self.view(index)
-        tokens, there = object_tokens(solids, view)
+        if config.tokens == "controls":
+            tokens, there = self._controls(index)
+        else:
+            tokens, there = tokens_of(solids, view, config)
         if self.maps is not None:
             return self.maps[index].float(), tokens, there
         lamps, size = self.lamps(index), self.size
         primitives = compiled_primitives() if self.compiled else PRIMITIVES
-        found = condition_maps(solids, view, lamps, size, size, maps, primitives=primitives)
+        found = condition_maps(solids, view, lamps, size, size, config.maps, primitives=primitives)
         return found, tokens, there
 
-    def with_maps(self, maps: str) -> Store:
+    def _controls(self, index: Tensor) -> tuple[Tensor, Tensor]:
+        if self.controls is None:
+            raise InputError(
+                "a model of controls needs episodes with controls; some of these have none"
+            )
+        return control_tokens(self.controls, index, self.first[self.episode[index]])
+
+    def with_maps(self, config: DenoiserConfig) -> Store:
         """The same with the condition maps of all frames in half precision: 0.5 MB each at 128."""
-        channels = GEOMETRY_CHANNELS if maps == "geometry" else HEATMAP_CHANNELS
-        shape = (len(self), channels, self.size, self.size)
+        shape = (len(self), map_channels(config), self.size, self.size)
         found = torch.empty(shape, dtype=torch.float16, device=self.device)
         for index in torch.arange(len(self), device=self.device).split(_STEP):
-            found[index] = self.conditions(index, maps)[0].half()
+            found[index] = self.conditions(index, config)[0].half()
         return dataclasses.replace(self, maps=found)
 
     def with_poses(self, pos: Tensor, quat: Tensor) -> Store:
@@ -190,9 +206,26 @@ def condition_maps(
     primitives: Mapping[int, Meet] = PRIMITIVES,
 ) -> Tensor:
     """Spatial condition maps [B, M, H, W] of a kind (see `DenoiserConfig.maps`)."""
+    if maps == "none":
+        return solids.pos.new_zeros(len(solids.pos), 1, height, width)
     if maps == "heatmaps":
         return heatmaps(solids, view, height, width)
     return geometry_maps(solids, view, lamps, height, width, meshes, primitives)
+
+
+def tokens_of(solids: Solids, view: View, config: DenoiserConfig) -> tuple[Tensor, Tensor]:
+    """Tokens of a state, and which of them are there (see `DenoiserConfig.tokens`).
+
+    Raises:
+      InputError: the model is one of controls, which a state does not tell.
+    """
+    if config.tokens == "controls":
+        raise InputError(
+            "this checkpoint shows what controls lead to (an ablation), not states; it is for "
+            "`orbisim eval vision`"
+        )
+    tokens, there = object_tokens(solids, view)
+    return one_token(tokens, there) if config.tokens == "one" else (tokens, there)
 
 
 def load(
@@ -261,6 +294,17 @@ def _assembled(episodes: list[Arrays], task: list[int], device: torch.device) ->
             row += len(values)
         return torch.as_tensor(out).to(device)
 
+    def led() -> Tensor | None:
+        if not all(_CONTROLS in episode for episode in episodes):
+            return None
+        out = torch.zeros(int(lengths.sum()), CONTROLS)
+        for episode, row in zip(episodes, np.cumsum([0, *lengths[:-1]]), strict=True):
+            values = torch.as_tensor(episode[_CONTROLS])
+            if values.shape[1] > CONTROLS:
+                return None
+            out[row + 1 : row + 1 + len(values), : values.shape[1]] = values
+        return out.to(device)
+
     lights = np.zeros((len(episodes), max(len(e["lights"]) for e in episodes), 9), np.float32)
     for row, episode in zip(lights, episodes, strict=True):
         row[: len(episode["lights"])] = episode["lights"]
@@ -283,6 +327,7 @@ def _assembled(episodes: list[Arrays], task: list[int], device: torch.device) ->
         lens=torch.stack([torch.as_tensor(e["lens"]) for e in episodes]).to(device),
         lights=torch.as_tensor(lights).to(device),
         extras=extras,
+        controls=led(),
     )
 
 

@@ -71,6 +71,9 @@ class Eye:
         return Sight(*(torch.cat(field) for field in zip(*parts, strict=True)))
 
     def _drawn(self, qpos: Floats, pixels: Tensor, some: Tensor) -> Sight:
+        if not len(some):  # MuJoCo's background is black
+            shape = len(qpos), len(pixels)
+            return Sight(torch.zeros(*shape, 3), torch.zeros(shape[0], 0, shape[1]))
         solids, view = self.placed(qpos)
         solids = Solids(*(field[:, some] for field in solids))
         meshes = {i: self.meshes[g] for i, g in enumerate(some.tolist()) if g in self.meshes}

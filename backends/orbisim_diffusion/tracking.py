@@ -15,6 +15,7 @@ from orbisim_diffusion.inference import Inferred
 from orbisim_diffusion.likeness import continuous, like_turns, unlikeness
 from orbisim_diffusion.refine import Frame, Refiner
 from orbisim_diffusion.resting import Body
+from orbisim_diffusion.starting import shows_joints, start
 
 Floats = npt.NDArray[np.float64]
 
@@ -55,27 +56,31 @@ def follow(refiner: Refiner, frames: npt.NDArray[np.uint8], read: Reading | None
 
     Args:
       refiner: of the scene and the camera. frames: [T, H, W, 3] of its size.
-      read: what a network reads off the same frames. Without one, joints start from the first
-        keyframe (or `qpos0`), objects from where the image has their colours.
+      read: what a network reads off the same frames. Without one, joints start from where the
+        first frame is drawn best (`starting.start`), objects from where the image has their
+        colours.
     """
-    rest = refiner.rest[refiner.scalar.qpos]
     found: list[Frame] = []
     for t, frame in enumerate(track(frames, "fitting frames", len(frames))):
         places = [places_of(read, t, body) for body in refiner.bodies]
         if not found:
-            joints = rest if read is None else read.joints[t]
-            found.append(refiner.first(frame, joints, places))
-            continue
-        joints = _expected(found, refiner.scalar.qpos)
-        found.append(refiner.following(frame, joints, places, found[-1]))
+            joints = start(refiner, frame) if read is None else read.joints[t]
+            one = refiner.first(frame, joints, places)
+        else:
+            joints = _expected(found, refiner.scalar.qpos)
+            one = refiner.following(frame, joints, places, found[-1])
+        if len(refiner.scalar.qpos):
+            present = [i for i, pose in enumerate(one.objects) if pose.seen]
+            one = one._replace(joints_seen=shows_joints(refiner, frame, one.qpos, present))
+        found.append(one)
     return found
 
 
 def recording_of(scene: Scene, refiner: Refiner, times: Floats, found: list[Frame]) -> Recording:
-    """What frames show, as signals; objects have NaN where they are not seen.
+    """What frames show, as signals; joints and objects have NaN where they are not seen.
 
     `metadata` has `noise`, the median standard deviation of each signal, and `not_seen`, the
-    stretches in which an object is not seen.
+    stretches in which the joints or an object are not seen.
     """
     model = scene.model
     qpos = np.stack([one.qpos for one in found])
@@ -83,9 +88,13 @@ def recording_of(scene: Scene, refiner: Refiner, times: Floats, found: list[Fram
     noise: dict[str, float] = {}
     hidden: list[dict[str, Any]] = []
     stds = np.stack([one.joints_std for one in found])
+    shown, names = np.array([one.joints_seen for one in found]), []
     for i, adr in enumerate(refiner.scalar.qpos):
-        name = f"qpos/{model.joint(int(np.flatnonzero(model.jnt_qposadr == adr)[0])).name}"
-        signals[name], noise[name] = qpos[:, adr], float(np.median(stds[:, i]))
+        names.append(model.joint(int(np.flatnonzero(model.jnt_qposadr == adr)[0])).name)
+        signals[f"qpos/{names[-1]}"] = np.where(shown, qpos[:, adr], np.nan)
+        if shown.any():
+            noise[f"qpos/{names[-1]}"] = float(np.median(stds[shown, i]))
+    hidden += [{"joints": names, **stretch} for stretch in _stretches(times, ~shown)]
     for i, body in enumerate(refiner.bodies):
         joint = int(np.flatnonzero(model.jnt_qposadr == body.qpos)[0])
         name = model.body(int(model.jnt_bodyid[joint])).name

@@ -13,6 +13,7 @@ from torch import Tensor
 from orbisim.errors import InputError
 from orbisim_diffusion.checkpoint import INFERENCE, add_part, load_checkpoint
 from orbisim_diffusion.config import Config, TrainConfig
+from orbisim_diffusion.estimate import load_inference
 from orbisim_diffusion.inference import (
     Inferred,
     StateInference,
@@ -30,6 +31,9 @@ from orbisim_diffusion.training import Run, encoded
 TRAIN = TrainConfig(batch=256, rate=1e-3, warmup=200)
 _SAME_VIEW = 1e-3
 """m, and of matrices' entries: cameras of collections that stand still differ by rounding only."""
+_AGAIN = 0.5
+"""Share of the highest rate for one that was trained before: at all of it a denoiser lost and
+regained what it had (docs/trainings.md)."""
 _NOISE = 0.1
 """Largest noise on latents in training: images that a model made are not quite true ones."""
 
@@ -42,6 +46,7 @@ def tune(
     *,
     device: str = "cpu",
     workers: int = 1,
+    start: Path | None = None,
     report: Callable[[str], None] = print,
 ) -> dict[str, Any]:
     """Trains StaInf on the frozen encoder of a checkpoint and adds it there.
@@ -49,14 +54,17 @@ def tune(
     Args:
       folder: of the checkpoint. data: episode files with images and a robot. held: files to
         measure on; the data themselves if empty. run: see `Run`.
-      device: where to compute. workers: processes that read. report: is told how it goes.
+      device: where to compute. workers: processes that read.
+      start: checkpoint whose StaInf is gone on with. report: is told how it goes.
 
     Returns:
       Errors on the held-out frames (see `orbisim_diffusion.inference.errors`).
 
     Raises:
-      InputError: there is no checkpoint, or episodes have no robot.
+      InputError: there is no checkpoint, episodes have no robot, or that of `start` reads latents
+        of another encoder.
     """
+    begun = None if start is None else _begun(start, folder)
     point, on = load_checkpoint(folder), torch.device(device)
     autoencoder = point.autoencoder.to(on)
 
@@ -72,7 +80,7 @@ def tune(
     def kept(module: torch.nn.Module) -> None:
         add_part(folder, INFERENCE, module, {})
 
-    model, loop = train_inference(point.config, run, store, report, kept)
+    model, loop = train_inference(point.config, run, store, report, kept, begun)
     metrics = {
         **inference_errors(model, test),
         "steps": loop.step,
@@ -83,19 +91,37 @@ def tune(
     return metrics
 
 
+def _begun(start: Path, folder: Path) -> StateInference:
+    """StaInf of a checkpoint, if the encoder is the same."""
+    point, model = load_inference(start)
+    own = load_checkpoint(folder).autoencoder.state_dict()
+    other = point.autoencoder.state_dict()
+    if own.keys() != other.keys() or any(not torch.equal(own[n], other[n]) for n in own):
+        raise InputError(f"{start}: its StaInf reads latents of another encoder than {folder}'s")
+    return model
+
+
 def train_inference(
     config: Config,
     run: Run,
     store: Store,
     report: Callable[[str], None] = print,
     kept: Kept | None = None,
+    start: StateInference | None = None,
 ) -> tuple[StateInference, Loop]:
-    """Trains StaInf; `store` has latents and a robot in every episode."""
+    """Trains StaInf; `store` has latents and a robot in every episode.
+
+    Args:
+      config: of the checkpoint. run: see `Run`. store: the data. report: is told how it goes.
+      kept: see `orbisim_diffusion.loop.Kept`. start: trained before, to go on with.
+    """
     torch.manual_seed(run.seed)
-    model = StateInference(config.autoencoder.channels, config.size).to(store.device)
+    model = start or StateInference(config.autoencoder.channels, config.size)
+    model = model.to(store.device).requires_grad_(True)
+    training = dataclasses.replace(TRAIN, rate=_AGAIN * TRAIN.rate) if start else TRAIN
     index = alike(store)
     model.look_from(store.view(index[:1]))
-    loop = Loop(model, TRAIN, run.limit, run.progress, run.steps)
+    loop = Loop(model, training, run.limit, run.progress, run.steps)
     robot, latents = robots(store), store.latents
     assert latents is not None
     batch = min(TRAIN.batch, len(index))

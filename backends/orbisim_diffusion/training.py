@@ -101,7 +101,7 @@ def draw_condition(store: Store, config: Config, frames: Tensor) -> tuple[Condit
     if not settings.noisy_context:
         # own frames come back as context in a rollout: errors of the anchor's size are expected
         context = context + sigma[:, None, None, None, None] * torch.randn_like(context)
-    maps, tokens, there = store.conditions(frames[:, -1], settings.maps)
+    maps, tokens, there = store.conditions(frames[:, -1], settings)
     return Condition(context, anchor, maps, tokens, there), target
 
 

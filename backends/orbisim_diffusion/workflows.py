@@ -63,7 +63,7 @@ def decoded(painter: Painter, latents: Tensor) -> Tensor:
 def _frame(
     painter: Painter, store: Store, index: Tensor, past: list[Tensor], steps: int, seed: int
 ) -> Tensor:
-    maps, tokens, there = store.conditions(index, painter.config.denoiser.maps)
+    maps, tokens, there = store.conditions(index, painter.config.denoiser)
     given = Condition(*painter.history(past, len(index), maps), maps, tokens, there)
     noise = edm_noise(painter.shape(len(index), maps), store.device, seed)
     with mixed(store.device):

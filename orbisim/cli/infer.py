@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from orbisim.cli.common import emit_json, engine_command, json_option, note, scene_options
-from orbisim.errors import MissingDependencyError, UnsupportedSceneError
+from orbisim.errors import InputError, MissingDependencyError, UnsupportedSceneError
 
 
 @click.command(
@@ -56,14 +56,16 @@ def command(
     """Read the states of robot and objects off VIDEO; write them as a recording.
 
     A network (StaInf) reads joints and poses off each frame; then states are fitted to the frames
-    by drawing the scene as it is declared, each frame from the one before. A scene without a
-    checkpoint starts from its first keyframe, and objects from where the image has their colours.
-    The middle square of each frame is used.
+    by drawing the scene as it is declared, each frame from the one before. Of a scene that no
+    network was trained on, joints start where the first frame is drawn best, and objects from where
+    it has their colours. The middle square of each frame is used.
 
-    Objects have NaN where no frame shows them. The recording has positions alone: `replay` and
-    `diagnose` differentiate and smooth them. Controls of position servos follow from the motion of
-    their joints.
+    Joints and objects have NaN where a frame does not show them. The recording has positions alone:
+    `replay` and `diagnose` differentiate and smooth them. Controls of position servos follow from
+    the motion of their joints.
     """
+    if not video.is_file():
+        raise InputError(f"{video}: no such file; expected a video (.mp4, .avi, ...)")
     from orbisim.cameras import camera_number
     from orbisim.recording.servo import with_controls
     from orbisim.scene import load_scene, visible
@@ -77,16 +79,18 @@ def command(
     except ImportError as error:
         raise MissingDependencyError("orbisim infer", "learned", str(error)) from error
     loaded = load_scene(scene)
+    if not loaded.model.ncam:
+        raise InputError(f"{scene}: declares no camera; add one where the film's camera stood")
+    number = camera_number(loaded.model, int(camera) if camera.isdigit() else camera or 0)
     network = None
     try:
         folder = checkpoint or zoo.find(loaded, visible.rows(loaded.model))
         network = load_inference(folder)
-    except UnsupportedSceneError as error:
+    except UnsupportedSceneError:
         if not refine:
             raise
-        note(f"without a network: {error}")
+        note("no network was trained on this scene: states are found by drawing it alone")
     if refine:
-        number = camera_number(loaded.model, int(camera) if camera.isdigit() else camera or 0)
         refiner = Refiner(loaded, number, pixels)
         frames, times = read_video(video, pixels)
         read = None
@@ -120,4 +124,5 @@ def command(
     for line in recording.notes:
         note(line)
     for gap in result["not_seen"]:
-        note(f"{gap['body']} is not seen from {gap['from']:.3g} to {gap['to']:.3g} s")
+        what = gap.get("body") or "what the joints move"
+        note(f"warning: {what} is not seen from {gap['from']:.3g} to {gap['to']:.3g} s")

@@ -8,6 +8,7 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 import pytest
+import torch
 from orbisim_diffusion.refine import Refiner
 
 from orbisim.cli.main import run
@@ -32,6 +33,55 @@ def test_the_command_writes_a_recording(tmp_path: Path, capsys: pytest.CaptureFi
     recording = Recording.load(tmp_path / "rec.npz")
     np.testing.assert_allclose(recording.time, np.arange(5) / 20)
     assert bind(recording, arm()).qpos.shape == (5, 9)
+
+
+def test_what_is_missing_is_said_before_anything_is_computed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "scene.xml").write_text("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
+    end = ["--scene", str(tmp_path / "scene.xml"), "--out", str(tmp_path / "rec.npz")]
+    assert run(["infer", str(tmp_path / "film.mp4"), *end]) == 2
+    assert "film.mp4: no such file" in capsys.readouterr().err
+    (tmp_path / "film.mp4").write_bytes(b"")
+    assert run(["infer", str(tmp_path / "film.mp4"), *end]) == 2
+    assert "declares no camera; add one" in capsys.readouterr().err
+
+
+PENDULUM = """
+<mujoco>
+  <worldbody>
+    <light pos="0 -2 2" dir="0 1 -1"/>
+    <camera name="side" pos="0 -1.3 0.5" xyaxes="1 0 0 0 0 1"/>
+    <body pos="0 0 0.6">
+      <joint name="hinge" axis="0 1 0" damping="0.002"/>
+      <geom type="capsule" fromto="0 0 0 0.15 0 -0.3" size="0.02" mass="0.3" rgba="0.8 0.2 0.1 1"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.mark.slow
+def test_a_film_of_a_pendulum_becomes_a_recording_wherever_it_starts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = tmp_path / "pendulum.xml"
+    scene.write_text(PENDULUM)
+    refiner = Refiner(load_scene(scene), 0, 96)
+    true = np.array([-1.6, -1.58, -1.52, 2.9])  # in the last it is elsewhere at once
+    pixels = torch.arange(96 * 96)
+    drawings = [refiner.eye.draw(np.array([[q]]), pixels).pixels[0] for q in true]
+    frames = [(255 * d.reshape(96, 96, 3)).round().to(torch.uint8).numpy() for d in drawings]
+    video = str(tmp_path / "video.mp4")
+    iio.imwrite(video, np.stack(frames), plugin="FFMPEG", fps=20, quality=9)
+    out = ["--out", str(tmp_path / "rec.npz"), "--pixels", "96", "--json"]
+    assert run(["infer", video, "--scene", str(scene), *out]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    hinge = Recording.load(tmp_path / "rec.npz").signals["qpos/hinge"]
+    np.testing.assert_allclose(hinge[:3], true[:3], atol=0.02)
+    assert np.isnan(hinge[3])
+    ((gap),) = printed["not_seen"]
+    assert gap["joints"] == ["hinge"] and gap["from"] == pytest.approx(0.15)
 
 
 @pytest.mark.slow

@@ -7,7 +7,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
-from orbisim_diffusion.refine import Refiner
+from orbisim_diffusion.refine import Frame, Pose, Refiner
+from orbisim_diffusion.starting import shows_joints, start
 from orbisim_diffusion.symmetry import angle, rotation_error
 from orbisim_diffusion.tracking import follow, recording_of
 from scipy.spatial.transform import Rotation
@@ -75,6 +76,19 @@ def test_colours_are_those_of_mujocos_renderer(refiner: Refiner) -> None:
     assert np.quantile(apart, 0.9) < 0.05
 
 
+def test_joints_start_where_the_first_frame_is_drawn_best(refiner: Refiner) -> None:
+    true = state(0.05, 0.0, 0.0, swing=-2.0)
+    assert abs(start(refiner, drawn(refiner, true))[0] + 2.0) < np.deg2rad(7.5)
+    near = state(0.05, 0.0, 0.0)  # as declared, which is on no grid
+    assert start(refiner, drawn(refiner, near))[0] == 0.0
+
+
+def test_a_frame_that_does_not_show_the_joints_says_so(refiner: Refiner) -> None:
+    image = drawn(refiner, state(0.05, 0.0, 0.0, swing=-2.0))
+    assert shows_joints(refiner, image, state(0.05, 0.0, 0.0, swing=-1.97), [0])
+    assert not shows_joints(refiner, image, state(0.05, 0.0, 0.0, swing=0.0), [0])
+
+
 @pytest.mark.slow
 def test_poses_and_joints_are_found_from_starts_that_are_off(refiner: Refiner) -> None:
     true = state(0.06, 0.03, 0.5, 0.25)
@@ -103,3 +117,36 @@ def test_a_body_is_found_by_its_colour_and_followed_until_it_is_gone(refiner: Re
     assert recording.metadata["not_seen"] == [{"body": "cube", "from": times[3], "to": times[3]}]
     assert recording.metadata["noise"]["xpos/cube"] > 0
     assert mujoco.mj_name2id(refiner.model, mujoco.mjtObj.mjOBJ_BODY, "cube") > 0
+
+
+def test_of_two_bodies_in_one_place_the_less_explained_is_not_seen() -> None:
+    cube = """<body name="second"><freejoint/>
+      <geom type="box" size="0.03 0.03 0.03"/></body></worldbody>"""
+    refiner = Refiner(load_scene(TABLE.replace("</worldbody>", cube)), 0, SIZE)
+    flat = [1.0, 0.0, 0.0, 0.0]
+
+    def seen(apart: float) -> list[bool]:
+        poses = np.array([[0.0, 0.0, 0.03, *flat], [apart, 0.0, 0.03, *flat]])
+        std = np.full(6, 1e-3)
+        objects = [Pose(p, True, e, std) for p, e in zip(poses, (0.9, 0.8), strict=True)]
+        qpos = np.concatenate([[0.0], *poses])
+        found = refiner.possible(Frame(qpos, np.zeros(1), tuple(objects)))
+        return [pose.seen for pose in found.objects]
+
+    assert seen(0.04) == [True, False]  # 20 mm within each other
+    assert seen(0.058) == [True, True]  # 2 mm: no more than what is not known
+    assert seen(0.2) == [True, True]
+
+
+@pytest.mark.slow
+def test_two_bodies_found_in_each_others_places_are_exchanged() -> None:
+    """The network takes each for the other, and their colours are alike."""
+    cube = """<body name="second" pos="-0.06 0.08 0.03"><freejoint/>
+      <geom type="box" size="0.03 0.03 0.03" rgba="0.75 0.35 0.25 1"/></body></worldbody>"""
+    refiner = Refiner(load_scene(TABLE.replace("</worldbody>", cube)), 0, SIZE)
+    poses = [np.array([x, y, 0.03, 1.0, 0.0, 0.0, 0.0]) for x, y in ((0.06, 0.0), (0.0, 0.07))]
+    true = np.concatenate([[0.0], *poses])
+    found = refiner.first(drawn(refiner, true), np.zeros(1), [[poses[1]], [poses[0]]])
+    for pose, place in zip(found.objects, poses, strict=True):
+        assert pose.seen and pose.explained > 0.9
+        assert np.linalg.norm(pose.qpos[:3] - place[:3]) < 3e-3

@@ -6,12 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from orbisim_diffusion import raycast
 from orbisim_diffusion.kinematics import Kinematics
 from orbisim_diffusion.raycast import cast, shade
 from orbisim_diffusion.shapes import PRIMITIVES
-from orbisim_diffusion.solids import rays
+from orbisim_diffusion.solids import Lamps, rays
 
 from orbisim.scene import load_scene
+from tests.backends.diffusion.tiny import arm
 
 KINDS = {
     "plane": 'type="plane" size="0.5 0.4 0.1"',
@@ -116,3 +118,20 @@ def test_what_is_in_the_way_of_a_light_throws_a_shadow() -> None:
 def test_every_primitive_is_tried() -> None:
     numbers = {int(getattr(mujoco.mjtGeom, f"mjGEOM_{k.upper()}")) for k in KINDS if k != "mesh"}
     assert numbers == set(PRIMITIVES)
+
+
+def test_lights_at_once_or_one_after_another_throw_the_same_shadows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = arm()
+    kinematics = Kinematics(scene, torch.device("cpu"))
+    qpos = torch.tensor(scene.model.qpos0)[None].float()
+    solids, view, lamps = kinematics.solids(qpos), kinematics.view(qpos, 0), kinematics.lamps(1)
+    assert lamps.rows.shape[1] == 2
+    buffers = cast(solids, view, 32, 32)
+    together = shade(buffers, solids, view, lamps)
+    monkeypatch.setattr(raycast, "_PAIRS", 1)
+    for a, b in zip(together, shade(buffers, solids, view, lamps), strict=True):
+        torch.testing.assert_close(a, b)
+    one = shade(buffers, solids, view, Lamps(lamps.rows[:, :1]))
+    assert float((together[0] - one[0]).abs().max()) > 0.1  # both lights count

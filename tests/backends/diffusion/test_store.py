@@ -7,13 +7,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from orbisim_diffusion.conditions import (
+    CONTROLS,
+    MOST_GEOMS,
+    STEPS,
+    TOKEN_FEATURES,
+    map_channels,
+    one_token,
+    token_features,
+)
+from orbisim_diffusion.config import DenoiserConfig
 from orbisim_diffusion.scope import read_scope, scene_concerns, scene_problem, view_problem
-from orbisim_diffusion.store import draw_frames, load
+from orbisim_diffusion.store import _assembled, draw_frames, load, tokens_of
 
 from orbisim.cameras import Camera
 from orbisim.errors import InputError
 from orbisim.tasks.collect import collect
-from tests.backends.diffusion.tiny import arm, store_of
+from tests.backends.diffusion.tiny import arm, episode_of, store_of
 
 
 def test_frames_are_of_one_episode_and_in_order() -> None:
@@ -40,12 +50,13 @@ def test_all_together_or_none() -> None:
     assert apart.float().mean() < 0.1
 
 
-@pytest.mark.parametrize("maps", ["geometry", "heatmaps"])
+@pytest.mark.parametrize("maps", ["geometry", "heatmaps", "none"])
 def test_maps_that_are_kept_are_those_that_are_computed(maps: str) -> None:
     store = store_of(arm(), frames=5)
     index = torch.tensor([4, 1])
-    computed, tokens, there = store.conditions(index, maps)
-    kept, _, _ = store.with_maps(maps).conditions(index, maps)
+    config = DenoiserConfig(maps=maps)  # type: ignore[arg-type]
+    computed, tokens, there = store.conditions(index, config)
+    kept, _, _ = store.with_maps(config).conditions(index, config)
     torch.testing.assert_close(kept, computed, atol=5e-3, rtol=1e-2)
     assert computed.shape[0] == tokens.shape[0] == 2
     assert there.all()
@@ -71,3 +82,41 @@ def test_a_scope_knows_its_scene_and_camera() -> None:
     assert "geom type 2" in scene_problem(scope, ball)
     pos = store.view_pos[0].double().numpy()
     assert view_problem(scope, Camera(pos + 1.0, np.eye(3), (1.2, 1.2))).startswith("the camera")
+
+
+def test_a_token_of_all_has_every_geoms_features_and_room_for_more() -> None:
+    store, index = store_of(arm(), frames=3), torch.tensor([0, 2])
+    _, each, there = store.conditions(index, DenoiserConfig())
+    maps, one, present = store.conditions(index, DenoiserConfig(tokens="one"))
+    assert one.shape == (2, 1, MOST_GEOMS * TOKEN_FEATURES)
+    assert present.all()
+    torch.testing.assert_close(one[:, 0, : each[0].numel()], each.flatten(1))
+    assert not one[:, 0, each[0].numel() :].any()
+    assert maps.shape[1] == map_channels(DenoiserConfig())
+    with pytest.raises(InputError, match=f"at most {MOST_GEOMS}; got {MOST_GEOMS + 1}"):
+        one_token(torch.zeros(1, MOST_GEOMS + 1, TOKEN_FEATURES), there[:1, :1])
+
+
+def test_controls_are_those_that_led_to_a_frame_and_nothing_of_its_state() -> None:
+    episodes = [episode_of(arm(), 4 + i, seed=i) for i in range(2)]
+    for i, episode in enumerate(episodes):
+        episode["ctrl"] = 10.0 * (i + 1) + np.arange(3 + i)[:, None] * np.ones((1, 2))
+    store = _assembled(episodes, [0, 0], torch.device("cpu"))
+    config = DenoiserConfig(maps="none", tokens="controls")
+    maps, tokens, there = store.conditions(torch.tensor([0, 2, 4, 6]), config)
+    assert not maps.any()
+    assert tokens.shape == (4, STEPS, token_features(config))
+    assert there.sum(1).tolist() == [1, 2, 1, 2]  # a first frame has an empty one
+    assert not tokens[[0, 2]].any(-1)[:, 1:].any() and not tokens[[0, 2], 0, :CONTROLS].any()
+    assert tokens[1, :3, 0].tolist() == [11.0, 10.0, 0.0]
+    assert tokens[3, :3, 1].tolist() == [21.0, 20.0, 0.0]
+    moved = store.with_poses(store.pos + 0.1, store.quat)
+    torch.testing.assert_close(moved.conditions(torch.tensor([6]), config)[1], tokens[3:])
+    with pytest.raises(InputError, match="some of these have none"):
+        store_of(arm()).conditions(torch.tensor([0]), config)
+
+
+def test_a_checkpoint_of_controls_shows_no_states() -> None:
+    store, index = store_of(arm()), torch.tensor([0])
+    with pytest.raises(InputError, match="not states"):
+        tokens_of(store.solids(index), store.view(index), DenoiserConfig(tokens="controls"))

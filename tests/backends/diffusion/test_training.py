@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 from orbisim_diffusion.autoencoder import to_bytes, to_float
+from orbisim_diffusion.conditions import CONTROLS
 from orbisim_diffusion.config import TrainConfig, preset
 from orbisim_diffusion.inference import errors, robots, truth
 from orbisim_diffusion.loop import Loop
@@ -59,6 +60,29 @@ def test_each_part_learns(name: str) -> None:
     one, loop = train_one_step(config, Run(100, 2), store, vae, model, lines.append)
     assert loop.history[-1]["loss"] > 0
     assert any((a != b).any() for a, b in zip(one.parameters(), model.parameters(), strict=True))
+
+
+@pytest.mark.parametrize("name", ["no_decoupling", "no_random_sampling", "no_object_centric"])
+def test_each_ablation_trains_and_leaves_out_one_thing(name: str) -> None:
+    store = _store()
+    store = dataclasses.replace(store, controls=torch.randn(len(store), CONTROLS))
+    ours, full = preset(name).denoiser, preset("default").denoiser
+    left_out = {
+        f.name for f in dataclasses.fields(ours) if getattr(ours, f.name) != getattr(full, f.name)
+    }
+    assert (
+        left_out
+        == {
+            "no_decoupling": {"maps", "tokens", "consecutive"},  # steps left out have controls, too
+            "no_random_sampling": {"consecutive"},
+            "no_object_centric": {"tokens"},
+        }[name]
+    )
+    changes = {field: getattr(ours, field) for field in left_out}
+    config = dataclasses.replace(TINY, denoiser=dataclasses.replace(TINY.denoiser, **changes))
+    store = encoded(train_autoencoder(config, Run(100, 1), store)[0], store)
+    _, loop = train_denoiser(config, Run(100, 2), store, lambda _: None)
+    assert loop.history[-1]["loss"] > 0
 
 
 def test_a_training_that_was_stopped_goes_on(tmp_path: Path) -> None:
