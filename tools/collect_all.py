@@ -71,6 +71,11 @@ def data_sets() -> list[DataSet]:
         sets.append(DataSet(f"suite_{short}_train", task, MANY.get(short, 1000), changes=train))
         long = {**fine, "steps": 1000}
         sets.append(DataSet(f"suite_{short}_test", task, 40, TEST, changes=long))
+    for subtask in ("primitives", "meshes", "unseen"):
+        drape = {"task": "drape", "subtask": subtask}
+        if subtask != "unseen":
+            sets.append(DataSet(f"drape_{subtask}_train", **drape))
+        sets.append(DataSet(f"drape_{subtask}_test", episodes=40, seed=TEST, **drape))
     return sets + _mechanisms()
 
 

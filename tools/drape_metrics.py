@@ -4,8 +4,9 @@
 
 Vertex error: distance of each vertex from where backend A has it, after so many control steps of
 20 ms. Penetration: depth of a vertex, with the cloth's radius, in an object or the floor. Strain:
-change of an edge's length over its length at rest. All as median, 90 % and greatest over vertices
-(edges), episodes and scenes; vertex error at each step, the others over all steps.
+change of an edge's length over its length at rest. With --hold N, episodes go on for N control
+steps, and so far has each vertex moved in them. All as median, 90 % and greatest over vertices
+(edges), episodes and scenes; vertex error at each step, penetration and strain over all steps.
 """
 
 from __future__ import annotations
@@ -26,15 +27,17 @@ EVERY = 5
 """Control steps between those at which penetration is measured."""
 
 
-def courses(task: Drape, subtask: str, seed: int, episodes: int, backends: Sequence[str]) -> Floats:
-    """[backends, episodes, T+1, V, 3]: vertices of one scene, m."""
+def courses(
+    task: Drape, subtask: str, seed: int, episodes: int, backends: Sequence[str], hold: int
+) -> Floats:
+    """[backends, episodes, T + 1 + hold, V, 3]: vertices of one scene, m."""
     setup = task.trials(episodes, seed, subtask)
     model, found = setup.scene.model, []
-    steps = round(task.horizon / task.control_timestep)
-    controls = setup.controls(task.horizon, task.control_timestep, seed)
+    steps = AT[-1] + hold
+    controls = setup.controls(steps * task.control_timestep, task.control_timestep, seed)
     for name in backends:
         engine = make_backend(name, setup.scene, nworld=episodes)
-        nstep = round(task.control_timestep / model.opt.timestep)
+        nstep = round(task.control_timestep / engine.timestep)
         rolled = engine.rollout(setup.initial, controls, nstep=nstep)
         start = np.asarray(setup.initial.qpos)[:, None]
         qpos = np.asarray(rolled.qpos, np.float64)[:, :steps]
@@ -57,14 +60,19 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=8)
     parser.add_argument("--episodes", type=int, default=2)
     parser.add_argument("--seed", type=int, default=1_000_000)
+    parser.add_argument("--hold", type=int, default=0, help="further control steps")
     options = parser.parse_args()
     task, backends = Drape(), (options.a, options.b)
     errors: list[Floats] = []
     depths: list[list[Floats]] = [[], []]
     strains: list[list[Floats]] = [[], []]
+    creeps: list[list[Floats]] = [[], []]
     for seed in range(options.seed, options.seed + options.scenes):
         scene = task.scene(options.subtask, seed)
-        every = courses(task, options.subtask, seed, options.episodes, backends)
+        every = courses(task, options.subtask, seed, options.episodes, backends, options.hold)
+        for k, one in enumerate(every):
+            creeps[k].append(np.linalg.norm(one[:, -1] - one[:, AT[-1]], axis=-1))
+        every = every[:, :, : AT[-1] + 1]
         errors.append(np.linalg.norm(every[1] - every[0], axis=-1))
         probe = Probe(scene.spec)
         for k, one in enumerate(every):
@@ -74,6 +82,9 @@ def main() -> None:
     print(f"{options.subtask}: {len(error)} episodes, median / 90 % / greatest")
     for step in AT:
         print(f"vertex error after {step} steps, mm: {words(error[:, step], 1e-3)}")
+    for name, creep in zip(backends, creeps, strict=True):
+        if options.hold:
+            print(f"{name}: moved in {options.hold} more steps, mm: {words(np.array(creep), 1e-3)}")
     for name, depth, strain in zip(backends, depths, strains, strict=True):
         print(f"{name}: penetration, mm: {words(np.concatenate(depth), 1e-3)}")
         print(f"{name}: edge strain, %: {words(np.concatenate(strain), 1e-2)}")

@@ -297,8 +297,10 @@ MEASUREMENTS: dict[str, Callable[[Any], Any]] = {
 
 def _checkpoints(options: Any, prefix: str = "") -> dict[str, Any]:
     from orbisim_world_model.checkpoint import load_checkpoint
+    from orbisim_world_model.families import is_cloth
 
-    folders = sorted(path.parent for path in options.zoo.glob(f"{prefix}*/manifest.json"))
+    every = sorted(path.parent for path in options.zoo.glob(f"{prefix}*/manifest.json"))
+    folders = [folder for folder in every if not is_cloth(folder)]  # see `orbisim eval dynamics`
     wanted = options.checkpoints.split(",") if options.checkpoints else None
     chosen = [f for f in folders if wanted is None or f.name in wanted]
     return {folder.name: load_checkpoint(folder) for folder in chosen}

@@ -135,6 +135,13 @@ _SMALL_PARTS = (
     ("train.stages", "0.6x1x256,0.4x10x32ar"),
 )
 """For `mechanism_door` on one core of a CPU."""
+_DRAPE = ("drape_primitives", "drape_meshes", "drape_unseen")
+"""Of the last there are only episodes to measure on."""
+_WIDE = (
+    ("model.width", 128),
+    ("train.stages", "0.15x1x512,0.45x8x128,0.4x30x48"),
+)
+"""For a GPU, which a batch of the presets leaves idle; longer sequences than they have."""
 BASELINES = ("paper", "global", "dreamer")
 _FAIR = (
     ("loss.scaled", True),
@@ -185,6 +192,10 @@ JOBS: dict[str, Job] = {
         ("mechanism_door",), "parts_no_memory", _SMALL_PARTS, horizons=(10, 100, 300), burn=0
     ),
     **{
+        name: Job(_DRAPE, name, _WIDE, weight=4.0)
+        for name in ("cloth", "cloth_free", "cloth_shape")
+    },
+    **{
         f"push_{name}": Job(("push",), name, weight=2.0)
         for name in ("default", *BASELINES, *ABLATIONS)
     },
@@ -222,16 +233,11 @@ def main() -> int:
 
 
 def _train(name: str, label: str, seed: int, budget: float, options: Any) -> None:
-    from orbisim_world_model.config import replaced
-    from orbisim_world_model.presets import preset
-    from orbisim_world_model.run import Run, train
+    from orbisim_world_model.run import Run
 
     job, began = JOBS[name], time.monotonic()
     settings = {**dict(job.settings), **dict(text.split("=", 1) for text in options.set)}
-    config = replaced(preset(job.config), settings)
-    packs = read_named(options.data, tuple(f"{part}_train" for part in job.data))
-    held = read_named(options.data, tuple(f"{part}_test" for part in job.data))
-    assert packs, f"no data of {job.data}"
+    learn = _learner(job, settings, options.data)
     reading = time.monotonic() - began
     saved = [time.monotonic()]
 
@@ -239,11 +245,9 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
         if time.monotonic() - saved[0] > 60:
             saved[0] = time.monotonic()
             collect(options.work, options.out)
-        print(
-            f"{label}: step {line['step']} {line['seconds']:.0f} s loss {line['loss']:.4g} "
-            f"state {line['state_loss']:.4g} skipped {line['skipped']:.0f}",
-            flush=True,
-        )
+        more = {k: f"{line[k]:.4g}" for k in ("loss", "state_loss", "skipped") if k in line}
+        said = " ".join(f"{k} {v}" for k, v in more.items())
+        print(f"{label}: step {line['step']} {line['seconds']:.0f} s {said}", flush=True)
 
     run = Run(
         out=options.work / label,
@@ -260,7 +264,7 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
         horizons=job.horizons,
         burn=job.burn,
     )
-    manifest = train(packs, config, run, report, held or None)
+    manifest = learn(run, report)
     steps = manifest["training"]["steps"]
     total = time.monotonic() - began
     trained = manifest["training"]["seconds"]
@@ -271,6 +275,30 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
     for horizon, values in manifest["metrics"]["model"].items():
         medians = {k: round(v["median"], 4) for k, v in values.items() if isinstance(v, dict)}
         print(f"{label}: {horizon} steps: {medians}", flush=True)
+
+
+def _learner(job: Job, settings: dict[str, Any], folder: Path) -> Any:
+    """What trains a job, given a run and a report; its data are read."""
+    from orbisim_world_model.cloth.config import CLOTH_PRESETS, cloth_preset
+    from orbisim_world_model.cloth.run import train_cloth
+    from orbisim_world_model.config import replaced
+    from orbisim_world_model.presets import preset
+    from orbisim_world_model.run import train
+
+    names = [tuple(f"{part}_{kind}" for part in job.data) for kind in ("train", "test")]
+    if job.config in CLOTH_PRESETS:
+        from orbisim_world_model.cloth.data import read_falls
+
+        falls, held = (
+            [path for name in each if (path := folder / f"{name}.h5").exists()] for each in names
+        )
+        config = cloth_preset(job.config, settings)
+        seen, kept = read_falls(falls), read_falls(held) if held else None
+        return lambda run, report: train_cloth(seen, config, run, report, kept)
+    packs, spare = (read_named(folder, each) for each in names)
+    assert packs, f"no data of {job.data}"
+    wanted = replaced(preset(job.config), settings)
+    return lambda run, report: train(packs, wanted, run, report, spare or None)
 
 
 def _start(job: Job, name: str, options: Any) -> Path | None:
@@ -299,7 +327,7 @@ def read_named(folder: Path, names: tuple[str, ...]) -> list[Any]:
 
 _SHOWN = (
     *("trajerr", "object_position", "object_rotation", "hand_position"),
-    *("part_angle", "part_travel", "normalised"),
+    *("part_angle", "part_travel", "vertex_position", "normalised"),
 )
 
 

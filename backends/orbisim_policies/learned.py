@@ -59,10 +59,8 @@ class LearnedWorlds:
         self, problem: Problem, checkpoint: str | Path | None, device: torch.device
     ) -> None:
         scene = problem.scene
-        if checkpoint is None:
-            folder, found = zoo.find(scene)
-        else:
-            folder, found = Path(checkpoint), fit(read_manifest(checkpoint), scene)
+        folder = zoo.find(scene)[0] if checkpoint is None else Path(checkpoint)
+        found = fit(read_manifest(folder), scene)
         self.folder, self.problem, self.device = folder, problem, device
         self.layout = found.layout
         model = load_checkpoint(folder, found.layout, found.variant).model

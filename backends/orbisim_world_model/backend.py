@@ -20,16 +20,15 @@ from orbisim.state import Array, State
 from orbisim.trajectory import Trajectory
 from orbisim_world_model import zoo
 from orbisim_world_model.arrays import like
-from orbisim_world_model.checkpoint import Checkpoint, load_checkpoint
-from orbisim_world_model.engine import ATTRIBUTES, MEMORY, SETTINGS, Engine
+from orbisim_world_model.engine import ATTRIBUTES, SETTINGS, Engine
 from orbisim_world_model.entities import Entities, Hand
-from orbisim_world_model.fitting import Fit, fit
+from orbisim_world_model.families import AnyFit, engine_for, fit_any, read_any
 from orbisim_world_model.guard import blanked
-from orbisim_world_model.manifest import read_manifest
 from orbisim_world_model.native.translate import UntranslatableError
 from orbisim_world_model.properties import Values, with_object, with_world
 from orbisim_world_model.spread import LEVEL
 from orbisim_world_model.stepper import Speedups
+from orbisim_world_model.stepping import MEMORY, Stepping
 from orbisim_world_model.watch import (
     OUTSIDE,
     UNCERTAINTY,
@@ -78,17 +77,17 @@ class LearnedBackend(Backend):
         self._on = _device(device)
         self._folder = Path(argument) if argument else None
         self._half, self._native, self._compiled = half, native, compiled
-        self._engine: Engine | None = None
+        self._engine: Stepping | None = None
         self._ran = False
 
     @property
     def timestep(self) -> float:
         """Duration of one step, s: the control step of the training data."""
-        return self.engine.layout.timestep
+        return float(self.stepping.layout.timestep)
 
     @property
-    def engine(self) -> Engine:
-        """The checkpoint on its device.
+    def stepping(self) -> Stepping:
+        """The checkpoint on its device, of whatever kind.
 
         Raises:
           InputError: no scene was loaded.
@@ -98,9 +97,24 @@ class LearnedBackend(Backend):
         return self._engine
 
     @property
-    def checkpoint(self) -> Checkpoint:
+    def engine(self) -> Engine:
+        """The checkpoint on its device, of robots and objects.
+
+        Raises:
+          InputError: no scene was loaded.
+          UnsupportedSceneError: the checkpoint is of a cloth, which has no descriptors.
+        """
+        found = self.stepping
+        if not isinstance(found, Engine):
+            raise UnsupportedSceneError(
+                self.scene.source, "a learned cloth has no robot, objects or descriptors"
+            )
+        return found
+
+    @property
+    def checkpoint(self) -> Any:
         """The checkpoint in use."""
-        return self.engine.checkpoint
+        return self.stepping.checkpoint
 
     def load(self, scene: Scene) -> None:
         """Finds the checkpoint and takes the scene's descriptors.
@@ -115,13 +129,12 @@ class LearnedBackend(Backend):
         folder, found = self._find(scene)
         now = None if self._engine is None else self._engine.checkpoint
         if now is None or now.path != folder or now.layout != found.layout:
-            checkpoint = load_checkpoint(folder, found.layout, found.variant)
-            self._check(checkpoint)
+            self._check(read_any(folder), folder)
             speedups = Speedups(
                 precision="fp16" if self._half else "fp32",
                 compiled="fused" if self._compiled else None,
             )
-            self._engine = Engine(checkpoint, self._on, speedups)
+            self._engine = engine_for(folder, found, self._on, speedups)
         assert self._engine is not None
         self._engine.describe(scene)
         self._compiles = self._native is not False and self.baseline == "none"
@@ -147,16 +160,16 @@ class LearnedBackend(Backend):
         control, nstep = self.check_step(state, control, nstep)
         seconds = nstep * self.timestep
         if state.nworld == 1 and isinstance(state.qpos, np.ndarray):
-            self._compile(self.engine)
-        if self.engine.suits_native(state, control):
+            self._compile(self.stepping)
+        if self.stepping.suits_native(state, control):
             return self._stepped_natively(state, control, nstep)
         with self._first_time():
-            path = self.engine.run(state, control[:, None], nstep)
+            path = self.stepping.run(state, control[:, None], nstep)
         verdict = self.watch.verdict(state, path, self.timestep)
         if verdict.error is not None:
             raise verdict.error
         verdict.memory.pop(UNCERTAINTY, None)  # the state's own memory has it
-        return self.engine.state(state, path, seconds).with_memory(**verdict.memory)
+        return self.stepping.state(state, path, seconds).with_memory(**verdict.memory)
 
     def rollout(
         self,
@@ -177,7 +190,7 @@ class LearnedBackend(Backend):
             self.watch.began(state)
             return self._trajectory(state, controls, [], np.full(state.nworld, -1), sensors)
         with self._first_time():
-            path = self.engine.run(state, controls, nstep)
+            path = self.stepping.run(state, controls, nstep)
         verdict = self.watch.verdict(state, path, self.timestep)
         if raise_on_divergence and verdict.error is not None:
             raise verdict.error
@@ -188,7 +201,7 @@ class LearnedBackend(Backend):
                 memory[UNCERTAINTY] = memory[UNCERTAINTY][:, nstep - 1 :: nstep]
         path = path._replace(states=blanked(path.states, diverged_at))
         duration = nstep * self.timestep
-        found = self.engine.trajectory(state, controls, path, diverged_at, duration)
+        found = self.stepping.trajectory(state, controls, path, diverged_at, duration)
         return dataclasses.replace(found, final=found.final.with_memory(**memory))
 
     def uncertainty(self, result: State | Trajectory) -> Array | None:
@@ -203,7 +216,7 @@ class LearnedBackend(Backend):
         """
         if isinstance(result, Trajectory):
             return result.final.memory.get(UNCERTAINTY)
-        width = self.engine.interval(self.engine.variance(result))
+        width = self.stepping.interval(self.stepping.variance(result))
         return None if width is None else like(width, result.qpos)
 
     def intervals(self, trajectory: Trajectory) -> Intervals | None:
@@ -226,7 +239,7 @@ class LearnedBackend(Backend):
     @property
     def entity_names(self) -> tuple[str, ...]:
         """`robot`, if there is one, and the objects."""
-        return self.engine.guard.names
+        return self.stepping.guard.names
 
     def burn_in(self, past: Trajectory) -> State:
         """The state at the end of a trajectory, with the memory of having seen all of it.
@@ -310,10 +323,10 @@ class LearnedBackend(Backend):
 
     # -- inner workings ------------------------------------------------------------------------
 
-    def _find(self, scene: Scene) -> tuple[Path, Fit]:
+    def _find(self, scene: Scene) -> tuple[Path, AnyFit]:
         if self._folder is None:
             return zoo.find(scene, self.baseline)
-        return self._folder, fit(read_manifest(self._folder), scene)
+        return self._folder, fit_any(read_any(self._folder), scene)
 
     @contextlib.contextmanager
     def _first_time(self) -> Iterator[None]:
@@ -325,7 +338,7 @@ class LearnedBackend(Backend):
             yield
         self._ran = True
 
-    def _compile(self, engine: Engine) -> None:
+    def _compile(self, engine: Stepping) -> None:
         """Prepares the native step, once; without a compiler only if it was asked for."""
         if engine.native is not None or not self._compiles:
             return
@@ -337,22 +350,23 @@ class LearnedBackend(Backend):
             if self._native:
                 raise
 
-    def _check(self, checkpoint: Checkpoint) -> None:
+    def _check(self, manifest: dict[str, Any], folder: Path) -> None:
         """Refuses checkpoints whose predictions are not a state of the scene."""
-        config = checkpoint.model.config
-        if config.baseline != self.baseline:
-            other = "learned" if config.baseline == "none" else "hybrid"
-            raise InputError(f"{checkpoint.path}: a checkpoint for the backend {other!r}")
-        if not config.extended or config.control != "ctrl":
+        known = manifest["model"]
+        baseline = known.get("baseline", "none")
+        if baseline != self.baseline:
+            other = "learned" if baseline == "none" else "hybrid"
+            raise InputError(f"{folder}: a checkpoint for the backend {other!r}")
+        if not known.get("extended", True) or known.get("control", "ctrl") != "ctrl":
             raise InputError(
-                f"{checkpoint.path}: predicts the paper's state (no joints, no angular velocity) "
+                f"{folder}: predicts the paper's state (no joints, no angular velocity) "
                 "from the task's actions; a simulator needs a checkpoint with the extended state "
                 "and the actuators' controls, such as configuration 'default'"
             )
 
     def _stepped_natively(self, state: State, control: Array, nstep: int) -> State:
         """`step` by compiled C; what is within all bounds needs no closer look."""
-        watch, engine = self.watch, self.engine
+        watch, engine = self.watch, self.stepping
         for _ in range(nstep):
             outside = as_kind(watch.began(state), state.qpos)
             after = engine.native_step(state, control).with_memory(**{OUTSIDE: outside})
@@ -378,5 +392,7 @@ def _device(name: str | None) -> torch.device:
     except RuntimeError:
         raise InputError(f"unknown device {name!r}; expected cpu, cuda or cuda:1") from None
     if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
-        raise InputError(f"this machine has no device {name!r}")
+        raise InputError(
+            f"this machine has no device {name!r} (see: orbisim doctor); use device 'cpu'"
+        )
     return device

@@ -17,7 +17,7 @@ def write_card(folder: Path, manifest: dict[str, Any]) -> None:
 
 def card(manifest: dict[str, Any]) -> str:
     """The card as Markdown."""
-    layout, training, data = manifest["layout"], manifest["training"], manifest["data"]
+    layout, data = manifest["layout"], manifest["data"]
     tasks = sorted({str(source.get("task")) for source in data.get("sources", [])})
     lines = [
         f"# Learned dynamics of {', '.join(tasks)}",
@@ -36,11 +36,7 @@ def card(manifest: dict[str, Any]) -> str:
         f"({', '.join(data.get('groups', []))}).",
         *_range_lines(manifest["ranges"]),
         "",
-        "## How it was trained",
-        "",
-        f"{training['steps']:,} steps in {training['seconds']:g} s on {training['device']}, "
-        f"{training['processes']} process(es), seed {training['seed']}.",
-        "",
+        *how_trained(manifest["training"]),
         "## How good it is",
         "",
         *metric_lines(manifest["metrics"]),
@@ -52,6 +48,17 @@ def card(manifest: dict[str, Any]) -> str:
         "",
     ]
     return "\n".join(lines)
+
+
+def how_trained(training: dict[str, Any]) -> list[str]:
+    """The section on it, by the manifest's entry."""
+    return [
+        "## How it was trained",
+        "",
+        f"{training['steps']:,} steps in {training['seconds']:g} s on {training['device']}, "
+        f"{training['processes']} process(es), seed {training['seed']}.",
+        "",
+    ]
 
 
 def _entities(manifest: dict[str, Any]) -> str:

@@ -89,6 +89,11 @@ def save_checkpoint(
     }
     for entry, other in zip(header.get("variants", []), models[1:], strict=True):
         entry.update(layout=other.layout.to_dict(), controls=other.controls)
+    write_parts(folder, tensors, header)
+
+
+def write_parts(folder: Path, tensors: dict[str, Tensor], header: dict[str, Any]) -> None:
+    """Writes weights and manifest; a reader never sees half of them."""
     with (
         writing(folder / MANIFEST, announce=False) as manifest_part,
         writing(folder / WEIGHTS, announce=False) as weights,  # the first to appear

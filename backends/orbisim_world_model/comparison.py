@@ -9,7 +9,9 @@ from typing import Any
 import torch
 
 from orbisim_world_model.checkpoint import Checkpoint, load_for
+from orbisim_world_model.cloth.comparison import compare_cloths
 from orbisim_world_model.evaluate import BURN, HORIZONS, constant_velocity, evaluate
+from orbisim_world_model.families import is_cloth
 from orbisim_world_model.manifest import read_manifest
 from orbisim_world_model.packing import read_data
 
@@ -23,21 +25,34 @@ def compare_checkpoints(
     limit: int = 512,
     device: str = "cpu",
     by_group: bool = False,
+    scene: str | None = None,
 ) -> dict[str, Any]:
     """Errors of checkpoints and of constant velocity, by group of episodes.
 
     Args:
-      folders: checkpoints; the first one's kind of state is constant velocity's too.
+      folders: checkpoints; the first one's kind of state is constant velocity's too. Those of
+        cloths are compared by `cloth.comparison.compare_cloths`, without `burn`.
       data: episode files or packs.
       horizons, burn, limit: see `evaluate`.
       device: where to compute.
       by_group: each subtask by itself beside all together.
+      scene: that the episodes of a scene's file were collected in.
 
     Raises:
       InputError: the episodes are of another scene than a checkpoint.
     """
+    if is_cloth(folders[0]):
+        return compare_cloths(
+            folders,
+            data,
+            horizons=horizons,
+            limit=limit,
+            device=device,
+            by_group=by_group,
+            scene=scene,
+        )
     baseline = str(read_manifest(folders[0])["model"].get("baseline", "none"))
-    pack = read_data(data, baseline=baseline).to(device)
+    pack = read_data(data, baseline=baseline, scene=scene).to(device)
     checkpoints = [load_for(folder, pack.layout) for folder in folders]
     parts = {"all": pack}
     if by_group:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from orbisim.scene import Scene
 from orbisim.state import Array, State
-from orbisim.trajectory import Trajectory
-from orbisim_world_model.arrays import has_gradient, later, like, tensor
+from orbisim_world_model.arrays import has_gradient, tensor
 from orbisim_world_model.checkpoint import Checkpoint
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.guard import Guard
@@ -20,32 +18,12 @@ from orbisim_world_model.reading import read_attributes, read_settings
 from orbisim_world_model.reading_parts import read_parts
 from orbisim_world_model.spread import factors_of, half_widths
 from orbisim_world_model.stepper import Speedups, Stepper
+from orbisim_world_model.stepping import MEMORY, STALE, Stepping, Steps
 
-MEMORY = "world_model_memory"
 ATTRIBUTES, SETTINGS = "world_model_attributes", "world_model_settings"
-_STALE = frozenset({"qacc_warmstart", "history", "plugin_state", "world_model_uncertainty"})
-"""Memory that no longer holds after a learned step: of classical backends, and of a rollout."""
 
 
-class Steps(NamedTuple):
-    """States [T, B, ...] on the device, and the memory [B, ...] after the last.
-
-    Attributes:
-      variances: [T, B, K, 2] of a model with a spread (see `spread`); None without.
-    """
-
-    states: Entities
-    memory: Tensor
-    variances: Tensor | None = None
-
-    def every(self, count: int) -> Steps:
-        """The last of each `count` steps."""
-        kept = Entities(*(field[count - 1 :: count] for field in self.states))
-        spread = None if self.variances is None else self.variances[count - 1 :: count]
-        return Steps(kept, self.memory, spread)
-
-
-class Engine:
+class Engine(Stepping):
     """Steps states with a checkpoint.
 
     Args:
@@ -55,11 +33,10 @@ class Engine:
     """
 
     def __init__(self, checkpoint: Checkpoint, device: torch.device, speedups: Speedups) -> None:
-        self.checkpoint, self.layout, self.device = checkpoint, checkpoint.layout, device
+        super().__init__(checkpoint, checkpoint.layout, device)
         self.stepper = Stepper(checkpoint.model, device, speedups)
         self.guard = Guard(checkpoint.manifest, checkpoint.layout)
         self._exact: Any = None
-        self.native: Any = None
         self._fresh = self.stepper.initial_memory(1).float().cpu().numpy()
 
     def describe(self, scene: Scene) -> None:
@@ -77,11 +54,6 @@ class Engine:
         if self.native is not None:
             self.prepare_native()
 
-    def entities(self, state: State) -> Entities:
-        """The state as the model sees it."""
-        fields = (tensor(a, self.device) for a in (state.qpos, state.qvel, state.act))
-        return self.layout.split(*fields)
-
     def run(self, state: State, controls: Array, nstep: int) -> Steps:
         """The states after every step under controls [B, T, nu], each held for `nstep` steps."""
         given = (state.qpos, state.qvel, state.act, controls, *state.memory.values())
@@ -89,7 +61,7 @@ class Engine:
         step = self._step_exactly if gradients else self.stepper
         with torch.set_grad_enabled(gradients):
             x = self.stepper.model.completed(self.entities(state))
-            memory, context = self._memory(state), self.context(state)
+            memory, context = self.memory(state), self.context(state)
             inputs = tensor(controls, self.device)
             found, spreads = [], []
             for t in range(inputs.shape[1]):
@@ -110,7 +82,7 @@ class Engine:
         """The variances [B, K, 2] that a state carries; None without a spread."""
         if not self.spreads:
             return None
-        return self.stepper.model.variance(self._memory(state)).detach()
+        return self.stepper.model.variance(self.memory(state)).detach()
 
     def interval(self, variance: Tensor | None) -> Tensor | None:
         """Half-widths [..., K, 2], m and rad, of the 90 % intervals of variances."""
@@ -154,7 +126,7 @@ class Engine:
             memory = self._fresh
         *arrays, memory = self.native(*arrays, control, memory)
         qpos, qvel, act, memory = (a.astype(np.float64) for a in (*arrays, memory))
-        kept = {name: value for name, value in state.memory.items() if name not in _STALE}
+        kept = {name: value for name, value in state.memory.items() if name not in STALE}
         time = state.time + self.layout.timestep
         return State(time, qpos, qvel, act, {**kept, MEMORY: memory})
 
@@ -163,49 +135,9 @@ class Engine:
         with torch.no_grad():
             model = self.stepper.model
             x, base = model.completed(self.entities(state)), self.entities(predicted)
-            memory, context = self._memory(state), self.context(state)
+            memory, context = self.memory(state), self.context(state)
             step = model(x, memory, tensor(control, self.device), context, base=base)
             return Steps(Entities(*(field[None] for field in step.state)), step.memory)
-
-    def as_steps(self, state: State) -> Steps:
-        """A state as the only one of a path."""
-        x, memory = self.entities(state), self._memory(state)
-        spread = self.stepper.model.variance(memory)[None] if self.spreads else None
-        return Steps(Entities(*(field[None] for field in x)), memory, spread)
-
-    def state(self, before: State, path: Steps, seconds: float) -> State:
-        """The last state of a path, so many seconds after it began."""
-        qpos, qvel, act = (like(a, before.qpos) for a in self.layout.join(path.states.at(-1)))
-        kept = {name: value for name, value in before.memory.items() if name not in _STALE}
-        memory = {**kept, MEMORY: like(path.memory, before.qpos)}
-        return State(later(before.time, seconds), qpos, qvel, act, memory)
-
-    def trajectory(
-        self,
-        before: State,
-        controls: Array,
-        path: Steps,
-        diverged_at: npt.NDArray[np.int64],
-        duration: float,
-    ) -> Trajectory:
-        """All states of a path; `duration` is that of each control."""
-        count, worlds = path.states.pos.shape[:2]
-        flat = Entities(*(field.flatten(0, 1) for field in path.states))
-        qpos, qvel, act = (
-            like(a.unflatten(0, (count, worlds)).transpose(0, 1), before.qpos)
-            for a in self.layout.join(flat)
-        )
-        return Trajectory(
-            initial=before,
-            control=controls,
-            time=later(before.time, np.arange(1, count + 1) * duration),
-            qpos=qpos,
-            qvel=qvel,
-            act=act,
-            sensordata=None,
-            diverged_at=diverged_at,
-            final=self.state(before, path, count * duration),
-        )
 
     def _step_exactly(
         self, x: Entities, memory: Tensor, control: Tensor, context: Context
@@ -216,7 +148,8 @@ class Engine:
         step = self._exact(x, memory, control, context)
         return step.state, step.memory
 
-    def _memory(self, state: State) -> Tensor:
+    def memory(self, state: State) -> Tensor:
+        """The recurrent memory that a state carries, or a fresh one."""
         fresh = self.stepper.initial_memory(state.nworld)
         given = state.memory.get(MEMORY)
         if given is None or tuple(given.shape) != tuple(fresh.shape):

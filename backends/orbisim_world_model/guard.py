@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import mujoco
 import numpy as np
@@ -28,6 +28,8 @@ _BEYOND, _SLACK, _TINY = 2.0, 0.05, 1e-3
 """Times the largest speed in training, share of a range, and SI units, beyond which a state lies
 outside the training data: a density thins out, it has no edge."""
 _GRAVITY = 9.81  # m/s^2, MuJoCo's default, of checkpoints that were trained with no other
+
+States = TypeVar("States", bound=tuple[Tensor, ...])
 
 
 class Notice(NamedTuple):
@@ -78,10 +80,10 @@ class Guard:
     def watch(self, states: Entities, start: Entities) -> Notice:
         """What there is to say of states [T, B, ...] that follow from `start` [B, ...]."""
         lost, outside = self.lost(states, start), self.outside(states)
-        first = _first(lost.any(-1))
+        first = first_marked(lost.any(-1))
         which = lost[first.clamp_min(0), torch.arange(lost.shape[1], device=lost.device)]
         entity = which.to(torch.int8).argmax(-1)
-        found = torch.cat([first[:, None], entity[:, None], _first(outside)], dim=1)
+        found = torch.cat([first[:, None], entity[:, None], first_marked(outside)], dim=1)
         host = np.asarray(found.cpu().numpy(), np.int64)  # one transfer
         return Notice(host[:, 0], host[:, 1], host[:, 2:])
 
@@ -234,19 +236,19 @@ class Guard:
         return least, most
 
 
-def blanked(states: Entities, diverged_at: npt.NDArray[np.int64]) -> Entities:
-    """States [T, B, ...] with NaN from where a world diverged."""
+def blanked(states: States, diverged_at: npt.NDArray[np.int64]) -> States:
+    """States [T, B, ...], a named tuple, with NaN from where a world diverged."""
     if not (diverged_at >= 0).any():
         return states
-    device = states.pos.device
+    device = states[0].device
     first = torch.as_tensor(diverged_at, device=device)
-    steps = torch.arange(states.pos.shape[0], device=device)
+    steps = torch.arange(len(states[0]), device=device)
     gone = (first >= 0) & (steps[:, None] >= first)  # [T, B]
 
     def blank(field: Tensor) -> Tensor:
         return field.masked_fill(gone.reshape(*gone.shape, *([1] * (field.dim() - 2))), torch.nan)
 
-    return Entities(*map(blank, states))
+    return type(states)(*map(blank, states))
 
 
 def _joint_limits(
@@ -288,7 +290,7 @@ def _gravity(ranges: dict[str, Any]) -> float:
     return max(0.0, -known[0]) if known else _GRAVITY
 
 
-def _first(marks: Tensor) -> Tensor:
+def first_marked(marks: Tensor) -> Tensor:
     """[...] of marks [T, ...]: the first step that is marked, -1 for none."""
     return torch.where(marks.any(0), marks.to(torch.int8).argmax(0), -1)
 

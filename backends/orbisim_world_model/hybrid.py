@@ -12,7 +12,7 @@ from orbisim.state import Array, State
 from orbisim.trajectory import Trajectory
 from orbisim_world_model.arrays import like
 from orbisim_world_model.backend import LearnedBackend
-from orbisim_world_model.engine import MEMORY, Steps
+from orbisim_world_model.stepping import MEMORY, Steps
 
 
 class HybridBackend(LearnedBackend):

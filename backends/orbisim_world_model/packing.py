@@ -127,7 +127,7 @@ def _pack_parts(
     alike: dict[Layout, list[int]] = {}
     parts, allowance = [], file.allowance()
     for index in range(len(file)):
-        made = _scene_of(file, index, scene)
+        made = scene_of(file, index, scene)
         layout = read_layout(made, file.control_timestep, source=file.task)
         parts.append(read_parts(made, layout, file.task))
         alike.setdefault(layout, []).append(index)
@@ -154,7 +154,7 @@ def _pack_parts(
     return joined(found).subset(torch.argsort(torch.tensor(order)))
 
 
-def _scene_of(file: EpisodeFile, index: int, scene: str | None) -> mujoco.MjModel:
+def scene_of(file: EpisodeFile, index: int, scene: str | None = None) -> mujoco.MjModel:
     """The model of an episode.
 
     Raises:
@@ -206,9 +206,14 @@ def _nominal(task: str, path: str, scene: str | None = None) -> mujoco.MjModel:
     if scene is None or is_scene_name(task):
         try:
             return named_scene(task, path).model
-        except InputError as error:
+        except InputError:
             if Path(task).suffix:
-                raise InputError(f"{error}; of episodes of a file, name it with --scene") from None
+                named = task.partition("?")[0]
+                raise InputError(
+                    f"{path}: its episodes are of the file {named!r:.200}, which is not opened "
+                    "because data name it; give the scene with --scene, and the options that it "
+                    "was collected with (--actuators)"
+                ) from None
             raise
     return load_scene(scene).model
 

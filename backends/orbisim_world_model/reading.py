@@ -106,10 +106,15 @@ def read_settings(model: mujoco.MjModel, layout: Layout) -> Floats:
 
 
 def _refuse(model: mujoco.MjModel, source: str) -> None:
+    if model.nflex:
+        raise UnsupportedSceneError(
+            source,
+            "learned dynamics of robots and objects know no flexes",
+            remedy="a cloth alone is learned by --config cloth",
+        )
     problems = {
         "ball joints": (model.jnt_type == mujoco.mjtJoint.mjJNT_BALL).any(),
         "mocap bodies": model.nmocap > 0,
-        "flexes": model.nflex > 0,
         "bodies attached to a free body": _free_parents(model),
     }
     for what, there in problems.items():

@@ -100,7 +100,7 @@ def train(
     if run.began is None:
         run = dataclasses.replace(run, began=time.monotonic())
     device = parallel.start(run.device)
-    with _claimed(run.out):
+    with claimed_folder(run.out):
         return _train(_listed(packs), config, run, report, _listed(held), device)
 
 
@@ -126,7 +126,7 @@ def check_run(run: Run) -> None:
 
 
 @contextlib.contextmanager
-def _claimed(folder: Path) -> Iterator[None]:
+def claimed_folder(folder: Path) -> Iterator[None]:
     """Keeps other trainings out of a folder; among processes of one training, the first does."""
     if parallel.rank():
         yield
@@ -144,7 +144,7 @@ def _train(
     device: Any,
 ) -> dict[str, Any]:
     kept, spare = _kept_and_held(packs, held, run, device)
-    clock = Clock(run.steps, _for_training(run), most=run.most)
+    clock = Clock(run.steps, seconds_for_training(run), most=run.most)
     models = [load_for(run.start, p.layout).model for p in kept] if run.start else None
     trainer = Trainer(
         kept,
@@ -158,7 +158,7 @@ def _train(
     _resume(trainer, run)
     leads = parallel.rank() == 0
     if leads:
-        _begin_metrics(run.out / METRICS, clock.done)
+        begin_metrics(run.out / METRICS, clock.done)
     saved = time.monotonic()
     first = True
     while parallel.agreed(clock.progress, device) < 1.0:
@@ -188,7 +188,7 @@ _MOST_EVALUATION = 60.0
 """Seconds of a limit that are kept for the evaluation at the end."""
 
 
-def _for_training(run: Run) -> float | None:
+def seconds_for_training(run: Run) -> float | None:
     """Seconds of the limit that are left for training."""
     if run.limit is None:
         return None
@@ -217,7 +217,7 @@ def _kept_and_held(
     return packs, [pack.to(device) for pack in held]
 
 
-def _begin_metrics(path: Path, done: int) -> None:
+def begin_metrics(path: Path, done: int) -> None:
     """Leaves the lines of the steps that are done: later ones are written again."""
     kept = []
     for line in path.read_bytes().splitlines(keepends=True) if path.exists() else ():
@@ -270,13 +270,7 @@ def _save(trainer: Trainer, run: Run, held: list[Pack] | None) -> dict[str, Any]
     """Writes progress and checkpoint; with `held`, evaluates first."""
     clock, packs = trainer.clock, [part.pack for part in trainer.parts]
     pack = packs[0]
-    notes = {
-        "config": trainer.config.to_dict(),
-        "seed": run.seed,
-        "step": clock.done,
-        "seconds": clock.elapsed,
-    }
-    save_progress(run.out, trainer.optimizer.state(), notes)
+    save_progress(run.out, trainer.optimizer.state(), progress_of(trainer, run, clock))
     manifest: dict[str, Any] = {
         "config": trainer.config.to_dict(),
         "control_timestep": pack.layout.timestep,
@@ -291,16 +285,7 @@ def _save(trainer: Trainer, run: Run, held: list[Pack] | None) -> dict[str, Any]
         "variants": [
             {"ranges": ranges(other), "robot": other.notes.get("robot", {})} for other in packs[1:]
         ],
-        "training": {
-            "steps": clock.done,
-            "seconds": round(clock.elapsed, 1),
-            "seed": run.seed,
-            "device": _device_name(trainer.device),
-            "precision": trainer.precision,
-            "processes": parallel.size(),
-            "finished": clock.progress >= 1.0,
-        },
-        "versions": {"torch": torch.__version__, "orbisim": VERSION},
+        **origin_of(run, clock, trainer.device, trainer.precision, parallel.size()),
         "metrics": {},
     }
     save_checkpoint(run.out, trainer.models, manifest)
@@ -309,6 +294,34 @@ def _save(trainer: Trainer, run: Run, held: list[Pack] | None) -> dict[str, Any]
         manifest["metrics"] = {**found[0], "variants": found[1:]}
         save_checkpoint(run.out, trainer.models, manifest)
     return json.loads((run.out / "manifest.json").read_text())
+
+
+def progress_of(trainer: Any, run: Run, clock: Clock) -> dict[str, Any]:
+    """What a training that goes on must agree with, and how far it is."""
+    return {
+        "config": trainer.config.to_dict(),
+        "seed": run.seed,
+        "step": clock.done,
+        "seconds": clock.elapsed,
+    }
+
+
+def origin_of(
+    run: Run, clock: Clock, device: Any, precision: str, processes: int
+) -> dict[str, Any]:
+    """Of a manifest, how the model was trained and with which versions."""
+    return {
+        "training": {
+            "steps": clock.done,
+            "seconds": round(clock.elapsed, 1),
+            "seed": run.seed,
+            "device": device_name(device),
+            "precision": precision,
+            "processes": processes,
+            "finished": clock.progress >= 1.0,
+        },
+        "versions": {"torch": torch.__version__, "orbisim": VERSION},
+    }
 
 
 def _metrics(run: Run, held: Pack, config: Config) -> dict[str, Any]:
@@ -333,6 +346,7 @@ def _late(run: Run) -> bool:
     return run.limit is not None and time.monotonic() - run.began > run.limit
 
 
-def _device_name(device: Any) -> str:
+def device_name(device: Any) -> str:
+    """What a manifest calls a device."""
     device = torch.device(device)
     return torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu"

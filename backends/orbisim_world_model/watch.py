@@ -12,9 +12,8 @@ from torch import Tensor
 
 from orbisim.errors import DivergedError
 from orbisim.state import Array, State
-from orbisim_world_model.engine import MEMORY, Engine, Steps
-from orbisim_world_model.entities import Entities
 from orbisim_world_model.spread import UNITS
+from orbisim_world_model.stepping import MEMORY, Stepping, Steps
 
 OUTSIDE = "world_model_outside"
 """Memory [nworld, K]: the time, s, at which each entity left the training data; inf for never."""
@@ -60,7 +59,7 @@ class Watch:
       engine: whose steps they are. label: names backend and scene in messages.
     """
 
-    def __init__(self, engine: Engine, label: str) -> None:
+    def __init__(self, engine: Stepping, label: str) -> None:
         self.engine, self.label = engine, label
         self.names = engine.guard.names
         if engine.spreads:  # variances below which no interval is wider
@@ -107,7 +106,7 @@ class Watch:
         """Warns of a state or a scene."""
         warnings.warn(f"{self.label}, {text}", OutsideTrainingWarning, stacklevel=5)
 
-    def _warn_of(self, states: Entities, left: Any, outside_at: Any, times: Times) -> None:
+    def _warn_of(self, states: Any, left: Any, outside_at: Any, times: Times) -> None:
         for world, entity in left[:_MOST_LINES].tolist():
             step = int(outside_at[world, entity])
             what = self.engine.guard.concern(states.at(step), world, entity)

@@ -8,8 +8,8 @@ from typing import Any
 
 from orbisim.errors import UnsupportedSceneError
 from orbisim.scene import Scene
-from orbisim_world_model.fitting import Fit, fit
-from orbisim_world_model.manifest import MANIFEST, read_manifest
+from orbisim_world_model.families import AnyFit, fit_any, read_any
+from orbisim_world_model.manifest import MANIFEST
 
 FOLDER = Path(__file__).parent / "zoo"
 
@@ -17,10 +17,10 @@ FOLDER = Path(__file__).parent / "zoo"
 @functools.cache
 def entries(folder: Path) -> dict[str, dict[str, Any]]:
     """Manifests of the checkpoints in a folder, by name."""
-    return {path.parent.name: read_manifest(path.parent) for path in folder.glob(f"*/{MANIFEST}")}
+    return {path.parent.name: read_any(path.parent) for path in folder.glob(f"*/{MANIFEST}")}
 
 
-def find(scene: Scene, baseline: str = "none") -> tuple[Path, Fit]:
+def find(scene: Scene, baseline: str = "none") -> tuple[Path, AnyFit]:
     """The checkpoint that fits a scene best, and how it fits.
 
     One whose training data include the scene's task comes first, then the one with the fewest
@@ -29,29 +29,32 @@ def find(scene: Scene, baseline: str = "none") -> tuple[Path, Fit]:
     Raises:
       UnsupportedSceneError: none fits.
     """
-    fits: list[tuple[tuple[bool, int, str], Path, Fit]] = []
+    fits: list[tuple[tuple[bool, int, str], Path, AnyFit]] = []
+    known: list[str] = []
     reasons: dict[str, str] = {}
     for name, manifest in entries(FOLDER).items():
         if manifest["model"].get("baseline", "none") != baseline:
             continue
-        try:
-            found = fit(manifest, scene)
-        except UnsupportedSceneError as error:
-            reasons[name] = error.problem
-            continue
+        known.append(name)
         tasks = {source.get("task") for source in manifest["data"].get("sources", [])}
+        try:
+            found = fit_any(manifest, scene)
+        except UnsupportedSceneError as error:
+            if scene.source in tasks:  # why others do not fit is no news
+                reasons[name] = error.problem
+            continue
         rank = (scene.source not in tasks, len(found.concerns), name)
         fits.append((rank, FOLDER / name, found))
     if not fits:
-        raise UnsupportedSceneError(scene.source, _none(reasons))
+        raise UnsupportedSceneError(scene.source, _none(known, reasons))
     _, path, found = min(fits, key=lambda entry: entry[0])
     return path, found
 
 
-def _none(reasons: dict[str, str]) -> str:
-    known = ", ".join(sorted(reasons)) or "none"
-    detail = "".join(f"; {name}: {reason}" for name, reason in list(reasons.items())[:1])
+def _none(known: list[str], reasons: dict[str, str]) -> str:
+    there = ", ".join(sorted(known)) or "none"
+    detail = "".join(f"; {name}: {reason}" for name, reason in reasons.items())
     return (
-        f"no checkpoint of the zoo fits it (there are: {known}{detail}); "
-        "train one (orbisim train dynamics) and name it, as in learned:PATH"
+        f"no checkpoint of the zoo fits it (there are: {there}{detail}); train one with orbisim "
+        "collect and orbisim train dynamics, and name it, as in learned:PATH (docs/own-robot.md)"
     )

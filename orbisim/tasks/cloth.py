@@ -24,7 +24,7 @@ def vertices(model: mujoco.MjModel, qpos: Floats) -> Floats:
     Raises:
       InputError: the scene has not one flex whose vertices slide along the world's axes.
     """
-    address, rest = _free(model)
+    address, rest = free_vertices(model)
     return np.asarray(qpos)[..., address] + rest
 
 
@@ -34,7 +34,7 @@ def coordinates(model: mujoco.MjModel, places: Floats) -> Floats:
     Raises:
       InputError: as `vertices`; or other coordinates than the vertices' would stay open.
     """
-    address, rest = _free(model)
+    address, rest = free_vertices(model)
     if address.size != model.nq:
         raise InputError(f"the scene has {model.nq} coordinates; {address.size} are its flex's")
     found = np.zeros((*places.shape[:-2], model.nq))
@@ -42,8 +42,12 @@ def coordinates(model: mujoco.MjModel, places: Floats) -> Floats:
     return found
 
 
-def _free(model: mujoco.MjModel) -> tuple[npt.NDArray[np.int64], Floats]:
-    """Addresses [V, 3] of the vertices in qpos, and where they are at zero [V, 3]."""
+def free_vertices(model: mujoco.MjModel) -> tuple[npt.NDArray[np.int64], Floats]:
+    """Addresses [V, 3] of a flex's vertices in qpos, and where they are at zero [V, 3], m.
+
+    Raises:
+      InputError: the scene has not one flex whose vertices slide along the world's axes.
+    """
     if model.nflex != 1 or model.flex_interp[0] != 0 or not model.flex_centered[0]:
         raise InputError(f"a scene with one flex of free vertices is needed; got {model.nflex}")
     bodies = np.array(model.flex_vertbodyid)

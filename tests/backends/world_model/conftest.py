@@ -9,12 +9,14 @@ from pathlib import Path
 import pytest
 import torch
 from orbisim_world_model import zoo
+from orbisim_world_model.cloth.run import train_cloth
 from orbisim_world_model.config import Config, replaced
 from orbisim_world_model.pack import Pack
 from orbisim_world_model.presets import preset
 from orbisim_world_model.run import Run, train
 
 from orbisim.testing import scenes
+from tests.backends.world_model.cloth.falls import falls, toy_cloth
 from tests.backends.world_model.synthetic import simulate
 
 TOY = {"model.width": 32, "model.layers": 2, "model.heads": 2}
@@ -33,6 +35,7 @@ def toy_checkpoints(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("CARTPOLE", "FILTERED", "FREE_BODY", "RESTING_BOX"):
         pack = simulate(getattr(scenes, name), 6, 30, 1)
         train(pack, toy(), Run(out=folder / name.lower(), steps=30))
+    train_cloth(falls(), toy_cloth(), Run(out=folder / "cloth", steps=20))
     return folder
 
 

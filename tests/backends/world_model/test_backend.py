@@ -11,9 +11,9 @@ import torch
 from orbisim_world_model.backend import LearnedBackend, OutsideTrainingWarning
 from orbisim_world_model.baseline import with_baseline
 from orbisim_world_model.checkpoint import load_checkpoint
-from orbisim_world_model.engine import MEMORY
 from orbisim_world_model.pack import Pack
 from orbisim_world_model.run import Run, train
+from orbisim_world_model.stepping import MEMORY
 
 from orbisim import Physics, load_scene, make_backend
 from orbisim.errors import InputError, UnsupportedSceneError
@@ -50,8 +50,9 @@ def test_a_checkpoint_of_another_scene_is_refused(table: Path) -> None:
 
 @pytest.mark.usefixtures("toy_zoo")
 def test_the_zoo_says_what_it_has() -> None:
-    with pytest.raises(UnsupportedSceneError, match="no checkpoint of the zoo fits it"):
+    with pytest.raises(UnsupportedSceneError, match="no checkpoint of the zoo fits it") as refused:
         make_backend("learned", load_scene(TABLE))
+    assert "free_body:" not in str(refused.value)  # why those made for others do not fit
     backend = make_backend("learned", load_scene(scenes.CARTPOLE))
     assert backend.checkpoint.path.name == "cartpole"  # type: ignore[attr-defined]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from orbisim.testing import BackendConformance
+from orbisim.testing import BackendConformance, scenes
 
 
 @pytest.mark.usefixtures("toy_zoo")
@@ -12,4 +12,5 @@ from orbisim.testing import BackendConformance
 class TestLearned(BackendConformance):
     backend = "learned"
     config = {"native": False}  # noqa: RUF012
+    scenes = (*BackendConformance.scenes, scenes.CLOTH)
     tolerance = 2e-5  # products in float32 depend on the size of the batch

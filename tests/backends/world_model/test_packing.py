@@ -55,17 +55,24 @@ def test_whole_episodes_are_read(original: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "task",
-    ["/etc/passwd", "secret.xml", "<mujoco><size nkey='2000000000'/></mujoco>", "task:", "x:y", ""],
+    ("task", "told"),
+    [
+        ("/etc/passwd", "expected the name of a scene"),
+        ("<mujoco><size nkey='2000000000'/></mujoco>", "expected the name of a scene"),
+        ("task:", "expected the name of a scene"),
+        ("x:y", "expected the name of a scene"),
+        ("", "expected the name of a scene"),
+        ("secret.xml", "of the file 'secret.xml', which is not opened .* give the scene with"),
+    ],
 )
 def test_a_task_is_a_name(
-    file: Path, task: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    file: Path, task: str, told: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "secret.xml").write_text("<mujoco/>")
     with h5py.File(file, "r+") as opened:
         opened.attrs["task"] = task
-    with pytest.raises(InputError, match="expected the name of a scene"):
+    with pytest.raises(InputError, match=told):
         read_data([file])
 
 

@@ -16,11 +16,11 @@ from orbisim_world_model.backend import (
     UncertainPredictionWarning,
 )
 from orbisim_world_model.checkpoint import load_checkpoint, save_checkpoint
-from orbisim_world_model.engine import MEMORY
 from orbisim_world_model.pack import Pack
 from orbisim_world_model.run import Run, train
 from orbisim_world_model.spread import UNITS, propagated
 from orbisim_world_model.spread_fitting import SpreadRun, fit_spread
+from orbisim_world_model.stepping import MEMORY
 from orbisim_world_model.watch import Watch
 
 from orbisim import load_scene, make_backend
