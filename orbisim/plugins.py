@@ -19,6 +19,7 @@ from importlib import metadata
 from typing import Any
 
 from orbisim.errors import MissingDependencyError, UnknownNameError, missing_module
+from orbisim.host.progress import patient
 
 EXTRAS = {
     "warp": "warp",
@@ -65,7 +66,8 @@ def load(group: str, name: str, kind: str) -> Any:
     if name not in entries:
         raise UnknownNameError(kind, name, entries)
     try:
-        return entries[name].load()
+        with patient(f"loading {kind} {name!r}"):  # what it imports, PyTorch say, may take a while
+            return entries[name].load()
     except MissingDependencyError as error:
         extra = EXTRAS.get(name, error.extra)
         raise MissingDependencyError(

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from orbisim.host.progress import QUIET
 from tests.disks import FULL_DISK, mounted
 
+os.environ.setdefault(QUIET, "1")  # on a busy machine anything may take two seconds
 pytest_plugins = ("tests.processor_times",)
 
 

@@ -98,6 +98,10 @@ SEEN_THROUGH = {
         "backends/world_model/test_manifest.py",
         "weights are read with their manifest",
     ),
+    "orbisim_world_model.cloth": (
+        "backends/world_model/cloth",
+        "stages of a step, a training and an evaluation of a cloth, each as a whole",
+    ),
     "orbisim_world_model.comparison": ("cli/test_training.py", "of checkpoints, by `orbisim eval`"),
     "orbisim_world_model.compiling": (
         "backends/world_model/test_speedups.py",
@@ -113,6 +117,11 @@ SEEN_THROUGH = {
         "backends/world_model/test_packing.py",
         "rows of episodes, as packs hold them",
     ),
+    "orbisim_world_model.families": (
+        "backends/world_model/cloth/test_trainer.py",
+        "a checkpoint of either kind steps its scenes",
+    ),
+    "orbisim_world_model.stepping": ("backends/world_model/test_conformance.py", "an interface"),
     "orbisim_world_model.evaluate": (
         "backends/world_model/test_training.py",
         "errors of a model that was trained",

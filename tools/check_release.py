@@ -217,7 +217,8 @@ _LOG += "h['qpos/a'] = numpy.zeros(9); h.close()"
 _GYM = "import orbisim; e = orbisim.vector.gym('cartpole', 'swingup', nworld=2); e.reset(); "
 _GYM += "print(e.step(e.action_space.sample())[1].shape)"
 _SB3 = "from orbisim import vector; from stable_baselines3 import PPO; "
-_SB3 += "e = vector.StableBaselinesVecEnv(vector.load('cartpole', 'swingup', nworld=2)); "
+_SB3 += "k = {'flat_observation': True}; w = vector.load('cartpole', 'swingup', nworld=2, "
+_SB3 += "environment_kwargs=k); e = vector.StableBaselinesVecEnv(w); "
 _SB3 += "PPO('MlpPolicy', e, n_steps=8, batch_size=8, device='cpu').learn(16)"
 _DIFFUSION = "{orbisim} sim task:push --duration 0.2 --renderer diffusion --out video"
 
@@ -241,7 +242,7 @@ _WORKING = {
     "warp": {("backend", "warp")},
     "urdf": {("reader", ".urdf")},
     "usd": {("reader", ".usd"), ("reader", ".usda"), ("reader", ".usdz")},
-    "learned": {("backend", "learned"), ("backend", "hybrid"), ("renderer", "diffusion")},
+    "learned": {("backend", "learned"), ("renderer", "diffusion")},  # of hybrid no checkpoint ships
     "logs": {("log", "bag"), ("log", "mcap"), ("log", "h5")},
 }
 _WORKING["all"] = set().union(*_WORKING.values())

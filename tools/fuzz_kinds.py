@@ -384,11 +384,15 @@ def _read_pack(folder: Path) -> None:
     read_data([folder / "a.pack"])
 
 
-def _make_checkpoint(folder: Path) -> None:
+def _make_checkpoint(folder: Path, of: str = "cartpole") -> None:
     from orbisim_world_model import zoo
 
     for name in ("manifest.json", "model.safetensors"):
-        (folder / name).write_bytes((zoo.FOLDER / "cartpole" / name).read_bytes())
+        (folder / name).write_bytes((zoo.FOLDER / of / name).read_bytes())
+
+
+def _make_cloth(folder: Path) -> None:
+    _make_checkpoint(folder, "cloth")
 
 
 def _damage_checkpoint(folder: Path, rng: random.Random) -> None:
@@ -400,14 +404,18 @@ def _damage_checkpoint(folder: Path, rng: random.Random) -> None:
 
 
 @functools.cache
-def _cartpole() -> orbisim.Scene:
-    return orbisim.load_scene("suite:cartpole-swingup")
+def _named(name: str) -> orbisim.Scene:
+    return orbisim.load_scene(name)
 
 
-def _read_checkpoint(folder: Path) -> None:
+def _read_cloth(folder: Path) -> None:
+    _read_checkpoint(folder, "task:drape")
+
+
+def _read_checkpoint(folder: Path, scene: str = "suite:cartpole-swingup") -> None:
     from orbisim.errors import DivergedError
 
-    engine = orbisim.make_backend(f"learned:{folder}", _cartpole(), native=False, device="cpu")
+    engine = orbisim.make_backend(f"learned:{folder}", _named(scene), native=False, device="cpu")
     try:
         engine.step(engine.reset())
     except DivergedError:
@@ -432,6 +440,7 @@ KINDS: Mapping[str, Kind] = {
     "usdz": Kind(_make_usdz, _damage_usdz, _read_usdz),
     "pack": Kind(_make_pack, _file("a.pack", damage_safetensors), _read_pack),
     "checkpoint": Kind(_make_checkpoint, _damage_checkpoint, _read_checkpoint),
+    "cloth": Kind(_make_cloth, _damage_checkpoint, _read_cloth),
 }
 if find_spec("torch"):  # which trains
     from fuzz_training import PARTS as TRAININGS

@@ -34,6 +34,7 @@ def main() -> int:
     options = parser.parse_args()
     from orbisim_diffusion.checkpoint import SCHEMA as VISION
     from orbisim_diffusion.shrinking import shrink
+    from orbisim_world_model.families import is_cloth
     from orbisim_world_model.shrinking import save_in_few_bits
 
     from orbisim.files.reading import read_json
@@ -44,7 +45,7 @@ def main() -> int:
         shutil.copytree(source, target, dirs_exist_ok=True)
         if read_json(source / "manifest.json").get("schema") == VISION:
             shrink(source, target, options.bits)
-        else:
+        elif not is_cloth(source):  # 60 kB stay as they are
             parts = tuple(f"{part}_train" for part in train_all.JOBS[name].data)
             packs = train_all.read_named(options.data, parts) if options.data else None
             save_in_few_bits(source, target, packs, options.bits)

@@ -23,8 +23,6 @@ from orbisim import make_backend  # noqa: E402  (needs the path above)
 from orbisim.episodes import episodes  # noqa: E402
 
 QUALITY = 80
-STEP = 0.05
-"""For which each control is held, s: that of the tasks with an arm."""
 
 
 def main() -> None:
@@ -34,9 +32,10 @@ def main() -> None:
     rows = []
     for name in options.backends:
         backend = make_backend(name, found.scene)
-        controls = found.controls(max(options.times), STEP, options.seed)
-        path = backend.rollout(found.initial, controls, nstep=round(STEP / backend.timestep))
-        at = [round(t / STEP) - 1 for t in options.times]
+        controls = found.controls(max(options.times), options.step, options.seed)
+        nstep = round(options.step / backend.timestep)
+        path = backend.rollout(found.initial, controls, nstep=nstep)
+        at = [round(t / options.step) - 1 for t in options.times]
         rows.append(pictures(found.scene.model, np.asarray(path.qpos)[0, at], options))
     strip = np.concatenate([np.concatenate(row, axis=1) for row in rows])
     options.out.parent.mkdir(parents=True, exist_ok=True)
@@ -65,6 +64,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("task")
     parser.add_argument("--backends", nargs="+", default=["mujoco", "learned"])
+    parser.add_argument(
+        "--step", type=float, default=0.05, help="of control, s; of the tasks with an arm 0.05"
+    )
     parser.add_argument("--times", type=float, nargs="+", default=[2, 4.5, 7, 9, 12, 15])
     parser.add_argument("--about", required=True, help="the body that is looked at")
     parser.add_argument(

@@ -156,6 +156,17 @@ def writable_folder(
     return value
 
 
+def randomize_option(function: F) -> F:
+    """Adds `--randomize`: a diagnosis from which a policy's episodes are drawn."""
+    return click.option(
+        "--randomize",
+        type=click.Path(path_type=Path),
+        default=None,
+        metavar="REPORT",
+        help="report.json of orbisim diagnose: episodes have its effects, from its intervals.",
+    )(function)
+
+
 def map_option(function: F) -> F:
     """Adds --map."""
     return click.option(
@@ -196,7 +207,9 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
     table = Table(title=title or None, title_justify="left", box=None, pad_edge=False)
     for index, column in enumerate(columns):
         numeric = all(_is_number(row[index]) for row in rows) and bool(rows)
-        table.add_column(column, justify="right" if numeric else "left", overflow="fold")
+        table.add_column(  # a number in two lines could be read as two
+            column, justify="right" if numeric else "left", overflow="fold", no_wrap=numeric
+        )
     for row in rows:
         table.add_row(*(_cell(value) for value in row))
     console = Console(soft_wrap=not sys.stdout.isatty(), width=None if sys.stdout.isatty() else 160)

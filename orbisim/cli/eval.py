@@ -13,6 +13,8 @@ from orbisim.cli.common import (
     json_option,
     note,
     print_table,
+    randomize_option,
+    scene_options,
     torch_device,
 )
 from orbisim.errors import InputError, MissingDependencyError
@@ -39,8 +41,10 @@ def command() -> None:
 @click.option("--burn", default=8, show_default=True, help="True states seen before predicting.")
 @click.option("--episodes", default=512, show_default=True, help="At most so many.")
 @click.option("--by-group", is_flag=True, help="For each subtask by itself, too.")
+@click.option("--scene", default=None, help="Scene of episodes of a scene's file.")
 @device_option
 @json_option
+@scene_options()
 def dynamics(
     checkpoint: Path,
     data: tuple[Path, ...],
@@ -49,6 +53,7 @@ def dynamics(
     burn: int,
     episodes: int,
     by_group: bool,
+    scene: str | None,
     device: str | None,
     as_json: bool,
 ) -> None:
@@ -69,6 +74,7 @@ def dynamics(
         limit=episodes,
         device=torch_device(device or "cpu"),
         by_group=by_group,
+        scene=scene,
     )
     if as_json:
         emit_json(result)
@@ -216,13 +222,7 @@ _POLICY = "Example: orbisim eval policy policies/push --episodes 200 --json"
     show_default=True,
     help="Inside which model to evaluate as well: learned, learned:PATH, or none.",
 )
-@click.option(
-    "--randomize",
-    type=click.Path(path_type=Path),
-    default=None,
-    metavar="REPORT",
-    help="report.json of orbisim diagnose: episodes have its effects, drawn from its intervals.",
-)
+@randomize_option
 @click.option("--threads", default=0, help="Of MuJoCo; 0 for all cores.")
 @device_option
 @json_option

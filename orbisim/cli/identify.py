@@ -14,6 +14,7 @@ from orbisim.cli.common import (
     map_option,
     note,
     print_table,
+    scene_options,
     writable_folder,
 )
 
@@ -47,6 +48,7 @@ from orbisim.cli.common import (
 @map_option
 @device_option
 @json_option
+@scene_options()
 @engine_command
 def command(
     scene: str,

@@ -19,7 +19,7 @@ COMMANDS = {
     "diagnose": "find the physical effect that a scene lacks, from recordings",
     "identify": "system identification: descriptors of a scene from recordings",
     "recording": "what a log holds; a first mapping file",
-    "collect": "collect episodes of a task for training",
+    "collect": "collect episodes of a task, or of a scene of your own, for training",
     "train": "train a learned model",
     "eval": "measure a learned model",
     "infer": "read the states that a video shows; write them as a recording",

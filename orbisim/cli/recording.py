@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -89,7 +90,8 @@ def init(log: str, scene: str, out: Path, force: bool, trusted: bool, as_json: b
             raise InputError(f"{out}: exists; name another file with --out, or use --force")
         with writing(out) as part:
             part.write_text(proposal.text, encoding="utf-8")
-        note(f"map: {out} (check every line, then: orbisim replay {scene} {log} --map {out})")
+        words = shlex.join(["orbisim", "replay", scene, log, "--map", str(out)])
+        note(f"map: {out} (check every line, then: {words})")
     if as_json:
         emit_json(
             {

@@ -123,7 +123,8 @@ def command(
     if as_json:
         emit_json(result)
     else:
-        print_table("", ("", "value"), [(k, v) for k, v in result.items() if k != "schema"])
+        shown = {**result, "files": ", ".join(result["files"]) or "none (--out DIR keeps them)"}
+        print_table("", ("", "value"), [(k, v) for k, v in shown.items() if k != "schema"])
     if lost:
         note(f"warning: {lost} of {worlds} worlds became non-finite")
 

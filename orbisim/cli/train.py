@@ -13,6 +13,7 @@ from orbisim.cli.common import (
     emit_json,
     json_option,
     note,
+    randomize_option,
     scene_options,
     seed_option,
     torch_device,
@@ -108,13 +109,7 @@ def dynamics(
     """
     began = time.monotonic()
     training = _training()
-    from orbisim_world_model.config import replaced
-    from orbisim_world_model.packing import read_groups
-    from orbisim_world_model.presets import preset
-
-    config = replaced(preset(name), dict(map(_assignment, assignments)))
-    if residual_on and config.model.baseline != residual_on:
-        raise InputError(f"--residual-on {residual_on} needs --config hybrid; got {name}")
+    settings = dict(map(_assignment, assignments))
     run = training.Run(
         out=out,
         steps=steps,
@@ -129,6 +124,20 @@ def dynamics(
         began=began,
     )
     training.check_run(run)
+    from orbisim_world_model.cloth.config import CLOTH_PRESETS
+
+    if name in CLOTH_PRESETS:
+        if residual_on:
+            raise InputError(f"--residual-on {residual_on} needs --config hybrid; got {name}")
+        _cloth(data, held_out_data, scene, name, settings, run, as_json)
+        return
+    from orbisim_world_model.config import replaced
+    from orbisim_world_model.packing import read_groups
+    from orbisim_world_model.presets import preset
+
+    config = replaced(preset(name), settings)
+    if residual_on and config.model.baseline != residual_on:
+        raise InputError(f"--residual-on {residual_on} needs --config hybrid; got {name}")
     how: Any = {"baseline": config.model.baseline, "scene": scene, "timestep": control_timestep}
     packs = read_groups(data, **how)
     held = read_groups(held_out_data, **how) if held_out_data else None
@@ -148,6 +157,36 @@ def dynamics(
         return
     click.echo("\n".join(metric_lines(manifest["metrics"])))
     note(f"checkpoint: {out}")
+
+
+def _cloth(
+    data: tuple[Path, ...],
+    held_out_data: tuple[Path, ...],
+    scene: str | None,
+    name: str,
+    settings: dict[str, str],
+    run: Any,
+    as_json: bool,
+) -> None:
+    """`dynamics` of a cloth."""
+    from orbisim_world_model.cloth.card import cloth_lines, worse_than_known
+    from orbisim_world_model.cloth.config import cloth_preset
+    from orbisim_world_model.cloth.data import read_falls
+    from orbisim_world_model.cloth.run import train_cloth
+
+    config = cloth_preset(name, settings)
+    held = read_falls(held_out_data, scene) if held_out_data else None
+    manifest = train_cloth(read_falls(data, scene), config, run, report=_report, held=held)
+    if lost := worse_than_known(manifest["metrics"]):
+        note(
+            f"warning: after {' and '.join(lost)} control steps its predictions are worse than if "
+            "nothing had been learned: train longer (--time-limit, --resume) or on more episodes"
+        )
+    if as_json:
+        emit_json({"schema": "orbisim.train/1", "checkpoint": str(run.out), **manifest})
+        return
+    click.echo("\n".join(cloth_lines(manifest["metrics"])))
+    note(f"checkpoint: {run.out}")
 
 
 _INFERENCE = (
@@ -173,6 +212,12 @@ _INFERENCE = (
     type=click.Path(path_type=Path),
     help="Measure on these episodes; repeatable. Default: on DATA themselves.",
 )
+@click.option(
+    "--start",
+    default=None,
+    type=click.Path(path_type=Path),
+    help="Checkpoint whose StaInf to begin from; of the same encoder.",
+)
 @click.option("--workers", type=click.IntRange(min=1), default=1, help="Processes that read.")
 @device_option
 @seed_option
@@ -183,6 +228,7 @@ def inference(
     time_limit: float,
     steps: int | None,
     held_out_data: tuple[Path, ...],
+    start: Path | None,
     workers: int,
     device: str | None,
     seed: int,
@@ -205,6 +251,7 @@ def inference(
         Run(time_limit, steps, None, seed),
         device=torch_device(device),
         workers=workers,
+        start=start,
         report=note,
     )
     if as_json:
@@ -230,10 +277,10 @@ def _assignment(text: str) -> tuple[str, str]:
 
 
 def _report(line: dict[str, Any]) -> None:
-    note(
-        f"step {line['step']:>7}  {line['seconds']:8.1f} s  loss {line['loss']:.4g}  "
-        f"L_state {line['state_loss']:.4g}  AR ratio {line['ratio']:.2f}"
-    )
+    more = ""
+    if "state_loss" in line:
+        more = f"  L_state {line['state_loss']:.4g}  AR ratio {line['ratio']:.2f}"
+    note(f"step {line['step']:>7}  {line['seconds']:8.1f} s  loss {line['loss']:.4g}{more}")
 
 
 _VISION = (
@@ -369,13 +416,7 @@ _POLICY = "Example: orbisim train policy push --method apg --out policies/push -
 @click.option("--noise", type=click.FloatRange(min=0), default=None, help="On actions (apg).")
 @click.option("--demonstrations", default=500, show_default=True, help="Episodes to imitate (bc).")
 @click.option("--episode", type=click.IntRange(min=1), default=None, help="Steps of an episode.")
-@click.option(
-    "--randomize",
-    type=click.Path(path_type=Path),
-    default=None,
-    metavar="REPORT",
-    help="report.json of orbisim diagnose: episodes have its effects, drawn from its intervals.",
-)
+@randomize_option
 @click.option("--check", default=64, show_default=True, help="Episodes of a live estimate.")
 @click.option("--check-every", default=60.0, show_default=True, help="Seconds between estimates.")
 @click.option("--save-every", default=60.0, show_default=True, help="Seconds between saves.")

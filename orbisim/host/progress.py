@@ -1,4 +1,4 @@
-"""A progress bar on work that takes longer than two seconds, when someone is looking."""
+"""What is said of work that takes longer than two seconds: a bar on a terminal, else one line."""
 
 from __future__ import annotations
 
@@ -16,11 +16,15 @@ PATIENCE = 2.0
 
 
 def track(items: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
-    """Yields the items, with a bar on standard error if it is a terminal and the work is long."""
+    """Yields the items, with a bar on standard error if it is a terminal and the work is long.
+
+    Elsewhere, in a log say, one line stands for the bar.
+    """
     if total is None and isinstance(items, Sized):
         total = len(items)
     if not sys.stderr.isatty():
-        yield from items
+        with patient(description):
+            yield from items
         return
     from rich.console import Console
     from rich.progress import Progress
@@ -44,8 +48,9 @@ def patient(text: str) -> Iterator[None]:
     """Says in one line on standard error what is being done, if it takes longer than `PATIENCE`.
 
     For work that cannot be divided, such as compilation; also where nobody looks at a terminal.
+    A process says the same only once.
     """
-    if os.environ.get(QUIET):
+    if os.environ.get(QUIET) or text in _SAID:
         yield
         return
     timer = threading.Timer(PATIENCE, _say, (text,))
@@ -57,7 +62,12 @@ def patient(text: str) -> Iterator[None]:
         timer.cancel()
 
 
+_SAID: set[str] = set()
+"""What `patient` has said in this process: what is done again and again is named once."""
+
+
 def _say(text: str) -> None:
+    _SAID.add(text)
     with contextlib.suppress(ValueError, OSError):  # standard error may be closed
         print(f"{text} ...", file=sys.stderr, flush=True)
 
@@ -65,9 +75,10 @@ def _say(text: str) -> None:
 @contextlib.contextmanager
 def status(description: str) -> Iterator[Callable[[str], None]]:
     """Gives a function that says what is going on, with a clock, on standard error if it is a
-    terminal."""
+    terminal; elsewhere one line says that it goes on."""
     if not sys.stderr.isatty():
-        yield lambda text: None
+        with patient(description):
+            yield lambda text: None
         return
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn

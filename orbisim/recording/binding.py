@@ -259,7 +259,11 @@ class _Binder(Assembly):
             if a.driven and a.id not in switched_off and not seen[:, a.ctrl].any()
         ]
         if absent:
-            self.notes.append(f"controls of {_listed(absent)} are not recorded; taken as zero")
+            nameless = not all(a.name for a in absent)
+            remedy = "; to be recorded an actuator needs a name in the scene" if nameless else ""
+            self.notes.append(
+                f"controls of {_listed(absent)} are not recorded; taken as zero{remedy}"
+            )
         some = seen.any(axis=0)
         if (~seen[:, some]).any():
             self.notes.append("missing controls hold the sample before them")

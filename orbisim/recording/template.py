@@ -188,6 +188,11 @@ def _remarks(left: Sequence[str], used: set[str], scene: Scene, log: Log) -> Ite
         yield "  # Positions that the scene needs, and no column is like them:"
         for name in missing[:_MOST_LISTED]:
             yield f"  #   {name}"
+    if nameless := [a for a in actuators(scene.model) if a.driven and not a.name]:
+        yield "  # Actuators without a name, which no column can drive; give them one in the scene:"
+        for actuator in nameless[:_MOST_LISTED]:
+            where = scene.model.joint(actuator.joint).name if actuator.joint >= 0 else ""
+            yield f"  #   {actuator.label}" + (f" at joint {_text(where)}" if where else "")
     if others := [name for name in free if name not in scalar]:
         yield "  # Further signals of the scene, which may be absent:"
         yield from _wrapped(others[:_MOST_LISTED])

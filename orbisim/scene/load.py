@@ -13,6 +13,7 @@ from orbisim.errors import InputError, SceneError
 from orbisim.files.budget import Limits
 from orbisim.files.guard import READING, guarded
 from orbisim.files.reading import size_of
+from orbisim.host.progress import patient
 from orbisim.scene.mjcf import MjcfReader
 from orbisim.scene.objects import SceneSource, assets_of, scene_of, text_of
 from orbisim.scene.paths import path_of, refuse_other_kinds
@@ -65,9 +66,11 @@ def load_scene(
     if assets is not None:
         raise InputError("assets are for MJCF given as a string; a file finds its own")
     if is_scene_name(text):
-        return named_scene(text)
+        with patient(f"loading {text}"):
+            return named_scene(text)
     path, chosen = without_options(path_of(text))
-    scene = _from_path(path, trusted, {**chosen, **options})
+    with patient(f"reading {path}"):
+        scene = _from_path(path, trusted, {**chosen, **options})
     return scene.replace_source(path_of(text)) if chosen else scene
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import logging
 from pathlib import Path
@@ -46,6 +48,19 @@ def test_a_table_shows_names_as_they_are(capsys: pytest.CaptureFixture[str]) -> 
 def test_tables_keep_long_cells_whole(capsys: pytest.CaptureFixture[str]) -> None:
     print_table("", ("name",), [("n" * 150,)])
     assert "n" * 150 in capsys.readouterr().out
+
+
+def test_a_narrow_terminal_cuts_no_number_in_two(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "60")
+    values = [1.234e-07 * 10**i for i in range(5)]
+    with contextlib.redirect_stdout(Terminal()) as terminal:
+        print_table("", ("signal group", "unit", *"abcde"), [("joint_position", "rad/s", *values)])
+    assert all(f"{value:.4g}" in terminal.getvalue() for value in values)
 
 
 def test_the_engines_warnings_come_once(capsys: pytest.CaptureFixture[str]) -> None:

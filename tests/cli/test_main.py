@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
 
+import click
 import pytest
 
-from orbisim.cli.main import COMMANDS, run
+from orbisim.cli.main import COMMANDS, cli, run
 from orbisim.testing import scenes
 
 
@@ -32,6 +35,27 @@ def test_help_has_an_example(capsys: pytest.CaptureFixture[str], command: str) -
     assert status == 0
     assert f"Example: orbisim {command}" in " ".join(out.split())
     assert "--json" in out
+
+
+def all_commands(group: click.Group, context: click.Context) -> Iterator[click.Command]:
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        assert command is not None
+        if isinstance(command, click.Group):
+            yield from all_commands(command, context)
+        yield command
+
+
+def test_whatever_takes_a_scene_takes_the_options_of_urdf() -> None:
+    group = cast(click.Group, cli)
+    found = 0
+    for command in all_commands(group, click.Context(group)):
+        names = {parameter.name for parameter in command.params}
+        shown = {parameter.metavar for parameter in command.params}
+        if "scene" in names or "TASK-OR-SCENE" in shown:
+            found += 1
+            assert names >= {"actuators", "floating_base", "packages"}, command.name
+    assert found >= 10
 
 
 def test_help_lists_the_commands(capsys: pytest.CaptureFixture[str]) -> None:

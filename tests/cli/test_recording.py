@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shlex
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ import pytest
 from orbisim import load_scene
 from orbisim.cli.main import run
 from orbisim.recording import capture
+from tests.scene.urdf.urdf_text import two_links
 
 from ..recording.scenes import PENDULUM, simulate
 
@@ -131,3 +134,18 @@ def test_milliseconds_as_seconds_are_noticed(
     status, _, err = output(capsys, "replay", folder / "scene.xml", tmp_path / "log.csv")
     assert status == 2
     assert "samples are 10 s apart: if these are ms, name the column 'time [ms]'" in err
+
+
+def test_the_next_command_can_be_pasted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    limit = "<limit effort='5' velocity='2' lower='-1' upper='1'/>"
+    robot, log = tmp_path / "my robot.urdf", tmp_path / "log.csv"
+    robot.write_text(two_links("<axis xyz='0 1 0'/>", limit))
+    log.write_text("time,joint_pos\n0,0\n0.1,0.2\n0.2,0.1\n")
+    options = ["--scene", str(robot), "--actuators", "motor", "--out", str(tmp_path / "map.yaml")]
+    assert run(["recording", "init", str(log), *options]) == 0
+    hint = capsys.readouterr().err.partition("then: ")[2].strip().removesuffix(")")
+    words = shlex.split(hint)
+    assert words[:2] == ["orbisim", "replay"] and words[3:5] == [str(log), "--map"]
+    assert words[2].startswith(f"{robot}?actuators=motor&")
+    done = subprocess.run(["bash", "-c", f"printf '%s\\n' {hint}"], capture_output=True, text=True)
+    assert done.stdout.splitlines() == words  # as a shell takes it

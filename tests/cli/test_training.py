@@ -156,6 +156,27 @@ def test_train_all_and_the_measurements_run_at_toy_size(episodes: Path, tmp_path
 
 
 @pytest.mark.slow
+def test_a_cloth_by_commands_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data, out = str(tmp_path / "drape.h5"), str(tmp_path / "checkpoint")
+    assert run(["collect", "task:drape", "--episodes", "2", "--workers", "1", "--out", data]) == 0
+    sizes = ["--steps", "2", "--set", "train.stages=1x2x2", "--set", "model.width=16"]
+    made = ["--config", "cloth", "--held-out", "0.5", "--device", "cpu"]
+    assert run(["train", "dynamics", data, "--out", out, *made, *sizes]) == 0
+    capsys.readouterr()
+    assert run(["eval", "dynamics", out, data, "--by-group", "--horizon", "10", "--json"]) == 0
+    groups = json.loads(capsys.readouterr().out)["groups"]
+    for models in groups.values():
+        assert models.keys() == {"cloth", "copy", "constant_velocity", "known"}
+        errors = {name: m["10"]["vertex_position"]["mean"] for name, m in models.items()}
+        assert errors["known"] < errors["constant_velocity"]
+    assert run(["eval", "dynamics", out, data, "--horizon", "10"]) == 0
+    assert "vertex_position" in capsys.readouterr().out
+    simulated = ["--backend", f"learned:{out}", "--duration", "0.2", "--json"]
+    assert run(["sim", "task:drape", *simulated]) == 0
+    assert json.loads(capsys.readouterr().out)["steps"] == 10
+
+
+@pytest.mark.slow
 def test_a_robot_of_ones_own_by_commands_alone(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -171,3 +192,8 @@ def test_a_robot_of_ones_own_by_commands_alone(
     simulated = ["--controls", "random", "--duration", "0.4", "--json"]
     assert run(["sim", *robot, "--backend", f"learned:{out}", *simulated]) == 0
     assert json.loads(capsys.readouterr().out)["steps"] == 20
+    measured = ["eval", "dynamics", out, data, "--horizon", "5"]
+    assert run([*measured, "--json"]) == 2
+    assert "give the scene with --scene" in capsys.readouterr().err
+    assert run([*measured, "--scene", *robot, "--json"]) == 0
+    assert "constant_velocity" in json.loads(capsys.readouterr().out)["groups"]["all"]

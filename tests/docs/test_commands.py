@@ -21,6 +21,8 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+COMMANDED = ("_trials.py", "real_camera.py")
+"""Tools whose first word is a subcommand with options of its own."""
 COMMAND = re.compile(r'python (tools/\w+\.py[^`"\n]*)')
 
 
@@ -69,7 +71,7 @@ def calls() -> dict[tuple[str, str], set[str]]:
     """For each tool and subcommand the options that documents use."""
     found: dict[tuple[str, str], set[str]] = {}
     for tool, *words in commands():
-        command = words[0] if words and tool.endswith("_trials.py") else ""
+        command = words[0] if words and tool.endswith(COMMANDED) else ""
         own = itertools.takewhile(lambda word: word != "--", words)  # another command follows
         used = {word.split("=")[0] for word in own if word.startswith("--")}
         found.setdefault((tool, command), set()).update(used)

@@ -18,6 +18,17 @@ class Terminal(io.StringIO):
         return True
 
 
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """Set when something was said; a process that has said nothing yet, and soon loses patience."""
+    happened, say = threading.Event(), progress._say
+    monkeypatch.delenv(progress.QUIET, raising=False)
+    monkeypatch.setattr(progress, "_SAID", set())
+    monkeypatch.setattr(progress, "PATIENCE", 0.01)
+    monkeypatch.setattr(progress, "_say", lambda text: (say(text), happened.set()))
+    return happened
+
+
 def shown(patience: float, monkeypatch: pytest.MonkeyPatch) -> str:
     """What a terminal shows of three pieces of work."""
     monkeypatch.setenv("TERM", "xterm")
@@ -28,13 +39,10 @@ def shown(patience: float, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 def test_long_work_is_named_once(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    said: threading.Event,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.delenv(progress.QUIET, raising=False)
-    monkeypatch.setattr(progress, "PATIENCE", 0.01)
-    said = threading.Event()
-    say = progress._say
-    monkeypatch.setattr(progress, "_say", lambda text: (say(text), said.set()))
     with progress.patient("compiling kernels"):
         assert said.wait(60)
     assert capsys.readouterr().err == "compiling kernels ...\n"
@@ -48,7 +56,24 @@ def test_long_work_is_named_once(
     assert capsys.readouterr().err == ""
 
 
-def test_without_a_terminal_nothing_is_written(capsys: pytest.CaptureFixture[str]) -> None:
+def test_long_work_is_named_without_a_terminal_too(
+    said: threading.Event, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for _ in progress.track([1], "forging a chain"):
+        assert said.wait(60)
+    said.clear()
+    with progress.status("searching a haystack"):
+        assert said.wait(60)
+    assert capsys.readouterr().err == "forging a chain ...\nsearching a haystack ...\n"
+    said.clear()
+    for _ in progress.track([1], "forging a chain"):  # one piece of work may have many parts
+        assert not said.wait(0.1)
+
+
+def test_short_work_without_a_terminal_is_silent(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "PATIENCE", 60.0)
     assert list(progress.track(iter("abc"), "work")) == ["a", "b", "c"]
     with progress.status("work") as say:
         say("step")

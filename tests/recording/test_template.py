@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from orbisim import Recording, load_scene
+from orbisim.recording import bind
 from orbisim.recording.files import opened
 from orbisim.recording.mapping import SignalMap
 from orbisim.recording.template import propose
@@ -59,3 +60,18 @@ def test_forces_are_proposed_but_not_taken(tmp_path: Path) -> None:
     found = propose(opened(log), load_scene(PENDULUM))
     assert found.matched == {"hinge_pos": "qpos/hinge"}
     assert "  # hinge_effort: {signal: torque/hinge" in found.text
+
+
+def test_an_actuator_without_a_name_is_said_to_need_one(tmp_path: Path) -> None:
+    motor = '<actuator><motor joint="hinge"/></actuator></mujoco>'
+    bare = """<mujoco><worldbody><body><joint name="hinge"/><geom size="1"/></body></worldbody>"""
+    time = np.arange(0, 1, 0.01)
+    log = write(tmp_path / "a.h5", time=time, hinge_pos=np.sin(time), hinge_cmd=time)
+    scene = load_scene(bare + motor)
+    found = propose(opened(log), scene)
+    assert "  #   #0 at joint hinge" in found.text
+    (tmp_path / "map.yaml").write_text(found.text)
+    bound = bind(Recording.load(log, tmp_path / "map.yaml"), scene)
+    assert any("needs a name in the scene" in note for note in bound.notes)
+    named = propose(opened(log), load_scene(bare + motor.replace("joint", "name='m' joint")))
+    assert "without a name" not in named.text
