@@ -15,6 +15,7 @@ from orbisim.cli.common import (
     print_table,
     scene_options,
     seed_option,
+    warn_undriven,
 )
 from orbisim.errors import InputError
 
@@ -107,6 +108,8 @@ def command(
         changes=changes,
         ray=ray,
     )
+    if Path(task).suffix and set(result.subtasks) == {"free"}:  # the policy of scenes without
+        warn_undriven(0, task, "its bodies were let go and the episodes hold no controls")
     summary = {"schema": "orbisim.collect/1", "task": task, "seed": seed, **result.to_json()}
     if as_json:
         emit_json(summary)

@@ -109,12 +109,12 @@ def _package(text: str) -> tuple[str, str]:
     return name, str(Path(folder).resolve())
 
 
-def warn_undriven(nu: int, scene: str) -> None:
-    """Says that controls do nothing in a scene without actuators."""
+def warn_undriven(nu: int, scene: str, so: str = "controls do nothing") -> None:
+    """Says what follows in a scene without actuators."""
     if not nu:
         urdf = Path(scene.partition("?")[0]).suffix.lower() == ".urdf"
         note(
-            "warning: the scene has no actuators, so controls do nothing"
+            f"warning: the scene has no actuators, so {so}"
             + ("; --actuators position adds them" if urdf else "")
         )
 

@@ -28,6 +28,7 @@ from orbisim.recording.joints import Kind, joints
 from orbisim.recording.sensors import sensors
 from orbisim.scene import Scene
 from orbisim.scene.patch import Patch, patch_of
+from orbisim.scene.query import without_options
 from orbisim.sensing.faults import Sensed
 from orbisim.version import VERSION
 
@@ -141,7 +142,8 @@ class Diagnosis:
 
     @functools.cached_property
     def origin(self) -> dict[str, Any]:
-        """What the result was made from: versions, and SHA-256 of the recordings' files."""
+        """What the result was made from: versions, and SHA-256 of the files of recordings, of the
+        scene's file, and of the model that it compiles to (which holds what the file includes)."""
         names = [one.source for one in (*self.fit, *self.held_out)]
         files = dict.fromkeys(_STRETCH.sub("", name) for name in names)
         return {
@@ -150,6 +152,10 @@ class Diagnosis:
                 "mujoco": mujoco.__version__,
                 "numpy": np.__version__,
                 "python": platform.python_version(),
+            },
+            "scene": {
+                "sha256": _digest(without_options(self.source)[0]),
+                "model_sha256": self.scene.fingerprint,
             },
             "sha256": {name: digest for name in files if (digest := _digest(name)) is not None},
         }
@@ -178,12 +184,29 @@ _STRETCH = re.compile(r"\[\S+ s to \S+ s\]$")
 
 
 def _digest(name: str) -> str | None:
-    """SHA-256 of a file; None of what is none (a folder, an episode of a log, a value)."""
+    """SHA-256 of a file, also where an episode of it is named (`log.h5#3`); of a folder that of the
+    lines `sha256sum` writes of its files but films; None of what is neither."""
     try:
-        with Path(name).open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        place = Path(name)
+        if not place.exists():
+            place = Path(name.rpartition("#")[0] or name)
+        if not place.is_dir():
+            return _of_file(place)
+        within = (path.relative_to(place).as_posix() for path in place.rglob("*") if path.is_file())
+        kept = sorted(one for one in within if not one.endswith(_FILMS))
+        lines = (f"{_of_file(place / one)}  ./{one}\n" for one in kept)
+        return hashlib.sha256("".join(lines).encode()).hexdigest()
     except (OSError, ValueError):
         return None
+
+
+_FILMS = (".mp4", ".avi", ".mkv")
+"""Of a folder of recordings: nothing that is diagnosed is in them, and they are large."""
+
+
+def _of_file(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _strict(value: Any) -> Any:

@@ -9,6 +9,8 @@ import os
 import signal
 import threading
 
+from orbisim.host import progress
+
 _SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of <linux/prctl.h>
 
 
@@ -34,8 +36,9 @@ def begin_work() -> None:
     """What a worker process does first.
 
     Ctrl-C is left to the parent, which ends its workers; no handler of the parent's is in the way
-    of being ended.
+    of being ended. What takes long is left to the parent to say.
     """
+    os.environ.setdefault(progress.QUIET, "1")
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     die_with_parent()

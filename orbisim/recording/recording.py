@@ -14,6 +14,7 @@ import numpy.typing as npt
 from orbisim.errors import RecordingError
 from orbisim.recording import files, names
 from orbisim.recording.contents import Contents
+from orbisim.recording.formats.registry import episodes_of
 from orbisim.recording.mapping import SignalMap
 from orbisim.recording.windows import cut
 
@@ -163,13 +164,13 @@ class Recording(Contents):
 def load_recordings(
     paths: Iterable[str | Path], mapping: str | Path | None = None
 ) -> list[Recording]:
-    """Reads several logs with one map.
+    """Reads several logs with one map; of a folder of LeRobot all episodes.
 
     Raises:
       RecordingError, MissingDependencyError: see `Recording.load`.
     """
     chosen = None if mapping is None else SignalMap.load(mapping)
-    return [Recording.load(path, chosen) for path in paths]
+    return [Recording.load(one, chosen) for path in paths for one in episodes_of(path)]
 
 
 def _frozen(array: Floats) -> Floats:

@@ -96,7 +96,7 @@ def _rows(comparison: Comparison) -> list[dict[str, Any]]:
         rows.append(
             {
                 "name": _TITLES[group],
-                "unit": units[group],
+                "unit": _spelled(units[group]),
                 "first": median[0],
                 "last": median[-1],
                 "p95": p95[-1],
@@ -116,10 +116,10 @@ def _summary(comparison: Comparison) -> str:
     horizon = si(float(comparison.horizon_s[-1]), "s")
     text = (
         f"After {horizon} the median {group['name'].lower()} error is "
-        f"{group['last']:.2g} {_spelled(group['unit'])}"
+        f"{group['last']:.2g} {group['unit']}"
     )
     if group["rounding"] is not None:
-        text += f" (float32 rounding of the initial state alone: {group['rounding']:.2g})"
+        text += f"; float32 rounding of the initial state alone gives {group['rounding']:.2g}"
         text += f". {_verdict(group['ratio'], comparison)}"
     else:
         text += "."
@@ -148,15 +148,19 @@ def _verdict(ratio: float, comparison: Comparison) -> str:
     if ratio == 0:
         return f"{b} gives exactly what {a} gives."
     if ratio <= _SAME:
-        return f"{b} agrees with {a} as well as float32 allows in this scene."
+        return (
+            f"{b} agrees with {a} as well as float32 allows in this scene: to within {_SAME:g} "
+            f"times its rounding, and {_FLOOR:g} is the least that counts as rounding."
+        )
     if ratio <= _CLOSE:
         return f"{b} agrees with {a} to {ratio:.2g} times what rounding does in this scene."
     return f"{b} and {a} differ: {ratio:.2g} times what rounding does in this scene."
 
 
 def _spelled(unit: str) -> str:
-    """A unit that depends on the joint, in words."""
-    return "(rad of joints that turn, m of joints that slide)" if unit == "rad or m" else unit
+    """A unit that depends on the joint, in words: `rad or m` is `rad (slides: m)`."""
+    turning, either, sliding = unit.partition(" or ")
+    return f"{turning} (slides: {sliding})" if either else unit
 
 
 def _speed_note(comparison: Comparison) -> str:
@@ -249,12 +253,19 @@ def _state_charts(comparison: Comparison) -> list[Markup]:
         ("Contacts", "", contacts),
     ):
         drawn, axes = figures.figure()
-        for side, colour in ((comparison.a, figures.A), (comparison.b, figures.B)):
-            figures.band(axes, comparison.horizon_s, values(side), colour, side.backend)
+        for side, colour, line in _drawn_sides(comparison):
+            figures.band(
+                axes, comparison.horizon_s, values(side), colour, side.backend, linestyle=line
+            )
         axes.set(title=title, xlabel="time (s)", ylabel=unit)
         figures.legend(axes)
         charts.append(figures.to_svg(drawn, f"{title} of both sides over time"))
     return charts
+
+
+def _drawn_sides(comparison: Comparison) -> tuple[tuple[Side, str, str], ...]:
+    """Both sides with colour and line; the second dashed, as it may lie on the first."""
+    return ((comparison.a, figures.A, "-"), (comparison.b, figures.B, "--"))
 
 
 def _touching(comparison: Comparison) -> list[dict[str, Any]]:
@@ -290,9 +301,9 @@ def _penetration_charts(comparison: Comparison) -> list[Markup]:
             continue
         drawn, axes = figures.figure()
         title = f"Penetration: {_spoken(group).lower()}"
-        for side, colour in zip(sides, (figures.A, figures.B), strict=True):
+        for side, colour, line in _drawn_sides(comparison):
             depth = side.penetration.depth[group] * 1e3
-            figures.band(axes, comparison.horizon_s, depth, colour, side.backend)
+            figures.band(axes, comparison.horizon_s, depth, colour, side.backend, linestyle=line)
         axes.set(title=title, xlabel="time (s)", ylabel="mm")
         figures.legend(axes)
         charts.append(figures.to_svg(drawn, f"{title} of both sides over time"))

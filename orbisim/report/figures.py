@@ -93,6 +93,7 @@ def band(
     colour: str,
     label: str,
     levels: tuple[float, float, float] = (0.05, 0.5, 0.95),
+    linestyle: str = "-",
 ) -> None:
     """Draws the median over the first axis as a line and the outer quantiles as a band."""
     finite = np.where(np.isfinite(values), values, np.nan)
@@ -101,7 +102,7 @@ def band(
         return
     low, middle, high = np.nanquantile(finite[:, some], levels, axis=0)
     axes.fill_between(x[some], low, high, color=colour, alpha=0.18, linewidth=0)
-    axes.plot(x[some], middle, color=colour, label=label)
+    axes.plot(x[some], middle, color=colour, label=label, linestyle=linestyle)
 
 
 def log_if_wide(axes: Any, values: Sequence[npt.NDArray[Any]]) -> None:
@@ -111,6 +112,21 @@ def log_if_wide(axes: Any, values: Sequence[npt.NDArray[Any]]) -> None:
         axes.set_yscale("log")
 
 
+_LABELS_IN_A_ROW = 4
+"""Of a legend: more are wider than a figure, as they name backends and files."""
+
+
 def legend(axes: Any, **options: Any) -> None:
-    """A legend without a frame, in the page's ink."""
-    axes.legend(frameon=False, labelcolor=_INK, fontsize=8, **options)
+    """A legend without a frame, in the page's ink; below the axes, where it hides nothing."""
+    handles, labels = axes.get_legend_handles_labels()
+    if handles:
+        axes.figure.legend(
+            handles,
+            labels,
+            loc="outside lower center",
+            ncols=min(len(labels), _LABELS_IN_A_ROW),
+            frameon=False,
+            labelcolor=_INK,
+            fontsize=8,
+            **options,
+        )

@@ -44,7 +44,7 @@ def episode(bound: Bound, number: int, sides: Sequence[Side], degree: Degree) ->
     within(axes, [measured, *(_positions(s, number, bound, degree) for s in sides)])
     name = Path(bound.recording.source).name
     axes.set(title=f"{degree.name}, held out: {name}", xlabel="time (s)", ylabel=degree.unit)
-    figures.legend(axes, ncols=4, loc="upper right")
+    figures.legend(axes)
     return figures.to_svg(drawn, f"{degree.name} measured and simulated, held out: {name}")
 
 
@@ -74,7 +74,7 @@ def forces(
         axes.plot(time[pick], values[pick, degree.dof], color=colour, label=label, lw=1.2)
     axes.set(title=f"Force at {degree.name}, held out: {name}", xlabel="time (s)")
     axes.set_ylabel(degree.force_unit)
-    figures.legend(axes, ncols=4, loc="upper right")
+    figures.legend(axes)
     return figures.to_svg(drawn, f"Force at {degree.name} recorded and needed, held out: {name}")
 
 

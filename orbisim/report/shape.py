@@ -195,7 +195,7 @@ def scatter(one: Regressor, drawn_courses: Sequence[Course], degree: Degree) -> 
     within(axes, [course.force for course in drawn_courses])
     axes.set(title=f"Missing force at {degree.name}\nagainst {one.name}")
     axes.set(xlabel=f"{one.name} ({one.unit})" if one.unit else one.name, ylabel=degree.force_unit)
-    figures.legend(axes, markerscale=4, loc="upper right")
+    figures.legend(axes, markerscale=4)
     return figures.to_svg(drawn, f"Missing force at {degree.name} against {one.name}")
 
 
@@ -254,7 +254,7 @@ def over_time(
     within(axes, [parts[worst].force[rows, degree.dof] for _, _, parts in sets])
     axes.set(title=f"Missing force at {degree.name}, {names[worst]}", xlabel="time (s)")
     axes.set_ylabel(degree.force_unit)
-    figures.legend(axes, ncols=2, loc="upper right")
+    figures.legend(axes)
     return figures.to_svg(drawn, f"Missing force at {degree.name} over time")
 
 
@@ -274,7 +274,7 @@ def sensor(finding: SensorFinding) -> Markup:
     component = f", {AXES[worst]}" if finding.left_before.shape[1] > 1 else ""
     axes.set(title=f"Held out: {name}{component}, measured less expected", xlabel="time (s)")
     axes.set_ylabel(finding.sensor.unit)
-    figures.legend(axes, ncols=3, loc="upper right")
+    figures.legend(axes)
     return figures.to_svg(drawn, f"Readings of {name} less what it should read")
 
 

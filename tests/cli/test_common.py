@@ -102,6 +102,11 @@ def test_urdf_options_are_on_every_command_that_takes_a_scene(
     assert "no actuators" not in capsys.readouterr().err
     assert run(simulated) == 0
     assert "no actuators, so controls do nothing; --actuators position" in capsys.readouterr().err
+    collected = ["collect", str(path), "--episodes", "1", "--workers", "1", "--out"]
+    assert run([*collected, str(tmp_path / "free.h5")]) == 0
+    assert "no actuators, so its bodies were let go" in capsys.readouterr().err
+    assert run([*collected, str(tmp_path / "driven.h5"), *options]) == 0
+    assert "no actuators" not in capsys.readouterr().err
     for command in ("compare", "replay", "diagnose", "collect", "view", "infer"):
         assert run([command, "--help"]) == 0
         assert "--floating-base" in capsys.readouterr().out

@@ -49,7 +49,7 @@ def test_penetration_and_intervals_are_shown(tmp_path: Path) -> None:
     page = compare(scene, "mujoco", Doubtful(), count=2, horizon=0.1).report(tmp_path, video=False)
     text = page.read_text()
     assert "<h2>Penetration</h2>" in text and "<h2>Predicted uncertainty</h2>" in text
-    assert "<td>Object and world</td>" in text and "floor and box" in text
+    assert '<td class="name">Object and world</td>' in text and "floor and box" in text
     assert "Penetration: object and world of both sides over time" in text
     assert "Predicted intervals and true errors of box, rotation, over time" in text
     assert "Kinetic energy of both sides over time" in text
@@ -89,7 +89,7 @@ def test_one_sentence_says_how_far_apart(comparison: Comparison) -> None:
     text = _summary(dataclasses.replace(comparison, a=fast, b=slow))
     assert text.startswith("After 200 ms the median joint position error is ")
     assert text.endswith("Here mujoco is 3 times as fast as drift.")
-    assert "(rad of joints that turn, m of joints that slide)" in text
+    assert "rad (slides: m)" in text
     assert " drift and mujoco differ: " in text
 
 
@@ -97,7 +97,8 @@ def test_the_verdict_follows_the_ratio(comparison: Comparison) -> None:
     said = [_verdict(ratio, comparison) for ratio in (0.0, 5.0, 200.0, 1e6)]
     assert said == [
         "drift gives exactly what mujoco gives.",
-        "drift agrees with mujoco as well as float32 allows in this scene.",
+        "drift agrees with mujoco as well as float32 allows in this scene: to within 10 times its "
+        "rounding, and 1e-06 is the least that counts as rounding.",
         "drift agrees with mujoco to 2e+02 times what rounding does in this scene.",
         "drift and mujoco differ: 1e+06 times what rounding does in this scene.",
     ]

@@ -36,10 +36,7 @@ class LeRobotReader:
 
     def read(self, path: Path, part: str = "") -> Log:
         """The features of an episode."""
-        try:
-            info = read_json(path / MARKER, _MOST_INFO)
-        except InputError as error:
-            raise RecordingError(str(path), str(error).removeprefix(f"{path}/")) from None
+        info = _info(path)
         number = _episode(path, info, part)
         file, rows = _rows(path, number)
         columns, places = _columns(path, info)
@@ -52,14 +49,32 @@ class LeRobotReader:
 
         return Log(f"{path}#{number}" if part else str(path), columns, read)
 
+    def count(self, path: Path) -> int:
+        """How many episodes the dataset has."""
+        return _count(path, _info(path))
 
-def _episode(path: Path, info: Mapping[str, Any], part: str) -> int:
-    """Number of the episode that is meant."""
+
+def _info(path: Path) -> Mapping[str, Any]:
+    try:
+        info: Mapping[str, Any] = read_json(path / MARKER, _MOST_INFO)
+    except InputError as error:
+        raise RecordingError(str(path), str(error).removeprefix(f"{path}/")) from None
+    return info
+
+
+def _count(path: Path, info: Mapping[str, Any]) -> int:
+    """How many episodes there are."""
     count = info.get("total_episodes")
     if not isinstance(count, int) or isinstance(count, bool) or count < 1:
         raise RecordingError(
             str(path), f"{MARKER}: total_episodes must be a number above 0; got {str(count)[:40]!r}"
         )
+    return count
+
+
+def _episode(path: Path, info: Mapping[str, Any], part: str) -> int:
+    """Number of the episode that is meant."""
+    count = _count(path, info)
     if not part and count > 1:
         raise RecordingError(
             str(path),

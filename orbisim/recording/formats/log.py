@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -78,5 +78,18 @@ class LogReader(Protocol):
 
         Raises:
           RecordingError: it is not of this format, is damaged, or holds more than its size allows.
+        """
+        ...
+
+
+@runtime_checkable
+class SeveralEpisodes(Protocol):
+    """What a `LogReader` has besides if its folders hold several episodes."""
+
+    def count(self, path: Path) -> int:
+        """How many, named "0", "1" and so on.
+
+        Raises:
+          RecordingError: the folder does not say it.
         """
         ...

@@ -6,11 +6,12 @@ dot (`csv`), or by the file that marks a folder (`meta/info.json`).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from orbisim import plugins
 from orbisim.errors import InputError, MissingDependencyError, RecordingError
-from orbisim.recording.formats.log import Log, LogReader
+from orbisim.recording.formats.log import Log, LogReader, SeveralEpisodes
 
 GROUP = "orbisim.recordings"
 _PART = "#"
@@ -42,8 +43,7 @@ def open_log(path: str | Path) -> Log:
             str(where), f"is one episode; {_PART}{part} is for folders that hold several"
         )
     try:
-        reader: LogReader = plugins.load(GROUP, name, "kind of recording")()
-        return reader.read(where, part)
+        return _reader(name).read(where, part)
     except RecordingError:
         raise
     except InputError as error:
@@ -55,6 +55,26 @@ def open_log(path: str | Path) -> Log:
             plugins.EXTRAS.get(name, "logs"),
             told or f"no module {error.name!r}",
         ) from error
+
+
+def episodes_of(path: str | Path) -> Iterator[str]:
+    """What stands for each recording of a log: the path itself, or of a folder that holds several
+    episodes `folder#0`, `folder#1` and so on.
+
+    Raises:
+      RecordingError: see `open_log`.
+    """
+    where, part = _split(path)
+    reader = None if part or not where.is_dir() else _reader(_format_of(where))
+    if isinstance(reader, SeveralEpisodes) and (count := reader.count(where)) > 1:
+        yield from (f"{path}{_PART}{number}" for number in range(count))
+    else:
+        yield str(path)
+
+
+def _reader(name: str) -> LogReader:
+    made: LogReader = plugins.load(GROUP, name, "kind of recording")()
+    return made
 
 
 def as_recording_error(path: str | Path, error: InputError) -> RecordingError:

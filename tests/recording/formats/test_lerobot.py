@@ -14,6 +14,7 @@ import pytest
 from orbisim import Recording, load_scene
 from orbisim.cli.main import run
 from orbisim.errors import RecordingError
+from orbisim.recording import load_recordings
 from orbisim.recording.files import opened
 from orbisim.recording.template import propose
 
@@ -114,6 +115,16 @@ def test_a_first_map(tmp_path: Path) -> None:
     assert found.matched["observation.state/shoulder.pos"] == "qpos/shoulder"
     assert "unit: rad" in found.text
     assert "the file names no unit: rad?" in found.text
+
+
+def test_all_episodes_are_taken_where_none_is_named(tmp_path: Path) -> None:
+    folder = write(tmp_path / "set", "v2.1")
+    (tmp_path / "map.yaml").write_text(MAP)
+    read = load_recordings([folder, f"{folder}#1"], tmp_path / "map.yaml")
+    assert [one.source for one in read] == [f"{folder}#{number}" for number in (0, 1, 2, 1)]
+    one = write(tmp_path / "one", "v3.0", total_episodes=1)
+    (alone,) = load_recordings([one], tmp_path / "map.yaml")
+    assert alone.source == str(one)
 
 
 def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
