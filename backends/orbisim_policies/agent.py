@@ -74,7 +74,7 @@ class Agent:
             )
         state = episodes.initial
         command, params = as_float(starts.command), as_float(starts.params)
-        score = problem.begin(as_float(state.qpos), as_float(state.qvel))
+        score = problem.begin(as_float(state.qpos), as_float(state.qvel), command)
         pieces, controls = [], []
         for step in range(max(1, round(duration / problem.timestep))):
             qpos, qvel = as_float(state.qpos), as_float(state.qvel)
@@ -96,7 +96,7 @@ class Agent:
         assert self.starts is not None
         qpos = np.asarray(trajectory.final.qpos)
         value = self.problem.measure(self._score, as_float(qpos)).double().numpy()
-        found = self.problem.success(self.starts.qpos, qpos, value)
+        found = self.problem.success(self.starts, qpos, value)
         shares = {f"success_{name}": float(np.mean(row)) for name, row in found.items()}
         means = zip(self.problem.parts, value.mean(axis=0).tolist(), strict=True)
         return {**shares, **dict(means)}

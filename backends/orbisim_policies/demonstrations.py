@@ -74,7 +74,7 @@ def demonstrate(problem: PushProblem, seeds: Sequence[int], nthread: int = 0) ->
             lost |= worlds.step(action)
         steps += worlds.steps
         value = worlds.worth().double().numpy()
-        success = problem.success(starts.qpos, worlds.coordinates[0], value)
+        success = problem.success(starts, worlds.coordinates[0], value)
         wins.append(success["moved"] & ~lost)
         kept = torch.as_tensor(~lost)
         seen.append(torch.stack(views)[:, kept].flatten(0, 1))

@@ -113,9 +113,9 @@ class DrawnProblem(Problem):
             views[name][where] = rows[number]
         mujoco.mj_setConst(model, self._data)
 
-    def begin(self, qpos: Tensor, qvel: Tensor) -> Tensor:
+    def begin(self, qpos: Tensor, qvel: Tensor, command: Tensor) -> Tensor:
         """See `Problem.begin`."""
-        return self._problem.begin(qpos, qvel)
+        return self._problem.begin(qpos, qvel, command)
 
     def count(self, score: Tensor, qpos: Tensor, qvel: Tensor, control: Tensor) -> Tensor:
         """See `Problem.count`."""
@@ -137,9 +137,9 @@ class DrawnProblem(Problem):
         """See `Problem.control`."""
         return self._problem.control(command, action)
 
-    def success(self, start: Floats, qpos: Floats, value: Floats) -> Mapping[str, Any]:
+    def success(self, starts: Starts, qpos: Floats, value: Floats) -> Mapping[str, Any]:
         """See `Problem.success`."""
-        return self._problem.success(start, qpos, value)
+        return self._problem.success(starts, qpos, value)
 
     def _numbered(self, starts: Starts, seeds: Sequence[int]) -> Starts:
         column = np.array([[float(_number(seed, self._count))] for seed in seeds])

@@ -83,7 +83,7 @@ def in_model(worlds: LearnedWorlds, policy: Any, starts: Starts) -> tuple[Floats
 
 def summary(problem: Problem, starts: Starts, qpos: Floats, value: Floats) -> dict[str, Any]:
     """Shares of success with 95 % intervals by definition, and the mean of each reward."""
-    found = problem.success(starts.qpos, qpos, value)
+    found = problem.success(starts, qpos, value)
     count = len(value)
     shares = {
         name: {

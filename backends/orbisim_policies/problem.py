@@ -93,8 +93,8 @@ class Problem(abc.ABC):
         return self.scene, self.draw(range(seed, seed + count))
 
     @abc.abstractmethod
-    def begin(self, qpos: Tensor, qvel: Tensor) -> Tensor:
-        """The score [N, S] before the first step."""
+    def begin(self, qpos: Tensor, qvel: Tensor, command: Tensor) -> Tensor:
+        """The score [N, S] before the first step; the command is that of the start [N, C]."""
 
     @abc.abstractmethod
     def count(self, score: Tensor, qpos: Tensor, qvel: Tensor, control: Tensor) -> Tensor:
@@ -117,11 +117,11 @@ class Problem(abc.ABC):
         """Controls [N, nu] of actions [N, A], and the command after them."""
 
     @abc.abstractmethod
-    def success(self, start: Floats, qpos: Floats, value: Floats) -> Mapping[str, Any]:
+    def success(self, starts: Starts, qpos: Floats, value: Floats) -> Mapping[str, Any]:
         """By definition, whether episodes [N] succeeded.
 
         Args:
-          start: qpos [N, nq] at the beginning. qpos: at the end. value: `measure` [N, parts].
+          starts: where they began. qpos: at the end [N, nq]. value: `measure` [N, parts].
         """
 
     @property
@@ -133,6 +133,11 @@ class Problem(abc.ABC):
     def model(self) -> mujoco.MjModel:
         """What `write` starts from."""
         return self.template.model
+
+    @property
+    def backend(self) -> str:
+        """What steps the true worlds: C MuJoCo, or a backend that corrects it (`hybrid:PATH`)."""
+        return "mujoco"
 
     @property
     def conditions(self) -> Mapping[str, Any]:

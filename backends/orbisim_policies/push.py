@@ -156,7 +156,7 @@ class PushProblem(Problem):
 
     # -- functions of tensors ------------------------------------------------------------------
 
-    def begin(self, qpos: Tensor, qvel: Tensor) -> Tensor:
+    def begin(self, qpos: Tensor, qvel: Tensor, command: Tensor) -> Tensor:
         """[N, 5]: smallest distances so far, the first ones, and cube 2's way to the edge."""
         hand, first, second = self._where(qpos)
         near = torch.stack([_distance(hand, first), _distance(first, second)], 1)
@@ -231,7 +231,7 @@ class PushProblem(Problem):
 
     # -- what came of it -----------------------------------------------------------------------
 
-    def success(self, start: Floats, qpos: Floats, value: Floats) -> Mapping[str, Any]:
+    def success(self, starts: Starts, qpos: Floats, value: Floats) -> Mapping[str, Any]:
         """The paper's three definitions.
 
         `moved`: the second cube moves more than 5 cm (appendix C.8, figure of table rl_success).
@@ -240,7 +240,7 @@ class PushProblem(Problem):
         edge, or beyond that edge, but has not left the table by another one (appendix A.1).
         """
         first, second = qpos[:, _CUBE1][:, :3], qpos[:, _CUBE2][:, :3]
-        way = np.linalg.norm((second - start[:, _CUBE2][:, :3])[:, :2], axis=1)
+        way = np.linalg.norm((second - starts.qpos[:, _CUBE2][:, :3])[:, :2], axis=1)
         moved = way > SUCCESS_DISTANCE
         there = [on_table(cube) for cube in (first, second)]
         y = second[:, 1]

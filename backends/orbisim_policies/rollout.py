@@ -43,7 +43,7 @@ class Running(NamedTuple):
 def began(worlds: LearnedWorlds, starts: Pool) -> Running:
     """Episodes before their first step."""
     x, context = worlds.begin(starts)
-    score = worlds.problem.begin(*worlds.coordinates(x))
+    score = worlds.problem.begin(*worlds.coordinates(x), starts.command)
     done = torch.zeros(len(score), device=score.device)
     return Running(x, starts.command, score, done, starts.params, context.attributes, context.world)
 

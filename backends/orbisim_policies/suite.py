@@ -103,7 +103,7 @@ class SuiteProblem(Problem):
         controls = np.zeros((len(qpos), self.actions))
         return Starts(np.array(qpos), np.array(qvel), controls, nothing, nothing)
 
-    def begin(self, qpos: Tensor, qvel: Tensor) -> Tensor:
+    def begin(self, qpos: Tensor, qvel: Tensor, command: Tensor) -> Tensor:
         """[N, 2]: the mean of the reward that is learned from, and of dm_control's own."""
         return qpos.new_zeros((len(qpos), 2))
 
@@ -134,6 +134,6 @@ class SuiteProblem(Problem):
         """The action itself."""
         return action.clamp(-1.0, 1.0), command
 
-    def success(self, start: Floats, qpos: Floats, value: Floats) -> Mapping[str, Any]:
+    def success(self, starts: Starts, qpos: Floats, value: Floats) -> Mapping[str, Any]:
         """Whether the mean reward reaches the task's measure of it."""
         return {"return": value[:, 0] >= self._task.success}

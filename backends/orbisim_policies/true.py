@@ -52,12 +52,13 @@ class TrueWorlds:
         self._done = torch.zeros(nworld)
 
     def _stepped(self, nthread: int) -> Threads:
-        """C MuJoCo in threads; by its backend where the scene carries effects between timesteps."""
-        model = self.problem.model
-        if not acts_between_timesteps(model):
+        """C MuJoCo in threads; by a backend where the scene carries effects between timesteps, or
+        the problem names another one."""
+        model, backend = self.problem.model, self.problem.backend
+        if backend == "mujoco" and not acts_between_timesteps(model):
             return Threads(model, self._fields, self.nworld, nthread=nthread)
         scene = Scene.from_model(model, source=self.problem.name)
-        engine = make_backend("mujoco", scene, nworld=self.nworld)
+        engine = make_backend(backend, scene, nworld=self.nworld)
         return Mirrored(engine, model, self._fields, self.nworld)
 
     def begin(self, worlds: Ids, starts: Starts) -> None:
@@ -78,7 +79,8 @@ class TrueWorlds:
         index = torch.as_tensor(worlds)
         self._command[index] = _float(starts.command)
         self._params[index] = _float(starts.params)
-        score = self.problem.begin(_float(starts.qpos), _float(starts.qvel))
+        fields = (starts.qpos, starts.qvel, starts.command)
+        score = self.problem.begin(*map(_float, fields))
         if self._score is None:
             self._score = torch.zeros((self.nworld, score.shape[1]))
         self._score[index] = score

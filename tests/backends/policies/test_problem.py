@@ -13,7 +13,7 @@ def test_problems_have_the_sizes_that_they_say(push: PushProblem, cartpole: Suit
         starts = problem.draw([1, 2])
         fields = (starts.qpos, starts.qvel, starts.command, starts.params)
         qpos, qvel, command, params = (torch.as_tensor(f).float() for f in fields)
-        score = problem.begin(qpos, qvel)
+        score = problem.begin(qpos, qvel, command)
         view = problem.observe(Moment(qpos, qvel, command, params, score, torch.zeros(2)))
         assert view.shape == (2, problem.observations)
         control, after = problem.control(command, torch.zeros(2, problem.actions))

@@ -38,7 +38,7 @@ def test_episodes_are_of_their_seeds(push: PushProblem) -> None:
 
 def test_rewards_are_the_papers(push: PushProblem) -> None:
     qpos = torch.tensor(push.draw([1]).qpos).float()
-    score = push.begin(qpos, torch.zeros(1, 20))
+    score = push.begin(qpos, torch.zeros(1, 20), torch.zeros(1, 10))
     assert torch.equal(push.value(score, qpos), torch.zeros(1, 3))
     moved = qpos.clone()
     moved[:, 15] += 0.3 * (BORDER - qpos[:, 15])  # cube 2 goes 30 % of its way to the edge
@@ -52,7 +52,7 @@ def test_rewards_are_the_papers(push: PushProblem) -> None:
 
 def test_smallest_distances_are_kept(push: PushProblem) -> None:
     qpos = torch.tensor(push.draw([1]).qpos).float()
-    score, near = push.begin(qpos, torch.zeros(1, 20)), qpos.clone()
+    score, near = push.begin(qpos, torch.zeros(1, 20), torch.zeros(1, 10)), qpos.clone()
     near[:, 8:11] = push._where(qpos)[0] + 0.02  # cube 1 comes to the hand and goes again
     for state in (near, qpos):
         score = push.count(score, state, torch.zeros(1, 20), torch.zeros(1, 7))
@@ -76,12 +76,12 @@ def test_actions_move_the_commanded_pose_and_have_gradients(push: PushProblem) -
 
 
 def test_success_by_each_definition(push: PushProblem) -> None:
-    start = np.repeat(push.draw([5]).qpos, 4, axis=0)
-    end = start.copy()
+    starts = push.draw([5, 5, 5, 5])
+    end = starts.qpos.copy()
     end[1, 15] += SUCCESS_DISTANCE + 0.01  # moved
     end[2, 15], end[2, 8:11] = 0.9, (0.6, 0.6, -0.7)  # far, but cube 1 fell
     end[3, 15:18] = (1.0, 0.0, -0.7)  # over the far edge
-    found = push.success(start, end, np.zeros((4, 3)))
+    found = push.success(starts, end, np.zeros((4, 3)))
     assert found["moved"].tolist() == [False, True, True, True]
     assert found["on_table"].tolist() == [False, True, False, False]
     assert found["region"].tolist() == [False, False, False, True]

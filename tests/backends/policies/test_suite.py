@@ -17,7 +17,7 @@ def test_the_reward_is_dm_controls(task: str) -> None:
     start = problem.draw([3])
     np.testing.assert_array_equal(start.qpos[0], environment.physics.data.qpos)
     assert first.observation
-    score = problem.begin(torch.tensor(start.qpos), torch.tensor(start.qvel))
+    score = problem.begin(*(torch.tensor(f) for f in (start.qpos, start.qvel, start.command)))
     total = 0.0
     for _ in range(40):
         action = rng.uniform(-1, 1, problem.actions)
