@@ -149,6 +149,11 @@ function showJoints(values) {
     });
 }
 
+// dat.gui takes the number of digits that it shows from the first value: of a 0 none.
+function fine(low, high) {
+    return 10 ** Math.floor(Math.log10(Math.max(high - low, 1e-6) / 1000));
+}
+
 function offer(panel, send) {
     const ask = (what, more) => send(JSON.stringify({ do: what, ...more }));
     const gui = viewer.gui;
@@ -157,7 +162,7 @@ function offer(panel, send) {
     gui.add({ "pause / go on": () => send("pause") }, "pause / go on");
     gui.add({ "single step": () => send("step") }, "single step");
     gui.add({ "restart": () => send("restart") }, "restart");
-    gui.add(state, "speed", 0.05, 5).onChange((value) => ask("speed", { value }));
+    gui.add(state, "speed", 0.05, 5).step(0.05).onChange((value) => ask("speed", { value }));
     gui.add(state, "backend", panel.backends).onChange((name) => ask("backend", { name }));
     const named = Object.fromEntries(panel.cameras.map((one) => [one.name, one]));
     gui.add(state, "camera", ["free", ...Object.keys(named)]).onChange((name) => look(named[name]));
@@ -172,6 +177,7 @@ function offer(panel, send) {
             const name = `${index} ${joint.name}`;
             joints.values[name] = joint.value;
             return folder.add(joints.values, name, joint.low, joint.high)
+                .step(fine(joint.low, joint.high))
                 .onChange((value) => { joints.held = true; ask("joint", { index, value }); })
                 .onFinishChange(() => { joints.held = false; });
         });
@@ -184,11 +190,13 @@ function offer(panel, send) {
         panel.actuators.forEach((actuator, index) => {
             const name = `${index} ${actuator.name}`;
             values[name] = actuator.value;
-            folder.add(values, name, actuator.low, actuator.high).onChange((value) => {
-                state["by hand"] = true;
-                hand.updateDisplay();
-                ask("control", { index, value });
-            });
+            folder.add(values, name, actuator.low, actuator.high)
+                .step(fine(actuator.low, actuator.high))
+                .onChange((value) => {
+                    state["by hand"] = true;
+                    hand.updateDisplay();
+                    ask("control", { index, value });
+                });
         });
     }
 }

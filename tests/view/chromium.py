@@ -176,6 +176,26 @@ class Chromium:
             raise AssertionError(json.dumps(answer["exceptionDetails"])[:2000])
         return answer["result"].get("value")
 
+    def click(self, element: str, along: float = 0.5) -> None:
+        """Presses the mouse on an element and lets go.
+
+        Args:
+          element: JavaScript expression of it. along: where, as a share of its width.
+        """
+        x, y = self.evaluate(
+            f"(() => {{ const e = {element}; e.scrollIntoView({{ block: 'nearest' }});"
+            "const box = e.getBoundingClientRect();"
+            f"return [box.x + {along} * box.width, box.y + box.height / 2]; }})()"
+        )
+        for kind, held in (("mouseMoved", 0), ("mousePressed", 1), ("mouseReleased", 0)):
+            self._loop.run_until_complete(
+                self._call(
+                    "Input.dispatchMouseEvent",
+                    type=kind, x=x, y=y, buttons=held, clickCount=int(kind != "mouseMoved"),
+                    button="none" if kind == "mouseMoved" else "left",
+                )
+            )  # fmt: skip
+
     def wait_for(self, condition: str, seconds: float = 120) -> None:
         """Waits until a JavaScript expression is true."""
         deadline = time.monotonic() + seconds

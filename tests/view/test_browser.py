@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from orbisim_mujoco import MujocoBackend
 from PIL import Image
 
 from orbisim.errors import RenderingUnavailableError
@@ -19,6 +20,7 @@ from orbisim.scene import Scene, load_scene
 from orbisim.view import ViewOptions, save_html
 from orbisim.view.drawing import Drawing
 from orbisim.view.options import GHOST
+from orbisim.view.panel import Request, request_of
 from orbisim.view.stage import camera_pose
 from tests.view.chromium import Chromium, executable
 from tests.view.scenes import CLOTH, falling, showcase
@@ -343,6 +345,91 @@ def test_a_live_pages_controls(chromium: Chromium) -> None:
         change(chromium, "1 s", "0.5")  # slides along z
         chromium.wait_for(f"orbisim.viewer.controls.target.y > {before[1] + 0.4}")
         assert chromium.errors == []
+
+
+def row(text: str, part: str = "") -> str:
+    """JavaScript: the line of the page's controls that begins with a text, or a part of it."""
+    lines = "[...orbisim.viewer.gui.domElement.querySelectorAll('li.cr, li.title')]"
+    found = f"{lines}.find((li) => li.textContent.trim().startsWith('{text}'))"
+    return f"{found}.querySelector('{part}')" if part else found
+
+
+def choose(chromium: Chromium, text: str, value: str) -> None:
+    """Chooses from a list, whose own menu a headless browser does not draw."""
+    chromium.evaluate(
+        f"(() => {{ const e = {row(text, 'select')}; e.value = '{value}';"
+        "e.dispatchEvent(new Event('change')); return true; })()"
+    )
+
+
+class Twin(MujocoBackend):
+    """C MuJoCo under another name."""
+
+    name = "twin"
+
+
+@pytest.mark.slow
+def test_a_hand_on_the_mouse(chromium: Chromium, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Request | None] = []
+
+    def heard(text: str) -> Request | None:
+        asked.append(request_of(text))
+        return asked[-1]
+
+    monkeypatch.setattr("orbisim.view.live.request_of", heard)
+    monkeypatch.setattr("orbisim.view.live.available_backends", lambda: ["mujoco", "twin"])
+    monkeypatch.setattr("orbisim.view.live.make_backend", _either)
+    clock = "document.getElementById('clock').textContent"
+    name = Drawing(ROBOT.model).bodies[1].split("/")[-1]
+    body = f"orbisim.viewer.scene_tree.find(['scene', '{name}']).object"
+    turned = f"2 * Math.asin({body}.quaternion.y)"
+    with live(ROBOT) as running:
+        chromium.open(running.url)
+        chromium.wait_for(f"parseFloat({clock}) > 0.05")
+        chromium.click(row("pause"))
+        chromium.click(row("restart"))
+        chromium.wait_for(f"{clock} === '0.00 s, mujoco'")
+        chromium.click(row("Joints"))  # opens it
+        chromium.click(row("0 j", ".slider"), along=0.4)
+        chromium.wait_for(f"Math.abs({turned} - 0.2) < 0.1")  # of -1 to 2 rad
+        shown = float(chromium.evaluate(row("0 j", "input") + ".value"))
+        assert shown == pytest.approx(chromium.evaluate(turned), abs=0.01)
+        chromium.click(row("Actuators"))
+        chromium.click(row("0 m", ".slider"), along=0.02)
+        before = chromium.evaluate(turned)
+        for step in range(1, 6):
+            chromium.click(row("single step"))
+            chromium.wait_for(f"{clock} === '{step * 0.002:.2f} s, mujoco'")
+        chromium.wait_for(f"{turned} < {before} - 1e-4")  # the motor pulls it back
+        assert chromium.evaluate(row("by hand", "input") + ".checked")
+        chromium.click(row("speed", ".slider"), along=0.0)
+        objects = "(() => { let n = 0; orbisim.viewer.scene_tree.find(['scene']).object"
+        objects += ".traverse((o) => { n += o.isMesh || o.isLine ? 1 : 0; }); return n; })()"
+        for toggle in ("sites", "collisions"):
+            drawn = chromium.evaluate(objects)
+            chromium.click(row(toggle, "input"))
+            chromium.wait_for(f"{objects} > {drawn}")
+        chromium.click(row("1 s", ".slider"), along=0.02)  # down to the floor
+        drawn = chromium.evaluate(objects)
+        chromium.click(row("contacts", "input"))
+        chromium.wait_for(f"{objects} > {drawn}")
+        choose(chromium, "camera", "wall")
+        choose(chromium, "follow", "arm")
+        choose(chromium, "backend", "twin")
+        chromium.wait_for(f"{clock}.endsWith(', twin')")
+        chromium.click(row("pause"))
+        chromium.wait_for(f"parseFloat({clock}) > 0.03")
+        assert chromium.errors == []
+    done = [one.do for one in asked if one]
+    assert {"pause", "restart", "step", "speed", "joint", "control", "show", "backend"} == set(done)
+    (speed,) = (one.value for one in asked if one and one.do == "speed")
+    assert speed == pytest.approx(0.05, abs=0.05)
+
+
+def _either(name: str, scene: Scene, device: str | None = None) -> MujocoBackend:
+    backend = Twin() if name == Twin.name else MujocoBackend()
+    backend.load(scene)
+    return backend
 
 
 @pytest.mark.slow
