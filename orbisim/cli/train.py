@@ -431,7 +431,7 @@ _POLICY = "Example: orbisim train policy push --method apg --out policies/push -
 @seed_option
 @json_option
 def policy(task: str, method: str, as_json: bool, **options: Any) -> None:
-    """Train a policy for TASK (task:push, suite:cartpole-swingup, suite:pendulum-swingup).
+    """Train a policy for TASK (task:push, suite:cartpole-swingup, suite:cheetah-run ...).
 
     apg differentiates the reward through the learned step; the others learn in C MuJoCo. Leaves a
     policy in --out (policy.safetensors, manifest.json) with metrics and curves; success is

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from orbisim_policies.problem import Moment
 from orbisim_policies.suite import SUITE, SuiteProblem
 
 from orbisim import suite
@@ -29,9 +30,34 @@ def test_the_reward_is_dm_controls(task: str) -> None:
     assert float(problem.measure(score, qpos)) == pytest.approx(total, abs=1e-12)
 
 
-def test_what_is_learned_from_has_a_gradient_everywhere() -> None:
-    task = SUITE["pendulum-swingup"]
-    qpos = torch.tensor([[2.0]], requires_grad=True)
-    task.smooth(qpos, torch.zeros(1, 1), torch.zeros(1, 1)).sum().backward()
-    assert abs(float(qpos.grad)) > 0.01
-    assert float(task.smooth(torch.zeros(1, 1), torch.zeros(1, 1), torch.zeros(1, 1))) == 1.0
+@pytest.mark.parametrize("task", SUITE)
+def test_what_is_learned_from_has_a_gradient(task: str) -> None:
+    problem = SuiteProblem(task, steps=1)
+    starts = problem.draw([4])
+    fields = (starts.qpos, starts.qvel, starts.command)
+    qpos, qvel, command = (torch.tensor(field, requires_grad=True) for field in fields)
+    score = problem.begin(qpos, qvel, command)
+    problem.count(score, qpos, qvel, torch.zeros(1, problem.actions))[:, 0].sum().backward()
+    slopes = [field.grad for field in (qpos, qvel) if field.grad is not None]
+    assert max(float(slope.abs().max()) for slope in slopes) > 1e-3
+
+
+def test_a_pendulum_that_stands_is_worth_most() -> None:
+    _, smooth = SUITE["pendulum-swingup"].rewards(SuiteProblem("pendulum-swingup").scene.model)
+    still = torch.zeros(1, 1)
+    assert float(smooth(still, still, still, still)) == 1.0
+
+
+def test_a_goal_stands_in_the_scene_that_is_shown() -> None:
+    problem = SuiteProblem("reacher-easy", steps=3)
+    scene, starts = problem.trials(2, 5)
+    goal = scene.model.geom("target").pos[:2]
+    np.testing.assert_allclose(starts.command, [goal, goal])
+    assert (problem.draw([6]).command[0] != goal).any()
+    moment = Moment(
+        *(torch.as_tensor(f).float() for f in (starts.qpos, starts.qvel, starts.command)),
+        torch.zeros(2, 0),
+        torch.zeros(2, 4),
+        torch.zeros(2),
+    )
+    assert problem.observe(moment).shape == (2, problem.observations)
