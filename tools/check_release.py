@@ -6,7 +6,8 @@
 
 Wheel and sdist are built from the files that git tracks, the wheel once more from the sdist; both
 must hold the same files. Then each Python gets an environment of its own for each extra: nothing in
-it but the wheel, the extra and what they require, a home of its own, an empty working folder. There
+it but the wheel, the extra and what they require, a home of its own, an empty working folder
+(--together: one environment for all extras). There
 run `orbisim doctor`, `sim`, `compare` and `diagnose`, and what the extra is there for. One line
 each; the exit status is 1 if one of them fails.
 """
@@ -17,6 +18,7 @@ import argparse
 import configparser
 import dataclasses
 import hashlib
+import itertools
 import json
 import os
 import re
@@ -250,8 +252,20 @@ _WORKING[CORE] = {("backend", "mujoco"), ("renderer", "mujoco"), ("log", "csv")}
 """What `orbisim doctor` must find to work with each extra; nothing may fail with any."""
 
 
-def attempt(python: str, version: str, extra: str, wheel: Path, pip: Sequence[str]) -> Row:
-    """Makes an environment with an extra, and tries it."""
+def attempts(
+    python: str, version: str, extras: Sequence[str], wheel: Path, pip: Sequence[str]
+) -> Iterator[Row]:
+    """Makes an environment, installs the extras into it one after the other, and tries each."""
+    with tempfile.TemporaryDirectory(prefix="release-") as environment:
+        for extra in extras:
+            yield attempt(python, version, extra, wheel, pip, Path(environment))
+
+
+def attempt(
+    python: str, version: str, extra: str, wheel: Path, pip: Sequence[str], place: Path
+) -> Row:
+    """Installs an extra into the environment in `place`, which is made if it is not there, and
+    tries it."""
     with tempfile.TemporaryDirectory(prefix="release-") as folder:
         home, work = Path(folder, "home"), Path(folder, "work")
         home.mkdir(), work.mkdir()
@@ -272,9 +286,9 @@ def attempt(python: str, version: str, extra: str, wheel: Path, pip: Sequence[st
             last = (done.stderr.strip() or done.stdout.strip() or "nothing said").splitlines()[-1]
             return done.stdout, f"exit status {done.returncode}: {last}" if done.returncode else ""
 
-        venv = Path(folder, "venv")
+        venv = place / "venv"
         steps, started = {}, time.monotonic()
-        _, wrong = run(f"{python} -m venv {venv}")
+        wrong = "" if venv.exists() else run(f"{python} -m venv {venv}")[1]
         install = f"{venv}/bin/python -m pip install -q {' '.join(pip)}"
         what = str(wheel.resolve()) + ("" if extra == CORE else f"[{extra}]")
         for alone in NO_DEPENDENCIES.get(version, ()):
@@ -330,6 +344,12 @@ def main() -> int:
     parser.add_argument("--python", action="append", help="3.11, 3.12 or 3.13; several times")
     parser.add_argument("--extra", action="append", help="several times; default: all of them")
     parser.add_argument("--pip", action="append", default=[], help="an option for pip install")
+    parser.add_argument(
+        "--together",
+        action="store_true",
+        help="each Python's extras one after the other into one environment: where they share "
+        "something large, as PyTorch for CUDA is",
+    )
     parser.add_argument("--build-only", action="store_true", help="nothing is installed")
     parser.add_argument("--hashes", action="store_true", help="prints what docs/zoo.md lists")
     options = parser.parse_args()
@@ -350,14 +370,17 @@ def main() -> int:
         if python is None:
             print(f"| {version} | | | | no such Python on this machine |")
             continue
-        for extra in options.extra or extras():
-            row = attempt(python, version, extra, wheel, options.pip)
+        chosen = options.extra or extras()
+        for row in itertools.chain.from_iterable(
+            attempts(python, version, group, wheel, options.pip)
+            for group in ([chosen] if options.together else [[extra] for extra in chosen])
+        ):
             with results.open("a") as file:
                 file.write(json.dumps(dataclasses.asdict(row)) + "\n")
             bad = [f"{name}: {text}" for name, text in row.steps.items() if text]
             wrong += bad
             print(
-                f"| {version} | {extra} | {row.installed_s:.0f} s | {row.size_mb:.0f} MB | "
+                f"| {version} | {row.extra} | {row.installed_s:.0f} s | {row.size_mb:.0f} MB | "
                 f"{'; '.join(bad) or ', '.join(row.steps)} |",
                 flush=True,
             )

@@ -214,6 +214,8 @@ def _print_fleet(result: Any, out: Path, as_json: bool) -> None:
 
 
 def _print(result: Any) -> None:
+    from orbisim.diagnosis.wording import interval
+
     click.echo(result.sentence)
     if result.effects:
         rows = [
@@ -222,7 +224,7 @@ def _print(result: Any) -> None:
                 effect.target,
                 name,
                 estimate.value,
-                f"{estimate.ci95[0]:.4g} to {estimate.ci95[1]:.4g}",
+                interval(*estimate.ci95),
                 estimate.unit,
             )
             for effect in result.effects
@@ -234,9 +236,7 @@ def _print(result: Any) -> None:
             rows,
         )
     if result.retuned:
-        factors = [
-            (r.label, r.factor, f"{r.ci95[0]:.4f} to {r.ci95[1]:.4f}") for r in result.retuned
-        ]
+        factors = [(r.label, r.factor, interval(*r.ci95)) for r in result.retuned]
         print_table("\nDeclared parameters", ("parameter", "factor", "95 % interval"), factors)
     error = result.error
     what = error.get("name", f"free-running error over {error['window_s']:g} s").capitalize()

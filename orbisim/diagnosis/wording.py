@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from orbisim.diagnosis.found import Retuned, Verdict
 from orbisim.effects import find
 from orbisim.effects.estimate import FoundEffect
@@ -138,6 +140,13 @@ def described(effect: FoundEffect) -> str:
 def number(value: float | None, digits: int = 3) -> str:
     """A number with a few significant digits."""
     return "?" if value is None else f"{value:.{digits}g}"
+
+
+def interval(low: float, high: float) -> str:
+    """Both ends, with digits enough to tell them apart."""
+    size, width = max(abs(low), abs(high)), high - low
+    digits = 3 if not width > 0 else int(np.clip(np.ceil(np.log10(size / width)) + 2, 3, 9))
+    return f"{number(low, digits)} to {number(high, digits)}"
 
 
 def listed(words: Sequence[str]) -> str:

@@ -172,7 +172,7 @@ def _speed_note(comparison: Comparison) -> str:
 
 
 def _error_chart(comparison: Comparison, group: str) -> Markup:
-    unit = metrics.layout(comparison.scene.model).units[group]
+    unit = _spelled(metrics.layout(comparison.scene.model).units[group])
     drawn, axes = figures.figure()
     values = comparison.error[group]
     if comparison.rounding is not None:

@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.scoring import score
-from orbisim.diagnosis.wording import number
+from orbisim.diagnosis.wording import interval, number
 from orbisim.effects import find
 from orbisim.effects.confounds import advice
 from orbisim.effects.measured import correct
@@ -76,7 +76,7 @@ def write_report(diagnosis: Diagnosis, path: Path) -> Path:
         notes=merged(diagnosis.notes),
         origin=diagnosis.origin,
         number=number,
-        interval=_interval,
+        interval=interval,
     )
     write_text(path, page)
     return path
@@ -103,13 +103,6 @@ def _files(recordings: Sequence[Recording]) -> list[str]:
 
 
 _STRETCH = re.compile(r"\[\S+ s to \S+ s\]$")
-
-
-def _interval(low: float, high: float) -> str:
-    """Both ends, with digits enough to tell them apart."""
-    size, width = max(abs(low), abs(high)), high - low
-    digits = 3 if not width > 0 else int(np.clip(np.ceil(np.log10(size / width)) + 2, 3, 9))
-    return f"{number(low, digits)} to {number(high, digits)}"
 
 
 def _name(one: Samples) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from orbisim.diagnosis.wording import sentence
+from orbisim.diagnosis.wording import interval, sentence
 
 
 @pytest.mark.parametrize(
@@ -55,3 +55,10 @@ def test_a_search_whose_time_was_up_does_not_speak_of_the_whole_catalogue(
         cut_short=cut_short,
     )
     assert said in text and not_said not in text
+
+
+def test_the_ends_of_an_interval_differ() -> None:
+    assert interval(0.119993, 0.120013) == "0.119993 to 0.120013"
+    assert interval(0.3, 0.4) == "0.3 to 0.4"
+    assert interval(-1e-6, 1e-6) == "-1e-06 to 1e-06"
+    assert interval(0.12, 0.12) == "0.12 to 0.12"
