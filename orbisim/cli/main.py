@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 import sys
+import warnings
+from collections.abc import Iterator
 from typing import Any, NoReturn
 
 import click
@@ -64,7 +67,36 @@ def cli() -> None:
 
 def main() -> NoReturn:
     """Runs the command line; the exit status is 0, 1 (work failed) or 2 (input wrong)."""
-    sys.exit(run(sys.argv[1:]))
+    with in_one_line():
+        status = run(sys.argv[1:])
+    sys.exit(status)
+
+
+_MOST_ALIKE = 3
+"""Warnings of one kind that are shown: of hundreds of worlds all may say the same."""
+
+
+@contextlib.contextmanager
+def in_one_line() -> Iterator[None]:
+    """OrbiSim's own warnings as lines on standard error, without where in its source they arise."""
+    count: dict[type[Warning], int] = {}
+    with warnings.catch_warnings():
+        others = warnings.showwarning
+
+        def show(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
+            if not category.__module__.startswith("orbisim"):
+                others(message, category, *where, **more)
+                return
+            count[category] = count.get(category, 0) + 1
+            if count[category] <= _MOST_ALIKE:
+                click.echo(f"warning: {' '.join(str(message).split())}", err=True)
+
+        warnings.showwarning = show
+        yield
+    for category, number in count.items():
+        if number > _MOST_ALIKE:
+            name = category.__name__
+            click.echo(f"warning: {number - _MOST_ALIKE} more of the kind ({name})", err=True)
 
 
 def run(arguments: list[str]) -> int:

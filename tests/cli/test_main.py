@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import cast
@@ -12,7 +13,8 @@ from typing import cast
 import click
 import pytest
 
-from orbisim.cli.main import COMMANDS, cli, run
+from orbisim.agreement import EngineWarning
+from orbisim.cli.main import COMMANDS, cli, in_one_line, run
 from orbisim.testing import scenes
 
 
@@ -145,3 +147,17 @@ def test_importing_orbisim_loads_nothing_heavy() -> None:
         "assert not {'torch', 'warp', 'matplotlib'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_own_warnings_are_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    with in_one_line():
+        for world in range(5):
+            warnings.warn(f"world {world}\nis lost", EngineWarning, stacklevel=1)
+    said = capsys.readouterr().err.splitlines()
+    assert said == [
+        *(f"warning: world {world} is lost" for world in range(3)),
+        "warning: 2 more of the kind (EngineWarning)",
+    ]
+    with pytest.warns(UserWarning, match="of another"), in_one_line():
+        warnings.warn("of another", UserWarning, stacklevel=1)
+    assert capsys.readouterr().err == ""
