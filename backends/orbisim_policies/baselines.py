@@ -63,6 +63,10 @@ class Baseline:
     curiosity: float = 0.05
 
 
+LINE = 4096
+"""Control steps between lines of metrics, the same in a training that was killed on its way: one of
+PPO's rollouts in 32 worlds."""
+
 _DTYPES = (torch.float32, torch.float64, torch.int64, torch.uint8, torch.bool)
 """Of what a training goes on from."""
 
@@ -241,8 +245,8 @@ class _Progress(BaseCallback):
         self._policy_of, self._curiosity, self._weight = policy_of, curiosity, weight
         self._settings = json.loads(json.dumps(settings))
         self._parts: list[dict[str, float]] = []
-        self._spent, self.stopped = 0.0, False
-        self._began = self._logged = self._checked = self._saved = time.monotonic()
+        self._spent, self._logged, self.stopped = 0.0, 0, False
+        self._began = self._checked = self._saved = time.monotonic()
 
     @property
     def elapsed(self) -> float:
@@ -272,6 +276,8 @@ class _Progress(BaseCallback):
             if self._curiosity is not None:
                 self._curiosity.restore(_part(tensors, "curiosity"))
             learner_state.restore(model, _part(tensors, "learner"), notes["learner"])
+            self._logged = int(notes["logged"])
+            self._parts = [dict(part) for part in notes["parts"]]
         except (KeyError, RuntimeError, TypeError, ValueError) as error:
             raise InputError(f"{out}: its training cannot be gone on with ({error})") from None
         self._spent = float(notes["seconds"])
@@ -285,6 +291,7 @@ class _Progress(BaseCallback):
             parts["curiosity"] = self._curiosity.state()
         together = {f"{kind}/{n}": t for kind, part in parts.items() for n, t in part.items()}
         where = {"seed": self._run.seed, "step": notes["timesteps"], "seconds": self.elapsed}
+        where |= {"logged": self._logged, "parts": self._parts}
         save_progress(
             self._run.out, together, {"config": self._settings, **where, "learner": notes}
         )
@@ -299,16 +306,16 @@ class _Progress(BaseCallback):
         if self._curiosity is not None:
             seen = self.locals["new_obs"]
             self.locals["rewards"] += self._weight * self._curiosity.reward(seen)
-        now, run = time.monotonic(), self._run
-        if now - self._logged > run.check_every / 4:
-            self.log(run.check > 0 and now - self._checked > run.check_every)
-            self._logged = time.monotonic()
+        run, done = self._run, int(self.model.num_timesteps)
+        if done // LINE > self._logged // LINE:
+            self.log(run.check > 0 and time.monotonic() - self._checked > run.check_every)
         self.stopped = run.limit is not None and self.elapsed >= run.limit
         return not self.stopped
 
     def log(self, check: bool) -> None:
         """A line of metrics."""
         done, seconds = int(self.model.num_timesteps), round(self.elapsed, 3)
+        self._logged = done
         line: dict[str, Any] = {"step": done, "seconds": seconds}
         for name in self._problem.parts if self._parts else ():
             line[name] = float(np.mean([part[name] for part in self._parts]))

@@ -1,6 +1,11 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +14,7 @@ import torch
 
 pytest.importorskip("stable_baselines3")
 
+from orbisim_policies import baselines
 from orbisim_policies.baselines import Baseline, Curiosity, ProblemVecEnv, train_baseline
 from orbisim_policies.checkpoint import load_policy
 from orbisim_policies.network import NetworkConfig
@@ -58,8 +64,6 @@ def test_a_baseline_leaves_a_policy_that_acts_as_the_library_does(
 ) -> None:
     config = Baseline(method, batch=2, window=32, network=NetworkConfig((8,)))
     job = Run(tmp_path / "p", steps=128, starts=3, check=2, nthread=1)
-    from orbisim_policies import baselines
-
     kept = {}
     learner = baselines._learner
 
@@ -85,7 +89,8 @@ def test_a_baseline_leaves_a_policy_that_acts_as_the_library_does(
 def test_a_killed_training_goes_on_exactly(
     cartpole: SuiteProblem, tmp_path: Path, method: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In the middle of episodes, with live estimates at other times."""
+    """In the middle of episodes, with live estimates at other times; its curves, too."""
+    monkeypatch.setattr(baselines, "LINE", 20)
     config = Baseline(method, batch=2, window=33, network=NetworkConfig((8,)))
     job = Run(tmp_path / "whole", steps=198, starts=3, check=0, nthread=1, save_every=0.0)
     train_baseline(cartpole, config, job)
@@ -105,6 +110,62 @@ def test_a_killed_training_goes_on_exactly(
     weights = [(out / "policy.safetensors").read_bytes() for out in (job.out, parts.out)]
     assert weights[0] == weights[1]
     assert manifest["true_steps"] == 198 == manifest["training"]["step"]
+    curves = [curve(out) for out in (job.out, parts.out)]
+    assert curves[0] == curves[1] and len(curves[0]) > 8
+
+
+def curve(out: Path) -> list[tuple[int, float | None]]:
+    """What a training wrote of its episodes' returns."""
+    rows = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
+    return [(row["step"], row.get("return")) for row in rows]
+
+
+_TRAINING = """
+import sys
+from pathlib import Path
+from orbisim_policies import baselines
+from orbisim_policies import baselines
+from orbisim_policies.baselines import Baseline, train_baseline
+from orbisim_policies.network import NetworkConfig
+from orbisim_policies.run import Run
+from orbisim_policies.suite import SuiteProblem
+
+baselines.LINE = 100
+config = Baseline("ppo", batch=2, window=32, network=NetworkConfig((8,)))
+problem = SuiteProblem("cartpole-swingup", steps=8)
+out, steps, resume = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3] == "resume"
+run = Run(out, steps=steps, starts=3, check=0, nthread=1, save_every=0.0, resume=resume)
+train_baseline(problem, config, run)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
+def test_a_process_that_was_killed_goes_on_exactly(tmp_path: Path) -> None:
+    """By a signal that no program can catch, at whatever it does just then."""
+
+    def command(name: str, how: str) -> list[str]:
+        return [sys.executable, "-c", _TRAINING, str(tmp_path / name), "2048", how]
+
+    subprocess.run(command("whole", "new"), check=True, timeout=200)
+    with subprocess.Popen(command("parts", "new")) as process:
+        while process.poll() is None and progress_of(tmp_path / "parts") < 300:
+            time.sleep(0.01)
+        process.kill()
+    assert process.returncode == -signal.SIGKILL, "it was done before it was killed"
+    assert not (tmp_path / "parts" / "manifest.json").exists()
+    subprocess.run(command("parts", "resume"), check=True, timeout=200)
+    weights = [(tmp_path / n / "policy.safetensors").read_bytes() for n in ("whole", "parts")]
+    assert weights[0] == weights[1]
+    curves = [curve(tmp_path / name) for name in ("whole", "parts")]
+    assert curves[0] == curves[1] and len(curves[0]) > 8
+
+
+def progress_of(out: Path) -> int:
+    """The step of the last line of metrics; 0 if there is none."""
+    path = out / "metrics.jsonl"
+    lines = path.read_text().splitlines() if path.exists() else []
+    return int(json.loads(lines[-1])["step"]) if lines else 0
 
 
 def test_what_was_seen_is_no_longer_new() -> None:
