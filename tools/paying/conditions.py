@@ -91,7 +91,7 @@ def diagnosed(duty: type[Duty], seed: int, folder: Path, seconds: float) -> Plac
         settings = Settings(seed=seed, patience=seconds)
         found = orbisim.diagnose(duty.declared(), measured, settings=settings, progress=False)
         spent = time.monotonic() - began[0], time.process_time() - began[1]
-        found.report(where)
+        found.save(where)
         (folder / "seconds.txt").write_text(f"{spent[0]:.1f} {spent[1]:.1f}\n")
     report = read_json(where / "report.json")
     effects = [

@@ -73,6 +73,18 @@ def test_a_diagnosis_that_stands_in_the_folder_is_used(tmp_path: Path) -> None:
     assert row["own"] == row["machine"]
 
 
+@pytest.mark.slow
+def test_a_diagnosis_is_kept_and_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a patience that is too short to find much: the files are those of a long one."""
+    kind = conditions.DUTIES["arm"]
+    place, notes = conditions.diagnosed(kind, 0, tmp_path, 5.0)
+    assert notes["verdict"] in ("explained", "partly_explained", "unexplained")
+    assert notes["diagnosis_processor_s"] > 0
+    monkeypatch.setattr(conditions.orbisim, "diagnose", None)
+    again, read = conditions.diagnosed(kind, 0, tmp_path, 5.0)
+    assert read == notes and again.scene.fingerprint == place.scene.fingerprint
+
+
 def made(condition: str, wins: int, seed: int = 0) -> dict[str, Any]:
     tried = {"episodes": 10, "successes": wins, "share": wins / 10}
     tried |= {"reward": {"mean": 0.5}, "miss": {"median": 3.0}, "diverged": 0}
