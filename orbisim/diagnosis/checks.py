@@ -62,6 +62,17 @@ def shortened(declared: Scene, taken: Scene) -> str | None:
     )
 
 
+def between_samples(bench: Bench) -> str | None:
+    """A note if controls were taken to change between samples."""
+    if not bench.midway:
+        return None
+    return (
+        "free runs predict surely better where controls change somewhere between two samples than "
+        "where they are held from the sample at which they are logged: between two samples their "
+        "mean was taken (commands of a slower rate than the log's, or beside its clock)"
+    )
+
+
 def disabled(scene: Scene) -> str | None:
     """A note on effects that a disabled flag of the scene makes impossible."""
     flags = int(scene.model.opt.disableflags)

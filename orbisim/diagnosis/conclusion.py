@@ -12,7 +12,7 @@ from orbisim.diagnosis.explanations import Found, Tried
 from orbisim.diagnosis.found import Rival
 from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.simplification import Sure, only_sure
+from orbisim.diagnosis.simplification import Sure, named, only_sure
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.worth import worth
 from orbisim.effects import EffectInstance, find
@@ -76,8 +76,12 @@ def attribute(
       deadline: of the final fits, after that; none if None.
     """
     found = search(bench, settings, say)
-    say("final fit")
     try:
+        if found.late:  # what was found has not been held against laws without a name
+            found = named(
+                dataclasses.replace(found, context=found.context.until(deadline or NEVER))
+            )
+        say("final fit")
         return concluded(found, deadline or NEVER)
     except TimeIsUpError:
         return _as_found(found)

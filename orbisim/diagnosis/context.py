@@ -65,6 +65,12 @@ class Context:
         judge = self._judge(bench, bench.intervals, self.judge.heavy)
         return dataclasses.replace(self, bench=bench, intervals=bench.intervals, judge=judge)
 
+    def until(self, deadline: Deadline) -> Context:
+        """With another deadline."""
+        bench = dataclasses.replace(self.bench, deadline=deadline)
+        judge = self._judge(bench, self.intervals, self.judge.heavy)
+        return dataclasses.replace(self, bench=bench, judge=judge)
+
     def whole(self, deadline: Deadline, most: int) -> Context:
         """With all windows fitted and checked (so many at most), until another deadline."""
         bench = dataclasses.replace(self.bench.whole(), deadline=deadline)

@@ -45,8 +45,8 @@ class Found:
     Attributes:
       context: data and noise as they were known in the end.
       timestep: of the scene as it was given, s.
-      declared: the declared scene, fitted, with the timestep that was taken in the end. best: the
-        best explanation.
+      declared: the declared scene, fitted, with timestep and controls as in the end. best: the best
+        explanation.
       screening: of the declared scene; None if nothing had to be explained.
       tried: explanations of all rounds. law: a law without a name that is the better explanation;
         empty if none is. late: whether the search ended because its time was up.

@@ -243,8 +243,7 @@ def laws(context: Context, current: Judged) -> Iterator[Hypothesis]:
     as well as several named effects, or better than one, is not to be called by their names."""
     scene, hypothesis = context.bench.scene, current.hypothesis
     model = scene.model
-    places = [_joint(model, one) for one in hypothesis.effects]
-    for joint in dict.fromkeys(place for place in places if place is not None):
+    for joint in dict.fromkeys(j for one in hypothesis.effects for j in _joints(model, one)):
         for law in UNNAMED:
             effect = law()
             if not effect.possible(model, joint):
@@ -264,16 +263,20 @@ def laws(context: Context, current: Judged) -> Iterator[Hypothesis]:
             yield begun[int(np.argmin(left))]
 
 
-def _joint(model: mujoco.MjModel, instance: EffectInstance) -> str | None:
-    """The joint at which an effect acts; None if at none."""
-    kind = find(instance.effect).kind
-    if kind == "joint":
-        return instance.target
+def _joints(model: mujoco.MjModel, instance: EffectInstance) -> tuple[str, ...]:
+    """The joints at which an effect acts: its own, its actuator's, its body's."""
+    kind, names = find(instance.effect).kind, names_of_kind(model, "joint")
+    if kind in ("joint", "sensor"):
+        return (instance.target,) if instance.target in names else ()
     if kind == "actuator":
         actuator = index_of(model, "actuator", instance.target)
         if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT:
-            return names_of_kind(model, "joint")[model.actuator_trnid[actuator, 0]]
-    return None
+            return (names[model.actuator_trnid[actuator, 0]],)
+    if kind == "body":
+        body = index_of(model, "body", instance.target)
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        return tuple(names[first : first + count]) if count else ()
+    return ()
 
 
 _FEW = 3

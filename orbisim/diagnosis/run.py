@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import operator
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,8 +16,9 @@ import numpy as np
 from orbisim.backend import Backend
 from orbisim.diagnosis.alternatives import alternatives_of, candidates_of
 from orbisim.diagnosis.both import by_runs, worth_in_both
-from orbisim.diagnosis.checks import disabled, doubts, shortened
+from orbisim.diagnosis.checks import between_samples, disabled, doubts, shortened
 from orbisim.diagnosis.conclusion import Attribution, attribute
+from orbisim.diagnosis.discretization import asked, read_as
 from orbisim.diagnosis.findings import (
     effects_of,
     errors_of,
@@ -37,7 +39,6 @@ from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.scoring import score
 from orbisim.diagnosis.sensor_faults import sensor_faults
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.timestep import along
 from orbisim.effects import add_effects, find
 from orbisim.errors import InputError
 from orbisim.evidence import NEAR, SURE
@@ -48,8 +49,9 @@ from orbisim.motion.samples import Samples, prepare_all
 from orbisim.recording import Recording
 from orbisim.recording.actuators import actuators
 from orbisim.recording.split import bounded, some_of, split
+from orbisim.recording.stamps import regular
 from orbisim.recording.suspicious import refuse
-from orbisim.recording.thinning import thinned, usual_window
+from orbisim.recording.thinning import held_midway, thinned, usual_window
 from orbisim.scene import Scene, load_scene
 from orbisim.sensing.faults import Sensed
 from orbisim.shooting.bench import Bench, Noise, make_bench
@@ -166,8 +168,10 @@ def _by_motion(
     enough = windows_enough(scene, fit, window)
     fit = some_of(fit, window, enough, notes)
     held = some_of(held, window, enough, notes)
-    samples = prepare_all(bounded(thinned(fit, window, notes), notes), scene)
-    bench = make_bench(scene, samples, window)
+    fewer = thinned(fit, window, notes)
+    bench = make_bench(scene, prepare_all(bounded(fewer, notes), scene), window)
+    if all(map(operator.is_, fewer, fit)):  # else samples are close, and controls are means already
+        bench = asked(bench)
     notes += [note for note in (disabled(scene),) if note is not None]
     limit = Deadline(start + _SEARCH * settings.patience)
     bench = dataclasses.replace(bench, deadline=limit)
@@ -176,8 +180,9 @@ def _by_motion(
     if found.cut_short:
         notes.append(f"the search was ended after {settings.patience:g} s; more may be found")
     say("checking on held-out data")
-    unseen = along(unseen.whole(found.bench.noise), found.bench.scene)
-    notes += [note for note in (shortened(scene, found.bench.scene),) if note is not None]
+    unseen = read_as(unseen.whole(found.bench.noise), found.bench)
+    forms = shortened(scene, found.bench.scene), between_samples(found.bench)
+    notes += [note for note in forms if note is not None]
     notes += doubts(found)
     sensed = sensor_faults(found, unseen, notes, say)
     result = _result(scene, named, found, settings, fit, held, window, backend, notes, sensed)
@@ -273,7 +278,8 @@ def _sets(
 
 def _loaded(recordings: Any) -> list[Recording]:
     every = [recordings] if isinstance(recordings, (Recording, str, Path)) else list(recordings)
-    return [one if isinstance(one, Recording) else Recording.load(one) for one in every]
+    loaded = [one if isinstance(one, Recording) else Recording.load(one) for one in every]
+    return [regular(one) for one in loaded]
 
 
 def _nothing(text: str) -> None:
@@ -308,8 +314,11 @@ def _result(
     if measuring:
         augmented = add_effects(augmented, measuring)
     changed = bool(hypothesis.effects or hypothesis.factors) or stepped is not scene
+    changed = changed or bool(found.bench.midway)
     before = {"fit": score(scene, fit, window, (), backend)}
     before["held_out"] = score(scene, held, window, (), backend)
+    if found.bench.midway:
+        fit, held = held_midway(fit), held_midway(held)
     after = dict(before)
     if changed:
         after = {

@@ -3,7 +3,8 @@
 A state is an explanation (`Judged`): effects with their values, retuned declared parameters,
 fitted starts. A move adds an effect (or several at once) or retunes declared parameters
 (`orbisim.diagnosis.moves`), removes one, exchanges one or merges two
-(`orbisim.diagnosis.simplification`), or changes the timestep. One number decides each: what the
+(`orbisim.diagnosis.simplification`), or changes the timestep or when controls change
+(`orbisim.diagnosis.discretization`). One number decides each: what the
 later explanation is surely worth more (`orbisim.diagnosis.worth`). The search ends where no move
 is, or where the time is up.
 """
@@ -14,11 +15,11 @@ import dataclasses
 import itertools
 
 from orbisim.diagnosis.context import Context, Progress, begun
+from orbisim.diagnosis.discretization import other
 from orbisim.diagnosis.explanations import EVEN, Found, done, quiet
 from orbisim.diagnosis.moves import best_move
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.simplification import named, removed, simplified, stepped
-from orbisim.diagnosis.timestep import finer
+from orbisim.diagnosis.simplification import in_form, named, removed, simplified
 from orbisim.diagnosis.worth import gains, worth
 from orbisim.evidence import EFFECT
 from orbisim.host.deadline import NEVER, TimeIsUpError
@@ -71,13 +72,13 @@ def _round(found: Found, number: int) -> Found:
     full = len(current.hypothesis.effects) >= context.settings.most_effects
     if done(context, current) or full:
         return simplified(found, number)
-    shorter = finer(context, current)
-    if shorter is not None and done(*shorter):
-        return stepped(found, shorter)
+    form = other(context, current)
+    if form is not None and done(*form):
+        return in_form(found, form)
     best, tried, late = best_move(found, number)
     found = dataclasses.replace(found, tried=(*found.tried, *tried))
-    if shorter is not None and (best is None or _less(context, current, best, shorter[1])):
-        return stepped(found, shorter)
+    if form is not None and (best is None or _less(context, current, best, form[1])):
+        return in_form(found, form)
     if best is None:
         if late:
             raise TimeIsUpError

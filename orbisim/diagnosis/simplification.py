@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 from orbisim.diagnosis.context import Context
+from orbisim.diagnosis.discretization import as_declared
 from orbisim.diagnosis.explanations import (
     EVEN,
     Found,
@@ -18,9 +19,9 @@ from orbisim.diagnosis.explanations import (
     winner,
 )
 from orbisim.diagnosis.proposals import exchanges, laws, merged
-from orbisim.diagnosis.timestep import coarser
 from orbisim.diagnosis.worth import worth
 from orbisim.effects import EffectInstance, find
+from orbisim.effects.unnamed import POWERS
 from orbisim.evidence import NEAR, Gain
 from orbisim.host.deadline import TimeIsUpError
 from orbisim.shooting.hypothesis import Hypothesis
@@ -29,10 +30,11 @@ from orbisim.shooting.judge import Judged, is_structural
 
 def simplified(found: Found, number: int) -> Found:
     """Without effects that are not surely worth it beside the others, with others in their places
-    where these are better, one in the place of two, and no shorter a timestep than it takes."""
+    where these are better, one in the place of two, and timestep and controls as they were where
+    that is worth no less."""
     if not found.best.hypothesis.effects:
         return found
-    for change in (_coarser, _exchanged, _united, removed):
+    for change in (_as_declared, _exchanged, _united, removed):
         try:
             found = change(found, number)
         except TimeIsUpError:
@@ -40,13 +42,13 @@ def simplified(found: Found, number: int) -> Found:
     return found
 
 
-def _coarser(found: Found, number: int) -> Found:
-    other = coarser(found.context, found.best, found.timestep)
-    return found if other is None else stepped(found, other)
+def _as_declared(found: Found, number: int) -> Found:
+    other = as_declared(found.context, found.best, found.timestep)
+    return found if other is None else in_form(found, other)
 
 
-def stepped(found: Found, other: tuple[Context, Judged]) -> Found:
-    """With another timestep."""
+def in_form(found: Found, other: tuple[Context, Judged]) -> Found:
+    """With another timestep, or controls that change at other times."""
     context, best = other
     found = dataclasses.replace(found, context=context, best=best)
     if best.hypothesis.effects or best.hypothesis.factors:
@@ -158,12 +160,14 @@ def _all(context: Context, every: Iterable[Hypothesis], start: Judged) -> list[J
 
 
 def named(found: Found) -> Found:
-    """With the law without a name that is the better explanation, if there is one. An effect that
-    by itself leaves no more than noise keeps its name, though: not it, but what was added to it
-    below that, is what a law does as well."""
+    """With the law without a name that is the better explanation, if there is one: it is asked
+    where names leave more than noise, or take several effects or as many numbers as a law has. An
+    effect of fewer numbers that by itself leaves no more than noise keeps its name, though: not it, but
+    what was added to it below that, is what a law does as well."""
     context, best = found.context, found.best
     effects = best.hypothesis.effects
-    if context.bench.contacts or not effects or (len(effects) < 2 and best.ratio <= NEAR):
+    simple = len(effects) < 2 and not _as_a_law(found, best)
+    if context.bench.contacts or not effects or (simple and best.ratio <= NEAR):
         return found
     context.say("laws without a name")
     better = best_few(context, best, _all(context, laws(context, best), best))[:1]
@@ -179,6 +183,11 @@ def named(found: Found) -> Found:
     return found
 
 
+def _as_a_law(found: Found, judged: Judged) -> bool:
+    """Whether an explanation has as many numbers as a law without a name."""
+    return len(judged.hypothesis.free(found.context.bench.scene)) >= POWERS
+
+
 def _alone(found: Found) -> Judged | None:
     """The best single effect that was surely worth it and leaves no more than noise."""
     first = [one for one in found.tried if one.round == 1 and one.gain.sure > 0]
@@ -188,5 +197,6 @@ def _alone(found: Found) -> Judged | None:
         if len(one.judged.hypothesis.effects) == 1
         and not one.judged.hypothesis.factors
         and one.judged.ratio <= NEAR
+        and not _as_a_law(found, one.judged)
     ]
     return max(alone, key=lambda one: one.gain.total).judged if alone else None

@@ -176,7 +176,7 @@ class Effect(abc.ABC):
     declared_as: ClassVar[str] = ""
     needs: ClassVar[tuple[mujoco.mjtDisableBit, ...]] = ()
     rarity: ClassVar[float] = 0.0
-    measured_as: ClassVar[Literal["", "offset", "scale", "delay", "clock"]] = ""
+    measured_as: ClassVar[Literal["", "offset", "scale", "delay", "clock", "law"]] = ""
     family: ClassVar[str] = ""
 
     @abc.abstractmethod

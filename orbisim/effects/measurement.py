@@ -1,7 +1,8 @@
 """How true states appear in a recording: offsets, scales, delays and the clock.
 
-A signal reads s x(t - d) + b at each degree of freedom (see `orbisim.effects.sensors`), and
-recorded durations are `clock` times the true ones. Rotations of ball and free joints are read as
+A signal reads s x(t - d) + b at each degree of freedom (see `orbisim.effects.sensors`), with a law
+of reading (`orbisim.effects.unnamed`) more by a function of x, and recorded durations are `clock`
+times the true ones. Rotations of ball and free joints are read as
 they are.
 """
 
@@ -28,12 +29,15 @@ class Measurement:
     Attributes:
       clock: recorded over true durations.
       bias, scale: of positions and velocities. delay: s, of the same.
+      laws: degrees of freedom with a law of reading: their number, and of each wave the periods a
+        turn and the numbers of cosine and sine, rad.
     """
 
     clock: float = 1.0
     bias: Floats | None = None
     scale: Floats | None = None
     delay: Floats | None = None
+    laws: tuple[tuple[int, tuple[tuple[int, float, float], ...]], ...] = ()
 
     def __bool__(self) -> bool:
         return self.bias is not None
@@ -51,7 +55,14 @@ class Measurement:
         late = np.flatnonzero(self.delay)
         if late.size:
             truth = self._delayed(truth, reference, late, time)
-        return np.asarray(self.scale * truth + self.bias - reference)
+        read = self.scale * truth + self.bias
+        for q, waves in self.laws:
+            v = q + truth.shape[-1] // 2
+            for k, even, odd in waves:
+                cos, sin = np.cos(k * truth[..., q]), np.sin(k * truth[..., q])
+                read[..., q] += even * cos + odd * sin
+                read[..., v] += k * (odd * cos - even * sin) * truth[..., v]
+        return np.asarray(read - reference)
 
     def _delayed(
         self, truth: Floats, reference: Floats, late: npt.NDArray[np.int64], time: Floats
@@ -109,6 +120,7 @@ def measurement_of(model: mujoco.MjModel, effects: Iterable[EffectInstance]) -> 
     """The map of some measurement effects; others are ignored."""
     nv, clock, changed = model.nv, 1.0, False
     bias, scale, delay = np.zeros(2 * nv), np.ones(2 * nv), np.zeros(2 * nv)
+    laws: list[tuple[int, tuple[tuple[int, float, float], ...]]] = []
     places = dict(zip(names_of_kind(model, "joint"), joints(model), strict=True))
     for one in effects:
         changes = find(one.effect).measured_as
@@ -120,10 +132,15 @@ def measurement_of(model: mujoco.MjModel, effects: Iterable[EffectInstance]) -> 
         changed = True
         width = 3 if joint.kind == Kind.FREE else 1
         q = np.arange(joint.v.start, joint.v.start + width)
-        if changes == "offset":
+        if changes in ("offset", "law"):
             bias[q] += one.values["offset"]
+        if changes == "law":
+            waves = tuple((k, one.values[f"cos{k}"], one.values[f"sin{k}"]) for k in (1, 2))
+            laws.append((joint.v.start, waves))
         elif changes == "scale":
             scale[[*q, *(nv + q)]] *= one.values["factor"]
-        else:
+        elif changes == "delay":
             delay[[*q, *(nv + q)]] += one.values["delay"]
-    return Measurement(clock, bias, scale, delay) if changed else Measurement(clock)
+    if not changed:
+        return Measurement(clock)
+    return Measurement(clock, bias, scale, delay, tuple(laws))

@@ -16,8 +16,9 @@ import numpy as np
 from orbisim.effects.base import LARGE, EffectInstance, Hook, Parameter, StepInputs, index_of
 from orbisim.effects.joints import JointEffect
 from orbisim.effects.screening import Floats
+from orbisim.effects.sensors import MeasurementEffect
 
-_POWERS = 4
+POWERS = 4
 """Up to the cube: a law with more bends would follow the noise."""
 
 Along = Callable[[StepInputs, int, int], tuple[Floats, Floats]]
@@ -50,13 +51,13 @@ class PolynomialLaw(Law):
         """What it is a polynomial of, and a factor, each [nworld]; joint's addresses given."""
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return tuple(Parameter(f"c{k}", "SI", -LARGE, LARGE, 0.1) for k in range(_POWERS))
+        return tuple(Parameter(f"c{k}", "SI", -LARGE, LARGE, 0.1) for k in range(POWERS))
 
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _Polynomial(model, instance, self.along, self.derived)
 
     def beginnings(self, q: Floats) -> list[dict[str, float]]:
-        return [{f"c{k}": 0.0 for k in range(_POWERS)}]
+        return [{f"c{k}": 0.0 for k in range(POWERS)}]
 
 
 class PositionLaw(PolynomialLaw):
@@ -120,7 +121,39 @@ class OneSidedLaw(Law):
         ]
 
 
-UNNAMED: tuple[type[Law], ...] = (PositionLaw, VelocityLaw, GainLaw, OneSidedLaw)
+class ReadingLaw(MeasurementEffect):
+    """A hinge's sensor reads, beside an offset, too much by waves of one and two periods a turn: a
+    disk that is mounted beside its axis, or tilted. A scale and an offset are its tangent."""
+
+    name = "law_of_reading"
+    phrase = "a reading that is off by a smooth function of the position"
+    measured_as = "law"
+    rarity = -2.0
+
+    def possible(self, model: mujoco.MjModel, target: str) -> bool:
+        """At hinges."""
+        joint = index_of(model, "joint", target)
+        return int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE)
+
+    def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
+        return tuple(Parameter(name, "rad", -1.0, 1.0, 0.02) for name in READING)
+
+    def beginnings(self, q: Floats) -> list[dict[str, float]]:
+        """As if there was none."""
+        return [dict.fromkeys(READING, 0.0)]
+
+
+READING = ("offset", "cos1", "sin1", "cos2", "sin2")
+"""Numbers of a law of reading: the reading is too large by offset + cos1 cos(q) + sin1 sin(q) +
+cos2 cos(2 q) + sin2 sin(2 q)."""
+
+UNNAMED: tuple[type[Law] | type[ReadingLaw], ...] = (
+    PositionLaw,
+    VelocityLaw,
+    GainLaw,
+    OneSidedLaw,
+    ReadingLaw,
+)
 
 
 class _OneSided(Hook):
@@ -150,5 +183,5 @@ class _Polynomial(Hook):
 
     def force(self, inputs: StepInputs) -> None:
         x, factor = self._along(inputs, self._q, self._v)
-        powers = sum(self.value(f"c{k}") * x**k for k in range(_POWERS))
+        powers = sum(self.value(f"c{k}") * x**k for k in range(POWERS))
         inputs.qfrc[:, self._v] += factor * powers

@@ -22,6 +22,7 @@ from orbisim.recording import Bound, Recording, bind, estimate_motion, noise_std
 from orbisim.recording.initial import activations, histories, starts
 from orbisim.recording.joints import Kind, joints
 from orbisim.recording.noise import lattice_step
+from orbisim.recording.zero_order_hold import midway
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
@@ -86,6 +87,15 @@ class Samples:
         """[T, nv]: standard deviation of the smoothed acceleration by measurement noise."""
         return np.nan_to_num(estimate_motion(self.bound).qacc_std)
 
+    def midway(self) -> Samples:
+        """With controls and forces that change somewhere between two samples, instead of at the
+        first of them: between the two, the mean of both."""
+        return dataclasses.replace(self, ctrl=midway(self.ctrl), force=midway(self.force))
+
+    def as_logged(self) -> Samples:
+        """With controls and forces as they were at each sample."""
+        return dataclasses.replace(self, ctrl=self.bound.ctrl, force=_applied(self.bound))
+
     @property
     def source(self) -> str:
         """Name of the recording."""
@@ -128,7 +138,7 @@ def prepare(recording: Recording, scene: Scene) -> Samples:
         ctrl=bound.ctrl,
         act=act,
         history=history,
-        force=np.where(bound.applied, np.nan_to_num(bound.torque), 0.0),
+        force=_applied(bound),
         dq=dq,
         dv=dv,
         q_noise=_floor(motion.noise_std, dq),
@@ -137,6 +147,11 @@ def prepare(recording: Recording, scene: Scene) -> Samples:
         usable=np.asarray(usable),
         jumps=motion.jumps,
     )
+
+
+def _applied(bound: Bound) -> Floats:
+    """[T, nv]: recorded joint forces that drive the scene."""
+    return np.where(bound.applied, np.nan_to_num(bound.torque), 0.0)
 
 
 def _with_spin(bound: Bound, qpos: Floats, qvel: Floats) -> tuple[Floats, Floats]:

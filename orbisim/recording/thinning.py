@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.recording import Recording, names
+from orbisim.recording.zero_order_hold import midway
 
 Floats = npt.NDArray[np.float64]
 
@@ -53,6 +54,16 @@ def thinned(recordings: Sequence[Recording], window: float, notes: list[str]) ->
             f"windows of {window:g} s have more than {MOST_SAMPLES} samples: the search takes "
             f"{total - left_out} of {total}, with the mean of the controls in between"
         )
+    return found
+
+
+def held_midway(recordings: Sequence[Recording]) -> list[Recording]:
+    """Recordings with controls and torques that change somewhere between two samples: between the
+    two, the mean of both."""
+    found = []
+    for one in recordings:
+        held = {n: midway(v) for n, v in one.signals.items() if names.split(n)[0] in names.HELD}
+        found.append(one.replace(signals={**one.signals, **held}))
     return found
 
 

@@ -24,6 +24,14 @@ def filled(values: Floats) -> Floats:
     return np.asarray(np.take_along_axis(values, last, axis=0))
 
 
+def midway(values: Floats) -> Floats:
+    """[T, ...]: the mean of each value and the next: what a signal that changes somewhere between
+    two samples does on average between them. The last one stays."""
+    found = np.array(values, np.float64)
+    found[:-1] = (found[:-1] + found[1:]) / 2
+    return found
+
+
 class Held:
     """A zero-order hold: value k from time k to time k + 1, the last one for ever.
 

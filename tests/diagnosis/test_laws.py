@@ -79,3 +79,23 @@ def test_a_law_of_one_side_is_fitted_from_either_side() -> None:
     begun = OneSidedLaw().beginnings(np.linspace(-1, 3, 101))
     assert sorted({one["position"] for one in begun}) == pytest.approx([0.0, 1.0, 2.0])
     assert {one["side"] for one in begun} == {-1.0, 1.0}
+
+
+def test_a_scale_and_an_offset_are_no_names_for_an_eccentric_encoder(arm: orbisim.Scene) -> None:
+    """Two waves a turn are none of the catalogue's; along a part of a turn a scale and an offset
+    do some of what they do."""
+    runs = []
+    for run in inject_effect(arm, [], duration=6.0, episodes=3, noise=2e-4, seed=3):
+        q = run["qpos/elbow"]
+        read = q + 0.02 * np.sin(2 * q + 0.7)
+        kept = {n: v for n, v in run.signals.items() if not n.startswith("qvel")}
+        runs.append(run.replace(signals={**kept, "qpos/elbow": read}))
+    context = begun(make_bench(arm, prepare_all(runs, arm), 0.5), Settings(), lambda _: None)
+    scale = EffectInstance("sensor_scale", "elbow", {"factor": 1.0})
+    offset = EffectInstance("sensor_bias", "elbow", {"offset": 0.0})
+    declared = context.judge.judge(Hypothesis())
+    both = context.judge.judge(Hypothesis((scale, offset)), 8)
+    assert declared is not None and both is not None
+    assert worth(context.bench, declared, both).sure > 0
+    law = simplification.named(Found(context, 0.002, declared, both)).law
+    assert "smooth function of the position" in law and "'elbow' alone" in law

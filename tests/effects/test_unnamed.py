@@ -8,6 +8,7 @@ import pytest
 
 from orbisim import Scene, load_scene, make_backend
 from orbisim.effects import EffectInstance, add_effects, effect_names, find
+from orbisim.effects.measurement import measurement_of
 from orbisim.effects.unnamed import UNNAMED
 from orbisim.errors import SceneError
 
@@ -93,3 +94,25 @@ def test_a_law_of_one_side_acts_beyond_its_position_only() -> None:
     assert accelerated("law_of_one_side", values, -0.2, 1.5, 0.0) == pytest.approx(
         expected, rel=1e-6
     )
+
+
+def test_a_law_of_reading_is_its_waves() -> None:
+    """Positions are read too large by them, and velocities by their slope."""
+    values = {"offset": 0.02, "cos1": 0.01, "sin1": -0.03, "cos2": 0.005, "sin2": 0.004}
+    law = EffectInstance("law_of_reading", "hinge", values)
+    q, v = 0.6, 1.5
+    truth = np.array([[[q, v]]])
+    read = measurement_of(scene().model, [law]).of(np.zeros_like(truth), truth, np.zeros((1, 1)))
+
+    def waves(x: float) -> float:
+        once = 0.01 * np.cos(x) - 0.03 * np.sin(x)
+        return 0.02 + once + 0.005 * np.cos(2 * x) + 0.004 * np.sin(2 * x)
+
+    slope = (waves(q + 1e-6) - waves(q - 1e-6)) / 2e-6
+    assert read[0, 0] == pytest.approx([q + waves(q), v * (1 + slope)], rel=1e-7)
+
+
+def test_a_law_of_reading_is_of_hinges() -> None:
+    slide = load_scene(SWING.replace('axis="0 1 0"', 'axis="0 1 0" type="slide"'))
+    assert find("law_of_reading").possible(scene().model, "hinge")
+    assert not find("law_of_reading").possible(slide.model, "hinge")

@@ -1,13 +1,16 @@
-"""The integration step is no effect: what a long one does is not named as one."""
+"""Neither the integration step nor when controls change is an effect: what they do is not named as
+one."""
 
 from __future__ import annotations
 
+import mujoco
+import numpy as np
 import pytest
 
 import orbisim
 from orbisim.diagnosis.context import begun
+from orbisim.diagnosis.discretization import as_declared, asked, other, with_timestep
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.timestep import coarser, finer, with_timestep
 from orbisim.effects import EffectInstance
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import make_bench
@@ -49,7 +52,7 @@ def test_a_step_that_is_right_stays() -> None:
     context = begun(bench, Settings(), lambda _: None)
     judged = context.judge.judge(Hypothesis())
     assert judged is not None
-    assert finer(context, judged) is None and coarser(context, judged, 0.005) is None
+    assert other(context, judged) is None and as_declared(context, judged, 0.005) is None
 
 
 def test_a_step_does_not_stand_in_for_an_effect_in_the_end() -> None:
@@ -71,6 +74,51 @@ def test_one_that_was_shortened_in_vain_grows_again() -> None:
     context = begun(bench, Settings(), lambda _: None)
     judged = context.judge.judge(Hypothesis())
     assert judged is not None
-    found = coarser(context, judged, 0.005)
+    found = as_declared(context, judged, 0.005)
     assert found is not None
     assert found[0].bench.scene.model.opt.timestep == pytest.approx(0.005)
+
+
+def _commanded(seed: int, tick: float, latest: float = 1.0) -> orbisim.Recording:
+    """A servo whose commands change every tick, logged at 100 Hz: what was in force at a sample.
+
+    Args:
+      latest: ticks until the first change, at most.
+    """
+    scene = _scene(0.001)
+    rng, data = np.random.default_rng(seed), mujoco.MjData(scene.model)
+    levels, phase = rng.uniform(-1, 1, 402), rng.uniform(0, latest * tick) + 1e-6
+    rows = []
+    for step in range(4000):
+        data.ctrl[0] = levels[int((data.time + phase) / tick)]
+        if step % 10 == 0:
+            rows.append((data.time, data.qpos[0] + 5e-4 * rng.normal(), data.ctrl[0]))
+        mujoco.mj_step(scene.model, data)
+    time, qpos, ctrl = np.array(rows).T
+    return orbisim.Recording(time, {"qpos/hinge": qpos, "ctrl/servo": ctrl}, source=f"log{seed}")
+
+
+def test_controls_that_change_between_samples_are_no_early_sensor() -> None:
+    runs = [_commanded(seed, 0.0273) for seed in range(4)]
+    result = orbisim.diagnose(_scene(0.001), runs, progress=False)
+    assert not result.effects
+    assert any("controls change somewhere between two samples" in note for note in result.notes)
+    assert result.error["held_out"]["after"] < 0.9 * result.error["held_out"]["before"]
+
+
+def test_controls_that_change_at_samples_are_held_from_there() -> None:
+    scene = _scene(0.001)
+    runs = [_commanded(seed, 0.01, 0.0) for seed in range(4)]
+    bench = asked(make_bench(scene, prepare_all(runs, scene), 0.5))
+    assert bench.midway is False
+    context = begun(bench, Settings(), lambda _: None)
+    judged = context.judge.judge(Hypothesis())
+    assert judged is not None
+    found = other(context, judged)
+    assert found is None or not found[0].bench.midway
+
+
+def test_controls_that_hardly_change_are_not_asked() -> None:
+    scene = _scene(0.001)
+    runs = [_commanded(0, 1.5)]
+    assert asked(make_bench(scene, prepare_all(runs, scene), 0.5)).midway is None

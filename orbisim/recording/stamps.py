@@ -1,0 +1,112 @@
+"""Time stamps that a host wrote when samples arrived, not when they were taken.
+
+A controller samples on a regular grid; a bus and a scheduler deliver late by a part of the sampling
+interval that changes from sample to sample. A joint that moves then seems to jump by its speed
+times that. Whether stamps are such, or a true record of irregular sampling, the stamps cannot tell;
+the signals can: on the right times they are smoother.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import isotonic_regression
+
+from orbisim.recording.noise import noise_std
+from orbisim.recording.recording import Recording
+
+Floats = npt.NDArray[np.float64]
+
+
+def regular(recording: Recording) -> Recording:
+    """The recording on the grid about which its stamps scatter, if measured positions are surely
+    smoother there; itself if not. A note says what was done.
+
+    Args:
+      recording: any; positions are `qpos`, `xpos` and `sensor` signals.
+    """
+    grid = grid_of(recording.time)
+    if grid is None:
+        return recording
+    signals = [v for n, v in recording.signals.items() if n.split("/")[0] in _CONTINUOUS]
+    logged, better = (
+        np.concatenate([np.ravel(noise_std(time, v)) for v in signals] or [np.zeros(0)])
+        for time in (recording.time, grid)
+    )
+    known = np.isfinite(logged) & np.isfinite(better) & (np.minimum(logged, better) > 0)
+    if not known.any() or not np.log(logged[known] / better[known]).mean() > _SMOOTHER:
+        return recording
+    apart = float(np.std(recording.time - grid))
+    told = (
+        f"time stamps scatter by {1e3 * apart:.2g} ms about samples every "
+        f"{1e3 * float(np.median(np.diff(grid))):.4g} ms, and positions are "
+        f"{float(np.exp(np.log(logged[known] / better[known]).mean())):.2g} times smoother there: "
+        "that grid was taken"
+    )
+    return recording.replace(time=grid, notes=(*recording.notes, told))
+
+
+def grid_of(time: Floats) -> Floats | None:
+    """Whole multiples of a sampling interval about which stamps scatter, with gaps where samples
+    are missing; None if they lie on one already, or scatter about none.
+
+    The interval is that at which the stamps' phases agree most (the periodogram of the stamps);
+    each stamp then gets the number of its sample, numbers increasing, by isotonic regression, so
+    that a stamp that is late by more than half an interval does not move those after it.
+
+    Args:
+      time: [T], s, increasing.
+    """
+    count = len(time)
+    if count < _FEWEST:
+        return None
+    guess = float(np.median(np.diff(time)))
+    step, agreement = _interval(time, guess)
+    if not agreement > max(_AGREE, 5 / np.sqrt(count)):
+        return None
+    phase = float(np.angle(np.exp(2j * np.pi * time / step).mean())) * step / (2 * np.pi)
+    order = np.arange(count)
+    missing = np.round(isotonic_regression((time - phase) / step - order).x)
+    if missing[-1] == missing[-2] + 1:  # no later stamp says so, and late is more usual
+        missing[-1] = missing[-2]
+    number = order + missing
+    slope, offset = np.polyfit(number, time, 1)
+    grid = offset + slope * number
+    apart = float(np.std(time - grid))
+    if not _ALREADY * step < apart < step / 2:
+        return None
+    return np.asarray(grid, np.float64)
+
+
+def _interval(time: Floats, guess: float) -> tuple[float, float]:
+    """The sampling interval close to a guess at which phases agree most, and how much: the length
+    of their mean, 0 to 1. Phases of few samples agree over a wide range of intervals, those of
+    many over a narrow one: looked for with the first samples, then with twice as many, and so on.
+    """
+    count, step, reach = min(_FIRST, len(time)), guess, _REACH
+    while True:
+        part = time[:count] - time[0]
+        width = guess / (4 * float(part[-1]))  # a quarter of the peak's
+        steps = step * (1 + np.arange(-reach, reach + width, width))
+        found = [abs(np.exp(2j * np.pi * part / one).mean()) for one in steps]
+        step, agreement = float(steps[int(np.argmax(found))]), float(max(found))
+        if count == len(time):
+            return step, agreement
+        count, reach = min(2 * count, len(time)), 4 * width
+
+
+_CONTINUOUS = ("qpos", "xpos", "sensor")
+"""Signals that are sampled, and are smooth where a body moves on its own."""
+_SMOOTHER = 0.1
+"""Logarithm of the ratio of the noises: chance moves an estimate of 300 samples by 0.04."""
+_FEWEST = 30
+"""Samples from which a grid can be told."""
+_AGREE = 0.15
+"""Of phases: stamps that scatter by 0.31 of an interval still agree by as much."""
+_ALREADY = 1e-4
+"""Of an interval: stamps that are rounded to microseconds at 100 Hz lie on their grid."""
+_REACH = 0.05
+"""By which the median of the differences may be off the interval: late stamps come in pairs of a
+long and a short one, and their median hardly moves."""
+_FIRST = 256
+"""Samples with which an interval is looked for first: chance agrees by 0.06."""
