@@ -161,9 +161,11 @@ def _all(context: Context, every: Iterable[Hypothesis], start: Judged) -> list[J
 
 def named(found: Found) -> Found:
     """With the law without a name that is the better explanation, if there is one: it is asked
-    where names leave more than noise, or take several effects or as many numbers as a law has. An
-    effect of fewer numbers that by itself leaves no more than noise keeps its name, though: not it, but
-    what was added to it below that, is what a law does as well."""
+    where names leave more than noise, or take several effects or as many numbers as a law has.
+
+    An effect of fewer numbers that by itself leaves no more than noise keeps its name, though: not
+    it, but what was added to it below that, is what a law does as well.
+    """
     context, best = found.context, found.best
     effects = best.hypothesis.effects
     simple = len(effects) < 2 and not _as_a_law(found, best)
