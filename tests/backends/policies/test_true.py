@@ -70,3 +70,23 @@ def test_effects_that_a_scene_carries_are_applied() -> None:
     other = plain.step(state, np.ones((2, 1)), problem.steps)
     assert np.abs(expected.qpos - other.qpos)[:, 0].min() > 1e-3
     worlds.close()
+
+
+class Learned(SuiteProblem):
+    """The cart-pole, stepped by what was learned of it."""
+
+    backend = "learned"
+
+
+def test_a_problem_may_name_what_steps_it() -> None:
+    problem = Learned("cartpole-swingup", steps=8)
+    starts = problem.draw([1, 2])
+    worlds = TrueWorlds(problem, 2, nthread=1)
+    worlds.begin(np.arange(2), starts)
+    for _ in range(3):
+        worlds.step(torch.ones(2, 1))
+    engine = make_backend("learned", problem.scene, nworld=2)
+    state = State(np.zeros(2), starts.qpos, starts.qvel, np.zeros((2, 0)))
+    expected = np.asarray(engine.step(state, np.ones((2, 1)), 3).qpos)
+    np.testing.assert_allclose(worlds.coordinates[0], expected, atol=1e-5)
+    worlds.close()
