@@ -113,6 +113,8 @@ def diagnose(
     loaded.spec  # noqa: B018 (raises if the scene cannot be edited)
     notes: list[str] = []
     given, kept = _loaded(recordings), None if held_out is None else _loaded(held_out)
+    given, others = regular(given, kept or ())
+    kept = None if kept is None else others
     for one in (*given, *(kept or ())):
         notes += refuse(one, loaded)
     fit, held = _sets(given, kept)
@@ -278,8 +280,7 @@ def _sets(
 
 def _loaded(recordings: Any) -> list[Recording]:
     every = [recordings] if isinstance(recordings, (Recording, str, Path)) else list(recordings)
-    loaded = [one if isinstance(one, Recording) else Recording.load(one) for one in every]
-    return [regular(one) for one in loaded]
+    return [one if isinstance(one, Recording) else Recording.load(one) for one in every]
 
 
 def _nothing(text: str) -> None:

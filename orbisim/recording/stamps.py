@@ -8,6 +8,8 @@ the signals can: on the right times they are smoother.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import isotonic_regression
@@ -18,32 +20,53 @@ from orbisim.recording.recording import Recording
 Floats = npt.NDArray[np.float64]
 
 
-def regular(recording: Recording) -> Recording:
-    """The recording on the grid about which its stamps scatter, if measured positions are surely
-    smoother there; itself if not. A note says what was done.
+def regular(
+    recordings: Sequence[Recording], others: Sequence[Recording] = ()
+) -> tuple[list[Recording], list[Recording]]:
+    """Recordings of one machine on the grids about which their stamps scatter, if measured
+    positions are surely smoother there, in all of them together; else as they are. A note says what
+    was done.
 
     Args:
-      recording: any; positions are `qpos`, `xpos` and `sensor` signals.
+      recordings: any; positions are `qpos`, `xpos` and `sensor` signals.
+      others: of the same machine, which have no say.
+
+    Returns:
+      Both, in their order.
     """
+    drops = np.concatenate([*map(_drop, recordings), np.zeros(0)])
+    if not len(drops) or not drops.mean() > _SMOOTHER:
+        return list(recordings), list(others)
+    smoother = float(np.exp(drops.mean()))
+    found, also = ([_on_grid(one, smoother) for one in part] for part in (recordings, others))
+    return found, also
+
+
+def _on_grid(recording: Recording, smoother: float) -> Recording:
     grid = grid_of(recording.time)
     if grid is None:
         return recording
+    told = (
+        f"time stamps scatter by {1e3 * float(np.std(recording.time - grid)):.2g} ms about samples "
+        f"every {1e3 * float(np.median(np.diff(grid))):.4g} ms, and positions of all recordings "
+        f"are {smoother:.2g} times smoother there: that grid was taken"
+    )
+    return recording.replace(time=grid, notes=(*recording.notes, told))
+
+
+def _drop(recording: Recording) -> Floats:
+    """By how much the logarithm of each signal's noise is lower on the grid, where it is known with
+    both; nothing without a grid."""
+    grid = grid_of(recording.time)
     signals = [v for n, v in recording.signals.items() if n.split("/")[0] in _CONTINUOUS]
+    if grid is None or not signals:
+        return np.zeros(0)
     logged, better = (
-        np.concatenate([np.ravel(noise_std(time, v)) for v in signals] or [np.zeros(0)])
+        np.concatenate([np.ravel(noise_std(time, v)) for v in signals])
         for time in (recording.time, grid)
     )
     known = np.isfinite(logged) & np.isfinite(better) & (np.minimum(logged, better) > 0)
-    if not known.any() or not np.log(logged[known] / better[known]).mean() > _SMOOTHER:
-        return recording
-    apart = float(np.std(recording.time - grid))
-    told = (
-        f"time stamps scatter by {1e3 * apart:.2g} ms about samples every "
-        f"{1e3 * float(np.median(np.diff(grid))):.4g} ms, and positions are "
-        f"{float(np.exp(np.log(logged[known] / better[known]).mean())):.2g} times smoother there: "
-        "that grid was taken"
-    )
-    return recording.replace(time=grid, notes=(*recording.notes, told))
+    return np.asarray(np.log(logged[known] / better[known]))
 
 
 def grid_of(time: Floats) -> Floats | None:

@@ -58,7 +58,7 @@ def swing(time: np.ndarray, stamps: np.ndarray) -> Recording:
 def test_positions_that_are_smoother_on_the_grid_are_put_there() -> None:
     time = np.arange(600) / 100.0
     logged = swing(time, late(time))
-    found = regular(logged)
+    (found,), _ = regular([logged])
     assert np.abs(found.time - 0.002 - time).max() < 5e-4
     assert "time stamps scatter by 1.3 ms about samples every 10 ms" in found.notes[-1]
     assert np.array_equal(found["qpos/hinge"], logged["qpos/hinge"])
@@ -67,9 +67,20 @@ def test_positions_that_are_smoother_on_the_grid_are_put_there() -> None:
 def test_true_stamps_of_irregular_samples_stay() -> None:
     time = late(np.arange(600) / 100.0)
     logged = swing(time, time)
-    assert regular(logged) is logged
+    assert regular([logged])[0][0] is logged
 
 
 def test_what_does_not_move_says_nothing_of_its_stamps() -> None:
     still = Recording(late(np.arange(600) / 100.0), {"qpos/hinge": np.zeros(600)}, source="log")
-    assert regular(still) is still
+    assert regular([still])[0][0] is still
+
+
+def test_recordings_of_a_machine_are_read_in_one_way() -> None:
+    """One that hardly moves does not say; the others do, for it and for what is held out, too."""
+    time = np.arange(600) / 100.0
+    stamps = late(time)
+    slow = Recording(stamps, {"qpos/hinge": 1e-3 * np.sin(time)}, source="slow")
+    found, held = regular([swing(time, stamps), slow, swing(time, time)], [slow])
+    assert np.array_equal(held[0].time, found[0].time)
+    assert np.array_equal(found[0].time, found[1].time)
+    assert np.array_equal(found[2].time, time)  # on a grid already
