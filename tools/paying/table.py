@@ -69,6 +69,7 @@ def figure(rows: Rows, path: Path) -> None:
         for place, condition in enumerate(CONDITIONS):
             mine = chosen(rows, scene, condition)
             if not mine:
+                axes.text(2, place, "not run", va="center", fontsize=8, color="#777777")
                 continue
             share, (low, high) = pooled(mine, "machine")
             own = pooled(mine, "own")[0]
