@@ -23,9 +23,9 @@ Floats = npt.NDArray[np.float64]
 def regular(
     recordings: Sequence[Recording], others: Sequence[Recording] = ()
 ) -> tuple[list[Recording], list[Recording]]:
-    """Recordings of one machine on the grids about which their stamps scatter, if measured
-    positions are surely smoother there, in all of them together; else as they are. A note says what
-    was done.
+    """Recordings of one machine on the grids about which their stamps scatter, if most scatter
+    about one and measured positions are surely smoother there, in all of them together; else as
+    they are. A note says what was done.
 
     Args:
       recordings: any; positions are `qpos`, `xpos` and `sensor` signals.
@@ -34,8 +34,9 @@ def regular(
     Returns:
       Both, in their order.
     """
-    drops = np.concatenate([*map(_drop, recordings), np.zeros(0)])
-    if not len(drops) or not drops.mean() > _SMOOTHER:
+    scattered = [one for one in recordings if grid_of(one.time) is not None]
+    drops = np.concatenate([*map(_drop, scattered), np.zeros(0)])
+    if 2 * len(scattered) <= len(recordings) or not len(drops) or drops.mean() <= _SMOOTHER:
         return list(recordings), list(others)
     smoother = float(np.exp(drops.mean()))
     found, also = ([_on_grid(one, smoother) for one in part] for part in (recordings, others))

@@ -84,3 +84,10 @@ def test_recordings_of_a_machine_are_read_in_one_way() -> None:
     assert np.array_equal(held[0].time, found[0].time)
     assert np.array_equal(found[0].time, found[1].time)
     assert np.array_equal(found[2].time, time)  # on a grid already
+
+
+def test_one_logger_writes_all_recordings_of_a_machine() -> None:
+    """Where most have no grid, one that has is chance, or another clock."""
+    time = np.arange(600) / 100.0
+    runs = [swing(time, late(time)), swing(time, time), swing(time, time)]
+    assert all(a is b for a, b in zip(regular(runs)[0], runs, strict=True))
