@@ -102,7 +102,8 @@ def test_a_string_that_names_files_is_tried_each_time(
     text = '<mujoco><include file="part.xml"/></mujoco>'
     assert load_scene(text).model.nbody == 2
     part.write_text("<mujoco><size nuser_body='2000000000'/><worldbody/></mujoco>")
-    with pytest.raises(SceneError, match="memory"):
+    # which bound is met first depends on how fast the system hands out memory
+    with pytest.raises(SceneError, match="memory|processor time"):
         load_scene(text)
 
 
