@@ -198,7 +198,8 @@ def compare(
 
     Args:
       scene: a path or task name, a scene, or episodes with initial states of their own.
-      a, b: names or objects of the two backends; `a` is the reference.
+      a, b: names or objects of the two backends; `a` is the reference. An object that has a
+        scene keeps it (a changed one, say), one that has none is given `scene`.
       count: number of episodes.
       horizon: duration of each, s; that of the task, or 2 s, if None.
       seed: of initial states and controls.
@@ -210,7 +211,8 @@ def compare(
         same states, in the first steps (`Comparison.faults`).
 
     Raises:
-      InputError: no episodes, no horizon, or control steps that do not fit together.
+      InputError: no episodes, no horizon, control steps that do not fit together, or an object
+        with a scene of other sizes.
     """
     if count < 1 or (horizon is not None and not 0 < horizon < math.inf):
         raise InputError(f"need at least one episode and a horizon above 0; got {count}, {horizon}")
@@ -252,8 +254,7 @@ def _setup(scene: str | Scene | Episodes, count: int, seed: int) -> Episodes:
 
 def _backend(backend: str | Backend, setup: Episodes, device: str | None) -> Backend:
     if isinstance(backend, Backend):
-        backend.load(setup.scene)
-        return backend
+        return _loaded(backend, setup.scene)
     short = backend.partition(":")[0]
     return make_backend(
         backend,
@@ -261,6 +262,23 @@ def _backend(backend: str | Backend, setup: Episodes, device: str | None) -> Bac
         nworld=setup.initial.nworld,
         device=None if short == "mujoco" else device,
     )
+
+
+def _loaded(backend: Backend, scene: Scene) -> Backend:
+    """A backend that has a scene keeps it: that may be what is to be compared."""
+    try:
+        own = backend.model
+    except InputError:
+        backend.load(scene)
+        return backend
+    sizes = [(model.nq, model.nv, model.na, model.nu) for model in (own, scene.model)]
+    if sizes[0] != sizes[1]:
+        raise InputError(
+            f"backend {backend.name!r} has scene {backend.scene.name!r} with (nq, nv, na, nu) = "
+            f"{sizes[0]}; scene {scene.name!r} has {sizes[1]}: load a scene of the same joints and "
+            "actuators into it, or give its name instead of an object"
+        )
+    return backend
 
 
 def _common_step(a: Backend, b: Backend) -> float:

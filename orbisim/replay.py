@@ -26,6 +26,7 @@ from orbisim.recording.bound import Bound
 from orbisim.recording.clocks import slow
 from orbisim.recording.degrees import MOST, suspected
 from orbisim.recording.initial import Velocities, starts
+from orbisim.recording.recording import common_map
 from orbisim.recording.windows import cut
 from orbisim.registry import make_backend
 from orbisim.scene import Scene, load_scene
@@ -47,6 +48,7 @@ class Replay:
       scene, backend: as the user named them.
       window_s: duration of a window, s; 0 for whole recordings.
       recordings: the recordings, as the user named them.
+      map_file: by which all of them were read, if there is one.
       windows: the windows, in the order of the recordings.
       signals: errors by signal. positions: those of them that are joint positions.
       rms: root mean squared norm of the error over joint positions (SI).
@@ -62,6 +64,7 @@ class Replay:
     positions: tuple[str, ...]
     rms: float
     notes: tuple[str, ...]
+    map_file: str | None = None
 
     @property
     def diverged(self) -> int:
@@ -150,6 +153,7 @@ def replay(
         positions=scores.positions,
         rms=scores.rms,
         notes=(*_notes(prepared, scores.windows), *_degrees(prepared, scores.signals)),
+        map_file=common_map(one.bound.recording for one in prepared),
     )
 
 

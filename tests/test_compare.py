@@ -12,6 +12,7 @@ from orbisim.backend import Intervals
 from orbisim.compare import Comparison, compare
 from orbisim.episodes import Episodes
 from orbisim.errors import InputError
+from orbisim.registry import make_backend
 from orbisim.state import State
 from orbisim.trajectory import Trajectory
 from tests.physics.test_switching import Drift
@@ -148,3 +149,14 @@ def test_backends_that_do_not_fit() -> None:
 
     with pytest.raises(InputError, match="cannot be compared"):
         compare(load_scene(MIXED), "mujoco", Odd())
+
+
+def test_an_object_keeps_the_scene_that_it_has() -> None:
+    scene = load_scene(MIXED)
+    changed = make_backend("mujoco", MIXED.replace('type="slide"', 'type="slide" damping="2"'))
+    result = compare(scene, "mujoco", changed, count=2, horizon=0.2, rounding=False)
+    assert result.to_json()["error"]["joint_position"]["median"][-1] > 1e-4
+    assert changed.model.dof_damping.max() == 2
+    other = make_backend("mujoco", MIXED.replace('<motor joint="slide"/>', ""))
+    with pytest.raises(InputError, match=r"has scene 'mixed' with .* 1\); .* same joints"):
+        compare(scene, "mujoco", other, count=2, horizon=0.2)

@@ -83,8 +83,9 @@ print(result.report("compare", video=False))
 # ## A scene or a backend of your own
 #
 # Instead of `suite:...` name your own file. Instead of a backend's name give a checkpoint of your own
-# (`learned:checkpoints/robot`) or a backend object. This compares a scene with itself after a change,
-# here a pendulum whose damping somebody got wrong:
+# (`learned:checkpoints/robot`) or a backend object. An object keeps the scene that it was made with, so
+# that a scene can be compared with itself after a change, here a pendulum whose damping somebody got
+# wrong:
 
 # %%
 PENDULUM = """

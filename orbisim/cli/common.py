@@ -255,3 +255,37 @@ def engine_command(function: F) -> F:
             return function(*args, **kwargs)
 
     return wrapped  # type: ignore[return-value]
+
+
+@contextlib.contextmanager
+def notes_held_back() -> Iterator[list[str]]:
+    """Keeps notes about recordings' files, which a result has, too; without one prints them.
+
+    Yields the list that they are kept in.
+    """
+    log, handler = logging.getLogger("orbisim.recording"), _Kept()
+    propagate, log.propagate = log.propagate, False
+    log.addHandler(handler)
+    try:
+        yield handler.texts
+    except Exception:
+        from orbisim.report.notes import merged  # starts of --help need no reports
+
+        for text in merged(handler.texts):
+            note(f"note: {text}")
+        raise
+    finally:
+        log.removeHandler(handler)
+        log.propagate = propagate
+
+
+class _Kept(logging.Handler):
+    """Keeps messages."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.texts: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keeps one."""
+        self.texts.append(record.getMessage())

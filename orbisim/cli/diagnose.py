@@ -13,6 +13,7 @@ from orbisim.cli.common import (
     json_option,
     map_option,
     note,
+    notes_held_back,
     print_table,
     scene_options,
     seed_option,
@@ -151,12 +152,13 @@ def command(
             diagnose_fleet(scene, fleet, out, chosen, workers=workers, ray=ray), out, as_json
         )
         return
-    measured = load_recordings(recordings, mapping)
-    unseen = load_recordings(held_out, mapping)
-    result = diagnose(
-        scene, measured, unseen or None, window=window, residual=residual,
-        backend=backend, settings=settings, learn_rest=learn_rest, out=out,
-    )  # fmt: skip
+    with notes_held_back():
+        measured = load_recordings(recordings, mapping)
+        unseen = load_recordings(held_out, mapping)
+        result = diagnose(
+            scene, measured, unseen or None, window=window, residual=residual,
+            backend=backend, settings=settings, learn_rest=learn_rest, out=out,
+        )  # fmt: skip
     if out is not None:
         note(f"report: {out / 'report.html'}")
         if result.patch.text:

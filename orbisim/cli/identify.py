@@ -13,6 +13,7 @@ from orbisim.cli.common import (
     json_option,
     map_option,
     note,
+    notes_held_back,
     print_table,
     scene_options,
     writable_folder,
@@ -70,17 +71,21 @@ def command(
     """
     from orbisim.identification import identify
     from orbisim.recording import load_recordings
+    from orbisim.report.notes import merged
 
-    loaded = load_recordings(recordings, mapping)
-    result = identify(
-        scene,
-        loaded,
-        params,
-        backend=backend,
-        window=window,
-        steps=steps,
-        device=device or "cpu",
-    )
+    with notes_held_back() as notes:
+        loaded = load_recordings(recordings, mapping)
+        result = identify(
+            scene,
+            loaded,
+            params,
+            backend=backend,
+            window=window,
+            steps=steps,
+            device=device or "cpu",
+        )
+    for text in merged(notes):
+        note(f"note: {text}")
     if out is not None:
         note(f"written: {result.save(out)}")
     if as_json:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import logging
 import os
 import sys
 import warnings
@@ -78,9 +79,10 @@ _MOST_ALIKE = 3
 
 @contextlib.contextmanager
 def in_one_line() -> Iterator[None]:
-    """OrbiSim's own warnings as lines on standard error, without where in its source they arise."""
+    """OrbiSim's own warnings as lines on standard error, without where in its source they arise;
+    what it logs, too, in whatever way packages have set up logging by then."""
     count: dict[type[Warning], int] = {}
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), _logged_as_notes():
         others = warnings.showwarning
 
         def show(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
@@ -97,6 +99,26 @@ def in_one_line() -> Iterator[None]:
         if number > _MOST_ALIKE:
             name = category.__name__
             click.echo(f"warning: {number - _MOST_ALIKE} more of the kind ({name})", err=True)
+
+
+@contextlib.contextmanager
+def _logged_as_notes() -> Iterator[None]:
+    log, handler = logging.getLogger("orbisim"), _Notes(logging.WARNING)
+    propagate, log.propagate = log.propagate, False
+    log.addHandler(handler)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        log.propagate = propagate
+
+
+class _Notes(logging.Handler):
+    """Writes messages as lines on standard error."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Writes one."""
+        click.echo(f"note: {' '.join(record.getMessage().split())}", err=True)
 
 
 def run(arguments: list[str]) -> int:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import logging
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +14,7 @@ from orbisim.cli.common import (
     json_option,
     map_option,
     note,
+    notes_held_back,
     print_table,
     scene_options,
     writable_folder,
@@ -79,7 +77,7 @@ def command(
     from orbisim.replay import replay
     from orbisim.report.notes import merged
 
-    with _held_back():
+    with notes_held_back():
         loaded = load_recordings(recordings, mapping)
         result = replay(
             scene, loaded, backend=backend, window=window, device=device, velocities=velocities
@@ -92,35 +90,6 @@ def command(
         emit_json(result.to_json())
     else:
         _print(result)
-
-
-@contextlib.contextmanager
-def _held_back() -> Iterator[None]:
-    """Keeps notes about files, which the result has too; prints them if there is no result."""
-    log, handler = logging.getLogger("orbisim.recording"), _Kept()
-    propagate, log.propagate = log.propagate, False
-    log.addHandler(handler)
-    try:
-        yield
-    except Exception:
-        for text in handler.texts:
-            note(f"note: {text}")
-        raise
-    finally:
-        log.removeHandler(handler)
-        log.propagate = propagate
-
-
-class _Kept(logging.Handler):
-    """Keeps messages."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.texts: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Keeps one."""
-        self.texts.append(record.getMessage())
 
 
 def _print(result: Replay) -> None:

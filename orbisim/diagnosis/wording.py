@@ -80,8 +80,8 @@ def _of_starts(error: Mapping[str, Any], residual: Mapping[str, Any]) -> str:
     if left is None or not error["held_out"]["after"] > _FAR * error["noise_floor"]:
         return ""
     return (
-        "; windows start at recorded states, whose noise grows in them: with their starts "
-        f"estimated, {number(left)} times the noise is left"
+        "; it is above the noise because each free run starts at a recorded state, whose own "
+        f"error grows on the way: with estimated starts {number(left)} times the noise is left"
     )
 
 

@@ -20,6 +20,7 @@ class Contents:
       time: [T]. signals: [T] or [T, n] by name.
       units, metadata: what the file says of them. source: its name. notes: what was ignored.
       columns: what else the file holds, under names that are not those of signals.
+      map_file: which said which column is which signal, if one did.
     """
 
     time: Floats
@@ -29,3 +30,4 @@ class Contents:
     source: str = "recording"
     notes: tuple[str, ...] = ()
     columns: tuple[str, ...] = ()
+    map_file: str | None = None

@@ -77,6 +77,7 @@ def contents_of(log: Log, mapping: SignalMap | None = None) -> Contents:
         metadata=log.header.get("metadata", {}),
         notes=(*notes, *whole.notes),
         columns=tuple(ignored),
+        map_file=None if mapping is None else mapping.source,
     )
 
 

@@ -36,6 +36,7 @@ class Recording(Contents):
       source: where it came from, for messages.
       notes: what was ignored or assumed when it was read.
       columns: of the file that it was read from, those that were not used.
+      map_file: which said which column is which signal, if one did.
     """
 
     def __post_init__(self) -> None:
@@ -76,7 +77,7 @@ class Recording(Contents):
 
     def __reduce__(self) -> tuple[Any, ...]:
         plain = (self.time, dict(self.signals), dict(self.units), dict(self.metadata))
-        return (Recording, (*plain, self.source, self.notes, self.columns))
+        return (Recording, (*plain, self.source, self.notes, self.columns, self.map_file))
 
     @property
     def duration(self) -> float:
@@ -171,6 +172,12 @@ def load_recordings(
     """
     chosen = None if mapping is None else SignalMap.load(mapping)
     return [Recording.load(one, chosen) for path in paths for one in episodes_of(path)]
+
+
+def common_map(recordings: Iterable[Recording]) -> str | None:
+    """The map by which all of them were read; None if there is none or several."""
+    found = {one.map_file for one in recordings}
+    return found.pop() if len(found) == 1 else None
 
 
 def _frozen(array: Floats) -> Floats:

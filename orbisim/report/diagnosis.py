@@ -22,6 +22,7 @@ from orbisim.files.writing import write_text
 from orbisim.motion.force import ForceResidual, force_residual
 from orbisim.motion.samples import Samples, prepare_all
 from orbisim.recording import Recording, bind
+from orbisim.recording.recording import common_map
 from orbisim.report import held_out, shape
 from orbisim.report.notes import merged
 from orbisim.report.page import render_page
@@ -89,7 +90,10 @@ def _command(diagnosis: Diagnosis) -> str:
     if _in_forces(diagnosis):
         window = ["--residual", "force"]
     rest = [] if diagnosis.rest is None else ["--learn-rest"]
-    return shlex.join(["orbisim", "diagnose", diagnosis.source, *fit, *apart, *window, *rest])
+    read_by = common_map((*diagnosis.fit, *diagnosis.held_out))
+    mapped = [] if read_by is None else ["--map", read_by]
+    words = ["orbisim", "diagnose", diagnosis.source, *fit, *apart, *mapped, *window, *rest]
+    return shlex.join(words)
 
 
 def _in_forces(diagnosis: Diagnosis) -> bool:

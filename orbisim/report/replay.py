@@ -50,7 +50,8 @@ def write_report(result: Replay, path: Path) -> Path:
 
 
 def _command(result: Replay) -> str:
-    files = shlex.join([result.scene, *result.recordings])
+    mapped = [] if result.map_file is None else ["--map", result.map_file]
+    files = shlex.join([result.scene, *result.recordings, *mapped])
     return f"orbisim replay {files} --backend {result.backend} --window {result.window_s:g}"
 
 

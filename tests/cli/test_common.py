@@ -10,7 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from orbisim.cli.common import emit_json, note, print_table, quiet_engine, torch_device
+from orbisim.cli.common import (
+    emit_json,
+    note,
+    notes_held_back,
+    print_table,
+    quiet_engine,
+    torch_device,
+)
 from orbisim.cli.main import run
 from orbisim.errors import InputError
 from tests.scene.urdf.urdf_text import two_links
@@ -135,3 +142,15 @@ def test_a_device_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("cuda:1", "cuda:x", "tpu"):
         with pytest.raises(InputError, match=f"no device '{name}'"):
             torch_device(name)
+
+
+def test_notes_about_files_wait_for_the_result(capsys: pytest.CaptureFixture[str]) -> None:
+    log = logging.getLogger("orbisim.recording")
+    with notes_held_back() as notes:
+        log.warning("a.csv: no time")
+    assert notes == ["a.csv: no time"]
+    with pytest.raises(InputError), notes_held_back():
+        log.warning("a.csv: no time")
+        log.warning("b.csv: no time")
+        raise InputError("no recording")
+    assert capsys.readouterr().err == "note: a.csv, b.csv: no time\n"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import subprocess
 import sys
 import warnings
@@ -161,3 +162,11 @@ def test_own_warnings_are_lines(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.warns(UserWarning, match="of another"), in_one_line():
         warnings.warn("of another", UserWarning, stacklevel=1)
     assert capsys.readouterr().err == ""
+
+
+def test_what_is_logged_is_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    with in_one_line():
+        logging.getLogger("orbisim.recording").warning("%s: a column\nis missing", "run.csv")
+        logging.getLogger("orbisim.files").info("replaced")
+    assert capsys.readouterr().err == "note: run.csv: a column is missing\n"
+    assert logging.getLogger("orbisim").propagate

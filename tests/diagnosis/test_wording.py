@@ -12,7 +12,7 @@ from orbisim.diagnosis.wording import interval, sentence
 @pytest.mark.parametrize(
     ("verdict", "after", "left", "said"),
     [
-        ("explained", 0.005, 0.997, "starts estimated, 0.997 times the noise is left"),
+        ("explained", 0.005, 0.997, "estimated starts 0.997 times the noise is left"),
         ("explained", 0.0004, 0.997, ""),
         ("explained", 0.005, None, ""),
         ("partly_explained", 0.005, 3.0, "something structured remains"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 
 import h5py
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from orbisim import Recording
 from orbisim.errors import RecordingError
+from orbisim.recording.recording import common_map
 
 pd = pytest.importorskip("pandas")
 
@@ -64,6 +66,10 @@ def test_degrees_and_milliseconds_by_a_map(tmp_path: Path, suffix: str) -> None:
     assert dict(recording.units) == {"qpos/yaw": "rad", "ctrl/motor": "N*m"}
     assert recording.columns == ("label",)
     assert recording.notes == ()
+    assert recording.map_file == str(tmp_path / "map.yaml")
+    later = pickle.loads(pickle.dumps(recording)).between(0.01, 0.03)
+    assert common_map([recording, later]) == recording.map_file
+    assert common_map([recording, later.replace(map_file=None)]) is None
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -12,6 +13,7 @@ from orbisim.compare import compare
 from orbisim.diagnosis import Settings
 from orbisim.recording import capture
 from orbisim.report import figures
+from orbisim.report.diagnosis import _command
 from tests.recording.scenes import simulate
 from tests.view.chromium import Chromium, executable
 
@@ -66,6 +68,17 @@ def test_diagnosis(recordings: list[Path], tmp_path: Path, residual: str) -> Non
     text = (tmp_path / "report.html").read_text()
     assert f"Missing force at {HINGE}" in text
     assert recordings[2].name in text
+
+
+def test_the_command_names_the_map(recordings: list[Path]) -> None:
+    loaded = [orbisim.Recording.load(path).replace(map_file="map.yaml") for path in recordings]
+    error = {"window_s": 0.5}
+    result = SimpleNamespace(
+        source="arm.xml", fit=loaded[:2], held_out=loaded[2:], error=error, rest=None
+    )
+    assert _command(result).endswith(" --map map.yaml --window 0.5")  # type: ignore[arg-type]
+    result.held_out = [one.replace(map_file=None) for one in loaded[2:]]
+    assert "--map" not in _command(result)  # type: ignore[arg-type]
 
 
 WIDE = """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,8 @@ def test_one_sentence_and_the_command(result: Replay) -> None:
     assert text.startswith(f"Over {len(result.windows)} windows of 100 ms, joint positions are off")
     assert f"{result.rms:.3g} rad (rms)" in text
     assert _command(result).endswith("--backend mujoco --window 0.1")
+    mapped = dataclasses.replace(result, map_file="a map.yaml")
+    assert "--map 'a map.yaml' --backend" in _command(mapped)
 
 
 def test_joint_positions_are_shown_first(result: Replay) -> None:

@@ -103,7 +103,7 @@ def test_a_string_that_names_files_is_tried_each_time(
     assert load_scene(text).model.nbody == 2
     part.write_text("<mujoco><size nuser_body='2000000000'/><worldbody/></mujoco>")
     # which bound is met first depends on how fast the system hands out memory
-    with pytest.raises(SceneError, match="memory|processor time"):
+    with pytest.raises(SceneError, match=r"memory|processor time"):
         load_scene(text)
 
 
