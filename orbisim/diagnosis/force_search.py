@@ -111,7 +111,8 @@ def attribute_forces(
     few = force_data(scene, samples, _FITTED)
     while known:
         hypothesis = Hypothesis(tuple(one for one, _ in known))
-        hypothesis, fit = fit_forces(few, hypothesis, spread(few, few.left(hypothesis)))
+        sigma = spread(few, few.left(hypothesis))
+        hypothesis, fit = fit_forces(few, hypothesis, sigma, deadline)
         there = [not _idle(hypothesis, fit, number, scene) for number in range(len(known))]
         fitted = zip(hypothesis.effects, (worth for _, worth in known), there, strict=True)
         known = [(one, worth) for one, worth, kept in fitted if kept]
@@ -225,11 +226,13 @@ def _nothing(
 # -- the fit -----------------------------------------------------------------------------------
 
 
-def fit_forces(data: ForceData, hypothesis: Hypothesis, sigma: Floats) -> tuple[Hypothesis, Fit]:
+def fit_forces(
+    data: ForceData, hypothesis: Hypothesis, sigma: Floats, deadline: Deadline = NEVER
+) -> tuple[Hypothesis, Fit]:
     """Fits the effects' parameters to the inverse dynamics of the scene that has them.
 
     Gauss-Newton with differences; a step that does not help, or leads to what no machine has, is
-    halved.
+    halved. At the deadline it ends with what it has.
     """
     scene, known = data.scene, extent(data.samples)
     unknowns = hypothesis.unknowns(scene)
@@ -251,7 +254,7 @@ def fit_forces(data: ForceData, hypothesis: Hypothesis, sigma: Floats) -> tuple[
                 moved = (there**2).sum() < (1 - 1e-4) * (here**2).sum()
                 hypothesis, here = trial, there
                 break
-        if not moved:
+        if not moved or deadline.passed:
             break
     slopes = _slopes(data, hypothesis, sigma, here)
     return hypothesis, _fit_of(data, here, slopes, hypothesis.values(scene))

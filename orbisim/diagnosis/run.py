@@ -144,9 +144,14 @@ def diagnose(
                 loaded, named, fit, held, settings, chosen, backend, learn_rest, notes, say, start
             )
             if either and _leaves_something(result):
-                forces = forces or by_forces(_FITS)
-                say("weighing what forces show against what free runs show")
-                result = _weighed(result, forces)
+                if forces is None and time.monotonic() < start + _FITS * settings.patience:
+                    forces = by_forces(_FITS)
+                if forces is None:
+                    late = "the time was up before forces could be looked at, too"
+                    result = dataclasses.replace(result, notes=(*result.notes, late))
+                else:
+                    say("weighing what forces show against what free runs show")
+                    result = _weighed(result, forces)
         if out is not None:
             say("writing the report")
             result.save(out)

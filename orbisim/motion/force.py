@@ -49,14 +49,14 @@ def force_residual(samples: Sequence[Samples], scene: Scene, every: int = 1) -> 
       scene: the declared scene, or one with effects added. Joints that an effect added rest.
       every: only every so many usable rows are computed; the others are NaN.
     """
-    return [_one(sample.as_logged(), scene, every) for sample in samples]
+    return [_one(sample.as_logged(), sample.qacc_std, scene, every) for sample in samples]
 
 
-def _one(one: Samples, scene: Scene, every: int) -> ForceResidual:
+def _one(one: Samples, spread: Floats, scene: Scene, every: int) -> ForceResidual:
+    # the spread is a smoothing's: that of the samples as they came, which keep it
     model, declared = copy.copy(scene.model), one.bound.model
     hooked = Hooked(model)
     data, place = mujoco.MjData(model), Layout(declared, model)
-    spread = one.qacc_std
     act, history = carried_along(one, declared, model)
     count, nv = len(one), declared.nv
     out = {name: np.full((count, nv), np.nan) for name in ("force", "std", "total")}

@@ -38,3 +38,16 @@ def test_an_effect_takes_its_residual_away(effect: EffectInstance) -> None:
         for scene in (declared, add_effects(declared, [effect]))
     ]
     assert sizes[1] < 0.3 * sizes[0]
+
+
+def test_a_recording_is_smoothed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    # a fit asks for the forces of many hypotheses; smoothing takes far longer than they do
+    declared = orbisim.load_scene(ARM)
+    friction = EffectInstance("coulomb_friction", "elbow", {"torque": 0.5})
+    (run,) = inject_effect(declared, friction, duration=1.0, episodes=1, noise=1e-4)
+    samples = [prepare(run, declared)]
+    first = force_residual(samples, declared)[0]
+    monkeypatch.setattr("orbisim.motion.samples.estimate_motion", lambda _: pytest.fail("again"))
+    again = force_residual(samples, add_effects(declared, [friction]))[0]
+    assert np.nanmax(first.std) > 0.0
+    assert again.std.shape == first.std.shape
