@@ -56,6 +56,12 @@ class ForceData:
         """Number of stretches."""
         return int(self.block.max()) + 1
 
+    @property
+    def recordings(self) -> Ints:
+        """[stretches]: the number of the recording that each lies in."""
+        rows = [len(_taken(one, self.every)) for one in self.samples]
+        return np.repeat(np.arange(len(rows)), rows)[np.unique(self.block, return_index=True)[1]]
+
     def left(self, hypothesis: Hypothesis) -> Floats:
         """[N, nv]: the force that is still missing with a hypothesis, by inverse dynamics."""
         scene = hypothesis.scene(self.scene)

@@ -311,5 +311,5 @@ def _fit_of(data: ForceData, left: Floats, slopes: Floats, values: Floats) -> Fi
     covariance = inverse @ (score.T @ score) @ inverse
     return Fit(
         values, np.zeros((blocks, 0)), float(per.sum()), left.size, covariance,
-        left.reshape(left.shape[0], -1), per, information, score,
+        left.reshape(left.shape[0], -1), per, information, score, data.recordings,
     )  # fmt: skip

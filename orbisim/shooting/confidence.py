@@ -5,12 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
+from scipy import stats
 
 from orbisim.shooting.fits import Fit
 
 
 def confidence(fit: Fit, names: Sequence[str], seed: int = 0) -> dict[str, tuple[float, float]]:
-    """95 % intervals of fitted parameters: the wider of the Jacobian's and a block bootstrap's.
+    """95 % intervals of fitted parameters: the widest of three.
+
+    These are the Jacobian's, a block bootstrap's, and what whole recordings say.
+
+    What a model lacks is much the same in all windows of a recording, so that these are not
+    independent: recordings are, and their shares in the score have the cluster-robust covariance
+    A^-1 (sum_g s_g s_g^T) A^-1 G / (G - 1), with the quantile of Student's t with G - 1 degrees of
+    freedom (Liang and Zeger 1986; Cameron and Miller 2015). Two recordings are too few for that.
 
     The bootstrap resamples windows and takes one Gauss-Newton step from the fit. Where few windows
     feel a parameter, resamples that hardly contain any of them say nothing and are left out.
@@ -31,10 +40,31 @@ def confidence(fit: Fit, names: Sequence[str], seed: int = 0) -> dict[str, tuple
     draws = draws[felt] if felt.any() else np.array([fit.values])
     low, high = np.quantile(draws, [0.025, 0.975], axis=0)
     width = 1.96 * np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    width = np.maximum(width, _by_recordings(fit, scale))
     low, high = np.minimum(low, fit.values - width), np.maximum(high, fit.values + width)
     return {n: (float(low[i]), float(high[i])) for i, n in enumerate(names)}
 
 
+def _by_recordings(fit: Fit, scale: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """[P]: half-widths by the shares of whole recordings; zero if these are not known, or few."""
+    none = np.zeros(len(fit.values))
+    if fit.recording is None or len(fit.recording) != len(fit.score):
+        return none
+    names, group = np.unique(fit.recording, return_inverse=True)
+    count = len(names)
+    if count < _FEWEST:
+        return none
+    shares = np.zeros((count, len(none)))
+    np.add.at(shares, group, fit.score / scale)
+    shares -= shares.mean(axis=0)  # a prior's pull is no recording's
+    gram = fit.information.sum(axis=0) / np.outer(scale, scale)
+    moved = shares @ np.linalg.pinv(gram, rcond=1e-10, hermitian=True)
+    spread = np.sqrt(count / (count - 1) * (moved**2).sum(axis=0)) / scale
+    return np.asarray(stats.t.ppf(0.975, count - 1) * spread)
+
+
+_FEWEST = 3
+"""Recordings: with two, Student's quantile is 12.7 and says that nothing is known."""
 _DRAWS = 200
 """Resamples: five of them lie beyond either end of an interval."""
 _FELT = 1e-4

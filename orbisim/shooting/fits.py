@@ -22,6 +22,7 @@ class Fit:
       covariance: [P, P] of the parameters, by the Jacobian.
       residual: [W, data] weighted. per_window: [W] its parts.
       information: [W, P, P] and score [W, P]: each window's share, for the bootstrap.
+      recording: [W] the number of the recording that each window lies in; None if not known.
     """
 
     values: Floats
@@ -33,6 +34,7 @@ class Fit:
     per_window: Floats
     information: Floats
     score: Floats
+    recording: npt.NDArray[np.int64] | None = None
 
 
 @dataclasses.dataclass(frozen=True)

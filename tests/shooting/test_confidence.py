@@ -1,5 +1,7 @@
 """Intervals of fitted parameters."""
 
+import dataclasses
+
 import numpy as np
 
 from orbisim.shooting.confidence import confidence
@@ -19,3 +21,25 @@ def test_a_resample_without_what_feels_a_parameter_says_nothing() -> None:
     )  # fmt: skip
     low, high = confidence(fit, ["force"])["force"]
     assert 1.7 < low < 1.81 and 2.19 < high < 2.3
+
+
+def test_intervals_hold_where_windows_of_a_recording_share_an_error() -> None:
+    """A mean, measured in windows whose errors are those of their recordings, nearly."""
+    rng = np.random.default_rng(0)
+    inside, blind = 0, 0
+    for _ in range(300):
+        of = np.repeat(np.arange(5), 20)
+        seen = rng.normal(size=5)[of] + 0.1 * rng.normal(size=100)
+        left = seen - seen.mean()
+        fit = Fit(
+            values=np.array([seen.mean()]), start=np.zeros((100, 0)), square=float(left @ left),
+            count=99, covariance=np.array([[left @ left / 99 / 100]]), residual=left[:, None],
+            per_window=left**2, information=np.ones((100, 1, 1)), score=left[:, None],
+            recording=of,
+        )  # fmt: skip
+        low, high = confidence(fit, ["mean"])["mean"]
+        inside += low <= 0.0 <= high
+        low, high = confidence(dataclasses.replace(fit, recording=None), ["mean"])["mean"]
+        blind += low <= 0.0 <= high
+    assert 0.9 < inside / 300 < 0.99
+    assert blind / 300 < 0.6
