@@ -18,6 +18,7 @@ from orbisim import plugins
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.force_search import ForceAttribution
 from orbisim.diagnosis.found import Alternative, Candidate, Retuned, Verdict
+from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.wording import sentence
 from orbisim.effects.carry import save_with_effects
 from orbisim.effects.estimate import FoundEffect
@@ -54,6 +55,7 @@ class Diagnosis:
       attribution: the search behind it.
       candidates: what was tried, each with the reason why it was not taken.
       sensors: what became of sensors that do not read the joints themselves.
+      settings: how the search went about it, as it was told.
       rest: a learned force for what is left, if it was asked for; it is no effect.
     """
 
@@ -75,6 +77,7 @@ class Diagnosis:
     rest: Rest | None = None
     candidates: tuple[Candidate, ...] = ()
     sensors: Sensed | None = None
+    settings: Settings = Settings()
 
     @property
     def sentence(self) -> str:

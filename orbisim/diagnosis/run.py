@@ -152,6 +152,7 @@ def diagnose(
                 else:
                     say("weighing what forces show against what free runs show")
                     result = _weighed(result, forces)
+        result = dataclasses.replace(result, settings=settings)
         if out is not None:
             say("writing the report")
             result.save(out)

@@ -14,6 +14,7 @@ from markupsafe import Markup
 
 from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.scoring import score
+from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.wording import interval, number
 from orbisim.effects import find
 from orbisim.effects.confounds import advice
@@ -93,7 +94,19 @@ def _command(diagnosis: Diagnosis) -> str:
     read_by = common_map((*diagnosis.fit, *diagnosis.held_out))
     mapped = [] if read_by is None else ["--map", read_by]
     words = ["orbisim", "diagnose", diagnosis.source, *fit, *apart, *mapped, *window, *rest]
-    return shlex.join(words)
+    return shlex.join([*words, *_told(diagnosis)])
+
+
+def _told(diagnosis: Diagnosis) -> list[str]:
+    """Options that were not the command's defaults."""
+    told, usual = diagnosis.settings, Settings()
+    words = [word for name in told.effects or () for word in ("--effect", name)]
+    for option in ("most_effects", "patience", "seed"):
+        value = getattr(told, option)
+        if value != getattr(usual, option):
+            words += [f"--{option.replace('_', '-')}", f"{value:g}"]
+    words += [] if told.retune else ["--no-retune"]
+    return words + ([] if diagnosis.backend == "mujoco" else ["--backend", diagnosis.backend])
 
 
 def _in_forces(diagnosis: Diagnosis) -> bool:

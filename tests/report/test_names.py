@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import shlex
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 import orbisim
+from orbisim.cli.diagnose import command as diagnose
 from orbisim.compare import compare
 from orbisim.diagnosis import Settings
 from orbisim.recording import capture
@@ -74,11 +76,29 @@ def test_the_command_names_the_map(recordings: list[Path]) -> None:
     loaded = [orbisim.Recording.load(path).replace(map_file="map.yaml") for path in recordings]
     error = {"window_s": 0.5}
     result = SimpleNamespace(
-        source="arm.xml", fit=loaded[:2], held_out=loaded[2:], error=error, rest=None
-    )
+        source="arm.xml", fit=loaded[:2], held_out=loaded[2:], error=error, rest=None,
+        backend="mujoco", settings=Settings(),
+    )  # fmt: skip
     assert _command(result).endswith(" --map map.yaml --window 0.5")  # type: ignore[arg-type]
     result.held_out = [one.replace(map_file=None) for one in loaded[2:]]
     assert "--map" not in _command(result)  # type: ignore[arg-type]
+
+
+def test_the_command_names_what_was_told(recordings: list[Path], tmp_path: Path) -> None:
+    told = Settings(effects=("cogging", "backlash"), retune=False, patience=90.0, seed=3)
+    result = orbisim.diagnose(ARM, recordings[:2], recordings[2:], settings=told, progress=False)
+    command = _command(result)
+    assert command.endswith(
+        " --effect cogging --effect backlash --patience 90 --seed 3 --no-retune"
+    )
+    source = tmp_path / "arm.xml"  # the command wants files that exist
+    source.write_text(ARM)
+    words = [str(source) if word == ARM else word for word in shlex.split(command)[2:]]
+    context = diagnose.make_context("diagnose", words)
+    assert context.params["effects"] == ("cogging", "backlash")
+    assert context.params["patience"] == 90.0
+    assert context.params["seed"] == 3
+    assert not context.params["retune"]
 
 
 WIDE = """
