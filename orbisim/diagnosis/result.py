@@ -77,7 +77,7 @@ class Diagnosis:
     rest: Rest | None = None
     candidates: tuple[Candidate, ...] = ()
     sensors: Sensed | None = None
-    settings: Settings = Settings()
+    settings: Settings = dataclasses.field(default_factory=Settings)
 
     @property
     def sentence(self) -> str:

@@ -50,7 +50,7 @@ from orbisim.recording import Recording
 from orbisim.recording.actuators import actuators
 from orbisim.recording.split import bounded, some_of, split
 from orbisim.recording.stamps import regular
-from orbisim.recording.suspicious import refuse
+from orbisim.recording.suspicious import refuse, within_range
 from orbisim.recording.thinning import held_midway, thinned, usual_window
 from orbisim.scene import Scene, load_scene
 from orbisim.sensing.faults import Sensed
@@ -117,6 +117,8 @@ def diagnose(
     kept = None if kept is None else others
     for one in (*given, *(kept or ())):
         notes += refuse(one, loaded)
+    given = [within_range(one) for one in given]
+    kept = None if kept is None else [within_range(one) for one in kept]
     fit, held = _sets(given, kept)
     settings, start = settings or Settings(), time.monotonic()
     with (

@@ -10,6 +10,7 @@ from orbisim.recording import Recording, bind
 from orbisim.recording.actuators import actuators
 from orbisim.recording.bound import Bound
 from orbisim.recording.joints import Joint, joints
+from orbisim.recording.noise import lattice_step
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
@@ -32,6 +33,48 @@ def refuse(recording: Recording, scene: Scene) -> list[str]:
     _still(bound)
     _swapped(bound)
     return [f"{recording.source}: {note}" for note in (*bound.notes, *_clipped(bound))]
+
+
+def within_range(recording: Recording) -> Recording:
+    """Without readings of positions that stand at the end of a sensor's range: they are missing.
+
+    A body at a hard stop, or at rest, is still read with the sensor's noise or its rounding. Where
+    readings are not rounded, many that are equal to the largest, entered in full motion, are the
+    sensor's end and not the body's.
+    """
+    changed = {
+        name: np.where(beyond, np.nan, values)
+        for name, values in recording.signals.items()
+        if name.startswith("qpos/") and values.ndim == 1 and (beyond := _beyond(values)).any()
+    }
+    return recording.replace(signals={**recording.signals, **changed}) if changed else recording
+
+
+def _beyond(values: Floats) -> npt.NDArray[np.bool_]:
+    """[T]: whether a reading is an end of the sensor's range, not a position."""
+    out, seen = np.zeros(len(values), bool), values[np.isfinite(values)]
+    if not _flat_ends(seen):
+        return out
+    ends = (seen.max(), seen.min())
+    inside = seen[(seen != ends[0]) & (seen != ends[1])]
+    if lattice_step(inside) > 0.0:  # an encoder that rounds reads a body at a stop so, too
+        return out
+    steps = np.abs(np.diff(seen))
+    usual = float(np.median(steps[steps > 0]))
+    for end in ends:
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], values == end, [False]])))
+        for first, last in edges.reshape(-1, 2):
+            around = [values[k] for k in (first - 1, last) if 0 <= k < len(values)]
+            abrupt = max((abs(end - one) for one in around), default=0.0)
+            if last - first >= _STANDS and abrupt > _ABRUPT * usual:
+                out[first:last] = True
+    return out
+
+
+_STANDS = 3
+"""Equal readings in a row: two may be a sample that was sent twice."""
+_ABRUPT = 0.1
+"""Of the usual step: a body that comes to rest by itself takes smaller ones before."""
 
 
 def _still(bound: Bound) -> None:
