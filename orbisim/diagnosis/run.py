@@ -115,10 +115,10 @@ def diagnose(
     given, kept = _loaded(recordings), None if held_out is None else _loaded(held_out)
     given, others = regular(given, kept or ())
     kept = None if kept is None else others
-    for one in (*given, *(kept or ())):
-        notes += refuse(one, loaded)
     given = [within_range(one) for one in given]
     kept = None if kept is None else [within_range(one) for one in kept]
+    for one in (*given, *(kept or ())):
+        notes += refuse(one, loaded)
     fit, held = _sets(given, kept)
     settings, start = settings or Settings(), time.monotonic()
     with (
@@ -148,12 +148,8 @@ def diagnose(
             if either and _leaves_something(result):
                 if forces is None and time.monotonic() < start + _FITS * settings.patience:
                     forces = by_forces(_FITS)
-                if forces is None:
-                    late = "the time was up before forces could be looked at, too"
-                    result = dataclasses.replace(result, notes=(*result.notes, late))
-                else:
-                    say("weighing what forces show against what free runs show")
-                    result = _weighed(result, forces)
+                say("weighing what forces show against what free runs show")
+                result = _unweighed(result) if forces is None else _weighed(result, forces)
         result = dataclasses.replace(result, settings=settings)
         if out is not None:
             say("writing the report")
@@ -219,6 +215,12 @@ def _leaves_something(motion: Diagnosis) -> bool:
         return False
     left = motion.verdict in ("partly_explained", "unexplained")
     return left and model.nq == model.nv and _forces_known(motion.scene, found.samples)
+
+
+def _unweighed(motion: Diagnosis) -> Diagnosis:
+    """With a note that forces have had no say."""
+    late = "the time was up before the forces at the joints could be looked at, too"
+    return dataclasses.replace(motion, notes=(*motion.notes, late))
 
 
 def _weighed(motion: Diagnosis, forces: Diagnosis) -> Diagnosis:

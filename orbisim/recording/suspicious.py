@@ -42,12 +42,19 @@ def within_range(recording: Recording) -> Recording:
     readings are not rounded, many that are equal to the largest, entered in full motion, are the
     sensor's end and not the body's.
     """
-    changed = {
-        name: np.where(beyond, np.nan, values)
-        for name, values in recording.signals.items()
-        if name.startswith("qpos/") and values.ndim == 1 and (beyond := _beyond(values)).any()
-    }
-    return recording.replace(signals={**recording.signals, **changed}) if changed else recording
+    changed, told = {}, []
+    for name, values in recording.signals.items():
+        if name.startswith("qpos/") and values.ndim == 1 and (beyond := _beyond(values)).any():
+            changed[name] = np.where(beyond, np.nan, values)
+            told.append(
+                f"{name!r} stands at its extreme values without noise, entered in full motion: "
+                f"clipped; {beyond.sum()} of {len(values)} readings count as missing"
+            )
+    if not changed:
+        return recording
+    return recording.replace(
+        signals={**recording.signals, **changed}, notes=(*recording.notes, *told)
+    )
 
 
 def _beyond(values: Floats) -> npt.NDArray[np.bool_]:

@@ -48,7 +48,7 @@ def confidence(fit: Fit, names: Sequence[str], seed: int = 0) -> dict[str, tuple
 def _by_recordings(fit: Fit, scale: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """[P]: half-widths by the shares of whole recordings; zero if these are not known, or few."""
     none = np.zeros(len(fit.values))
-    if fit.recording is None or len(fit.recording) != len(fit.score):
+    if fit.recording is None:
         return none
     names, group = np.unique(fit.recording, return_inverse=True)
     count = len(names)

@@ -427,7 +427,7 @@ class Problem:
             per_window=self.window_costs(residual),
             information=information,
             score=score,
-            recording=np.asarray(self.shooter.windows.recording),
+            recording=self.shooter.recording,
         )
 
 

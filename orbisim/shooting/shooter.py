@@ -55,6 +55,7 @@ class Shooter:
         deadline: Deadline = NEVER,
     ) -> None:
         self.declared, self.samples, self.windows = declared, samples, windows
+        self.recording = windows.recording
         self.nv, self.deadline = declared.model.nv, deadline
         self.horizon = windows.length
         rows = [
@@ -352,6 +353,7 @@ class Shooter:
 
 _OF_WINDOWS = (
     "row", "time", "qpos", "qvel", "ctrl", "force", "first_seen", "seen", "target", "absolute",
+    "recording",
 )  # fmt: skip
 """What a shooter knows of each window."""
 _AT_ONCE = 512

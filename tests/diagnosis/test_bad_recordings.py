@@ -44,7 +44,7 @@ def _diagnosed(scene: orbisim.Scene, runs: list[Recording]) -> orbisim.Diagnosis
 def test_clipped_positions(arm: orbisim.Scene, clean: list[Recording]) -> None:
     limit = 0.7 * min(np.abs(one["qpos/elbow"]).max() for one in clean)
     found = _diagnosed(arm, _each(clean, lambda q: np.clip(q, -limit, limit)))
-    assert any("clipped, or at rest there?" in note for note in found.notes)
+    assert any("clipped;" in note and "count as missing" in note for note in found.notes)
     assert found.verdict in ("no_residual", "unexplained"), found.sentence
     assert not found.effects
 

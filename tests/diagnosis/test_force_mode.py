@@ -10,10 +10,12 @@ import pytest
 import orbisim
 from orbisim.diagnosis.force_data import ForceData, force_data, spread
 from orbisim.diagnosis.force_result import _implausible
-from orbisim.diagnosis.force_search import _idle, fit_forces
+from orbisim.diagnosis.force_search import _idle, _slopes, fit_forces
 from orbisim.diagnosis.run import _forces_known
+from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
 from orbisim.errors import InputError
+from orbisim.host.deadline import Deadline
 from orbisim.motion.samples import prepare_all
 from orbisim.recording import Recording
 from orbisim.shooting.hypothesis import Hypothesis
@@ -94,6 +96,37 @@ def test_what_no_force_shows_is_not_fitted_but_dropped() -> None:
     assert fitted.effects[0].values["coefficient"] == pytest.approx(0.1, rel=0.1)
     assert fitted.effects[1].values["torque"] < 10
     assert [_idle(fitted, fit, number, scene) for number in range(2)] == [False, True]
+
+
+def test_a_fit_of_forces_ends_at_its_deadline(
+    arm: orbisim.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After the step that it is at, with what that gave."""
+    truth = EffectInstance("coulomb_friction", "elbow", {"torque": 0.5})
+    data = force_data(arm, prepare_all(recorded(arm, truth), arm), 300)
+    begun, sigma = Hypothesis((truth.replace(torque=2.0),)), spread(data, data.force)
+    steps: list[Hypothesis] = []
+
+    def counted(data: ForceData, here: Hypothesis, *rest: np.ndarray) -> np.ndarray:
+        steps.append(here)
+        return _slopes(data, here, *rest)
+
+    monkeypatch.setattr("orbisim.diagnosis.force_search._slopes", counted)
+    whole, _ = fit_forces(data, begun, sigma)
+    taken = len(steps)
+    ended, fit = fit_forces(data, begun, sigma, Deadline(0.0))
+    assert len(steps) - taken == 2 < taken  # one step, and where it led
+    assert ended.effects[0].values["torque"] == pytest.approx(0.5, rel=0.1)
+    assert whole.effects[0].values["torque"] == pytest.approx(0.5, rel=0.1)
+    assert np.isfinite(fit.covariance).all()
+
+
+def test_no_time_for_forces_is_said(arm: orbisim.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("orbisim.diagnosis.run._leaves_something", lambda _: True)
+    runs = recorded(arm, EffectInstance("coulomb_friction", "elbow", {"torque": 0.5}))
+    few = Settings(effects=("coulomb_friction",), retune=False, patience=0.1)
+    found = orbisim.diagnose(arm, runs, settings=few, progress=False)
+    assert any("time was up before the forces" in note for note in found.notes)
 
 
 def test_refuses_an_unknown_residual(arm: orbisim.Scene) -> None:

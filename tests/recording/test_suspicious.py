@@ -19,11 +19,13 @@ def _run(values: np.ndarray) -> Recording:
 
 def test_clipped_readings_are_missing() -> None:
     read = np.clip(SWING + NOISE, -0.6, 0.7)
-    found = within_range(_run(read)).signals["qpos/hinge"]
+    run = within_range(_run(read))
+    found = run.signals["qpos/hinge"]
     beyond = (read == -0.6) | (read == 0.7)
     assert beyond.mean() > 0.3
     np.testing.assert_array_equal(np.isnan(found), beyond)
     np.testing.assert_array_equal(found[~beyond], read[~beyond])
+    assert f"clipped; {beyond.sum()} of 400 readings count as missing" in run.notes[-1]
 
 
 @pytest.mark.parametrize(

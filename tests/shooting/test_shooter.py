@@ -71,3 +71,5 @@ def test_some_windows_are_simulated_as_all_are(bench: Bench) -> None:
     np.testing.assert_array_equal(shooter.simulate(variant, start, only)[only], every[only])
     twice = shooter.some(np.array([3, 3]))
     np.testing.assert_array_equal(twice.simulate(variant, start[[3, 3]]), every[[3, 3]])
+    last = len(shooter) - 1  # in the other recording
+    np.testing.assert_array_equal(shooter.some(np.array([last, 0])).recording, [1, 0])
