@@ -64,12 +64,14 @@ def shortened(declared: Scene, taken: Scene) -> str | None:
 
 def between_samples(bench: Bench) -> str | None:
     """A note if controls were taken to change between samples."""
-    if not bench.midway:
+    if not bench.lead:
         return None
+    interval = float(np.median(np.concatenate([np.diff(one.time) for one in bench.samples])))
     return (
-        "free runs predict surely better where controls change somewhere between two samples than "
-        "where they are held from the sample at which they are logged: between two samples their "
-        "mean was taken (commands of a slower rate than the log's, or beside its clock)"
+        f"free runs predict surely better where controls change {1e3 * bench.lead * interval:.2g} "
+        f"ms ({bench.lead:.0%} of a sampling interval) before the sample at which they are logged: "
+        "between two samples a mean of both was taken (commands of a slower rate than the log's or "
+        "beside its clock, or a simulated machine whose steps apply controls in another order)"
     )
 
 

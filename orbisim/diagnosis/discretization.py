@@ -4,12 +4,13 @@ A machine has no timestep; a scene's is a choice of who declared it. One that is
 runs as a fast clock, a damping or a late sensor would. And a log says what a control was when the
 samples were taken, not when it changed: a controller that runs at a slower rate, or beside the
 logger, changes it somewhere between two samples, half an interval before the log shows it on
-average, and a delay less than nothing would be named for that.
+average; one that is logged by the loop that reads the sensors changes it a fixed part of an
+interval before. Sensors that are earlier than the clock would be named for that.
 
-So half the step, and controls that are the mean of two samples between these, are moves like any
-other: they take no parameter, and their odds are those of an effect. As long as an effect is
-missing, they may stand in for a little of it: they are made if no effect does more, and unmade
-where the scene or the log as it was is worth no less. Where bodies touch the step is not tried: a
+So half the step, and controls that lead their samples by a share of an interval, are moves like any
+other, with the odds of an effect. As long as an effect is missing, they may stand in for a little
+of it: they are made if no effect does more, and unmade where the scene or the log as it was is
+worth no less. Where bodies touch the step is not tried: a
 contact depends on it by its definition.
 """
 
@@ -33,11 +34,11 @@ Other = tuple[Context, Judged]
 
 
 def other(context: Context, judged: Judged) -> Other | None:
-    """The same explanation with half the step, or controls that change between samples, or both,
-    as often as that surely predicts better; None if it does not."""
+    """The same explanation with half the step, or controls that lead their samples, or both, as
+    often as that surely predicts better; None if it does not."""
     found = None
     while True:
-        tried = [_again(context, judged, change) for change in (_halved, _midway)]
+        tried = [_again(context, judged, _halved), _earlier(context, judged)]
         known = [(worth(context.bench, judged, one[1]).sure, one) for one in tried if one]
         best = max(known, key=lambda one: one[0], default=None)
         if best is None or not best[0] + EFFECT > 0:
@@ -85,23 +86,56 @@ def _halved(bench: Bench) -> Bench | None:
     return along(bench, with_timestep(bench.scene, taken(bench) / 2))
 
 
-def _midway(bench: Bench) -> Bench | None:
-    if bench.midway is not False:
+def _earlier(context: Context, judged: Judged) -> Other | None:
+    """The same explanation with controls that lead their samples by the share of an interval that
+    predicts best; None where that is not asked, or controls lead already, or no share is better."""
+    if context.bench.lead != 0.0:
         return None
-    return _read(dataclasses.replace(bench, midway=True))
+    gains: dict[float, float] = {0.0: 0.0}
+    found: dict[float, Other] = {}
+
+    def gain(share: float) -> float:
+        one = _again(context, judged, lambda bench: leading(bench, share))
+        gains[share] = -np.inf if one is None else worth(context.bench, judged, one[1]).total
+        if one is not None:
+            found[share] = one
+        return gains[share]
+
+    if max(gain(share) for share in _SHARES) <= 0:
+        return None
+    for _ in range(_REFINED):
+        share = _peak(gains)
+        if share is None:
+            break
+        gain(share)
+    return found.get(max(gains, key=lambda share: gains[share]))
+
+
+def _peak(gains: dict[float, float]) -> float | None:
+    """Where the parabola through the best share and its neighbours is highest, None where that is
+    as good as known or the parabola has no peak: the log score of a model that is linear in its
+    controls is nearly a parabola in the share."""
+    known = sorted(share for share, value in gains.items() if np.isfinite(value))
+    best = known.index(max(known, key=lambda share: gains[share]))
+    first = min(max(best - 1, 0), len(known) - 3)
+    if first < 0:
+        return None
+    near = known[first : first + 3]
+    square, slope, _ = np.polyfit(near, [gains[share] for share in near], 2)
+    if square >= 0:
+        return None
+    share = float(np.clip(-slope / (2 * square), 0.0, 1.0))
+    return None if min(abs(share - one) for one in known) < _CLOSE else share
 
 
 def _logged(bench: Bench) -> Bench | None:
-    if not bench.midway:
-        return None
-    return _read(dataclasses.replace(bench, midway=False))
+    return leading(bench, 0.0) if bench.lead else None
 
 
-def _read(bench: Bench) -> Bench:
-    """With controls and forces as the bench says that they are read."""
-    samples = tuple(one.as_logged() for one in bench.samples)
-    samples = tuple(one.midway() for one in samples) if bench.midway else samples
-    return _linearized(dataclasses.replace(bench, samples=samples))
+def leading(bench: Bench, share: float) -> Bench:
+    """The same data with controls that lead their samples by a share of an interval."""
+    samples = tuple(one.led(share) for one in bench.samples)
+    return _linearized(dataclasses.replace(bench, samples=samples, lead=share))
 
 
 def asked(bench: Bench) -> Bench:
@@ -111,10 +145,17 @@ def asked(bench: Bench) -> Bench:
         values = np.concatenate([one.ctrl, one.force], axis=1)
         changes = np.any(np.diff(values, axis=0) != 0, axis=1)
         if changes.mean() > _OFTEN:
-            return dataclasses.replace(bench, midway=False)
+            return dataclasses.replace(bench, lead=0.0)
     return bench
 
 
+_SHARES = (0.05, 0.5)
+"""Of an interval, tried first: half a step of a simulation with ten steps a sample, and changes
+anywhere between two samples."""
+_REFINED = 3
+"""Shares tried after these: a parabola's peak lies within `_CLOSE` by then."""
+_CLOSE = 0.02
+"""Of an interval, that free runs at a sampling rate do not tell apart."""
 _SLACK = 1.01
 """Of rounding, in a comparison of steps."""
 _OFTEN = 0.1
@@ -136,11 +177,8 @@ def along(bench: Bench, scene: Scene) -> Bench:
 
 def read_as(bench: Bench, like: Bench) -> Bench:
     """Other data, in the form of a bench: its scene, and how it reads controls."""
-    if like.midway and not bench.midway:
-        bench = dataclasses.replace(
-            bench, midway=True, samples=tuple(one.midway() for one in bench.samples)
-        )
-        return _linearized(dataclasses.replace(bench, scene=like.scene))
+    if like.lead and bench.lead != like.lead:
+        return leading(dataclasses.replace(bench, scene=like.scene), like.lead)
     return along(bench, like.scene)
 
 

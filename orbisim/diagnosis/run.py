@@ -51,7 +51,7 @@ from orbisim.recording.actuators import actuators
 from orbisim.recording.split import bounded, some_of, split
 from orbisim.recording.stamps import regular
 from orbisim.recording.suspicious import refuse, within_range
-from orbisim.recording.thinning import held_midway, thinned, usual_window
+from orbisim.recording.thinning import held_led, thinned, usual_window
 from orbisim.scene import Scene, load_scene
 from orbisim.sensing.faults import Sensed
 from orbisim.shooting.bench import Bench, Noise, make_bench
@@ -325,11 +325,11 @@ def _result(
     if measuring:
         augmented = add_effects(augmented, measuring)
     changed = bool(hypothesis.effects or hypothesis.factors) or stepped is not scene
-    changed = changed or bool(found.bench.midway)
+    changed = changed or bool(found.bench.lead)
     before = {"fit": score(scene, fit, window, (), backend)}
     before["held_out"] = score(scene, held, window, (), backend)
-    if found.bench.midway:
-        fit, held = held_midway(fit), held_midway(held)
+    if share := found.bench.lead:
+        fit, held = held_led(fit, share), held_led(held, share)
     after = dict(before)
     if changed:
         after = {

@@ -49,7 +49,7 @@ def force_residual(samples: Sequence[Samples], scene: Scene, every: int = 1) -> 
       scene: the declared scene, or one with effects added. Joints that an effect added rest.
       every: only every so many usable rows are computed; the others are NaN.
     """
-    return [_one(sample.as_logged(), sample.qacc_std, scene, every) for sample in samples]
+    return [_one(sample.led(0.0), sample.qacc_std, scene, every) for sample in samples]
 
 
 def _one(one: Samples, spread: Floats, scene: Scene, every: int) -> ForceResidual:

@@ -22,7 +22,7 @@ from orbisim.recording import Bound, Recording, bind, estimate_motion, noise_std
 from orbisim.recording.initial import activations, histories, starts
 from orbisim.recording.joints import Kind, joints
 from orbisim.recording.noise import lattice_step
-from orbisim.recording.zero_order_hold import midway
+from orbisim.recording.zero_order_hold import led
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
@@ -87,14 +87,11 @@ class Samples:
         """[T, nv]: standard deviation of the smoothed acceleration by measurement noise."""
         return np.nan_to_num(estimate_motion(self.bound).qacc_std)
 
-    def midway(self) -> Samples:
-        """With controls and forces that change somewhere between two samples, instead of at the
-        first of them: between the two, the mean of both."""
-        return dataclasses.replace(self, ctrl=midway(self.ctrl), force=midway(self.force))
-
-    def as_logged(self) -> Samples:
-        """With controls and forces as they were at each sample."""
-        return dataclasses.replace(self, ctrl=self.bound.ctrl, force=_applied(self.bound))
+    def led(self, share: float) -> Samples:
+        """With controls and forces that change a share of a sampling interval before the sample
+        that logs it; 0: as they were logged (see `orbisim.recording.zero_order_hold.led`)."""
+        ctrl, force = led(self.bound.ctrl, share), led(_applied(self.bound), share)
+        return dataclasses.replace(self, ctrl=ctrl, force=force)
 
     @property
     def source(self) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.recording import Recording, names
-from orbisim.recording.zero_order_hold import midway
+from orbisim.recording.zero_order_hold import led
 
 Floats = npt.NDArray[np.float64]
 
@@ -57,12 +57,12 @@ def thinned(recordings: Sequence[Recording], window: float, notes: list[str]) ->
     return found
 
 
-def held_midway(recordings: Sequence[Recording]) -> list[Recording]:
-    """Recordings with controls and torques that change somewhere between two samples: between the
-    two, the mean of both."""
+def held_led(recordings: Sequence[Recording], share: float) -> list[Recording]:
+    """Recordings with controls and torques that change a share of a sampling interval before the
+    sample that logs it (see `orbisim.recording.zero_order_hold.led`)."""
     found = []
     for one in recordings:
-        held = {n: midway(v) for n, v in one.signals.items() if names.split(n)[0] in names.HELD}
+        held = {n: led(v, share) for n, v in one.signals.items() if names.split(n)[0] in names.HELD}
         found.append(one.replace(signals={**one.signals, **held}))
     return found
 

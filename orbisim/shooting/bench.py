@@ -45,8 +45,8 @@ class Bench:
       noise: standard deviations of positions and velocities.
       contacts: whether the motion has contacts, where derivatives hold only close by.
       deadline: when simulation ends with `TimeIsUpError`.
-      midway: whether controls and recorded forces change between samples instead of at them
-        (`orbisim.motion.samples.Samples.midway`); None where that is not asked.
+      lead: share of a sampling interval by which controls and recorded forces change before the
+        sample that logs them (`orbisim.motion.samples.Samples.led`); None where that is not asked.
     """
 
     scene: Scene
@@ -59,7 +59,7 @@ class Bench:
     noise: Noise
     contacts: bool = False
     deadline: Deadline = NEVER
-    midway: bool | None = None
+    lead: float | None = None
 
     def shooter(self, keep: Bools) -> Shooter:
         """Simulates the chosen windows."""

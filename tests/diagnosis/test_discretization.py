@@ -9,7 +9,7 @@ import pytest
 
 import orbisim
 from orbisim.diagnosis.context import begun
-from orbisim.diagnosis.discretization import as_declared, asked, other, with_timestep
+from orbisim.diagnosis.discretization import _peak, as_declared, asked, other, with_timestep
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
 from orbisim.motion.samples import prepare_all
@@ -79,15 +79,16 @@ def test_one_that_was_shortened_in_vain_grows_again() -> None:
     assert found[0].bench.scene.model.opt.timestep == pytest.approx(0.005)
 
 
-def _commanded(seed: int, tick: float, latest: float = 1.0) -> orbisim.Recording:
+def _commanded(seed: int, tick: float, early: float | None = None) -> orbisim.Recording:
     """A servo whose commands change every tick, logged at 100 Hz: what was in force at a sample.
 
     Args:
-      latest: ticks until the first change, at most.
+      early: by how much each change comes before a multiple of the tick, s; drawn where None.
     """
     scene = _scene(0.001)
     rng, data = np.random.default_rng(seed), mujoco.MjData(scene.model)
-    levels, phase = rng.uniform(-1, 1, 402), rng.uniform(0, latest * tick) + 1e-6
+    levels = rng.uniform(-1, 1, 402)
+    phase = (rng.uniform(0, tick) if early is None else early) + 1e-6
     rows = []
     for step in range(4000):
         data.ctrl[0] = levels[int((data.time + phase) / tick)]
@@ -102,7 +103,7 @@ def test_controls_that_change_between_samples_are_no_early_sensor() -> None:
     runs = [_commanded(seed, 0.0273) for seed in range(4)]
     result = orbisim.diagnose(_scene(0.001), runs, progress=False)
     assert not result.effects
-    assert any("controls change somewhere between two samples" in note for note in result.notes)
+    assert any("before the sample at which they are logged" in note for note in result.notes)
     assert result.error["held_out"]["after"] < 0.9 * result.error["held_out"]["before"]
 
 
@@ -110,15 +111,40 @@ def test_controls_that_change_at_samples_are_held_from_there() -> None:
     scene = _scene(0.001)
     runs = [_commanded(seed, 0.01, 0.0) for seed in range(4)]
     bench = asked(make_bench(scene, prepare_all(runs, scene), 0.5))
-    assert bench.midway is False
+    assert bench.lead == 0.0
     context = begun(bench, Settings(), lambda _: None)
     judged = context.judge.judge(Hypothesis())
     assert judged is not None
     found = other(context, judged)
-    assert found is None or not found[0].bench.midway
+    assert found is None or not found[0].bench.lead
+
+
+def test_the_time_by_which_controls_lead_is_found() -> None:
+    scene = _scene(0.001)
+    runs = [_commanded(seed, 0.01, 0.002) for seed in range(4)]
+    bench = asked(make_bench(scene, prepare_all(runs, scene), 0.5))
+    context = begun(bench, Settings(), lambda _: None)
+    judged = context.judge.judge(Hypothesis())
+    assert judged is not None
+    found = other(context, judged)
+    assert found is not None
+    assert found[0].bench.lead == pytest.approx(0.2, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("gains", "peak"),
+    [
+        ({0.0: 0.0, 0.05: 0.19, 0.5: 1.0}, None),  # of 4 s (1 - s): at 0.5, which is known
+        ({0.0: 0.0, 0.05: 3.5, 0.5: -10.0}, 0.2),  # of 80 s - 200 s²
+        ({0.0: 0.0, 0.05: 2.45, 0.5: 20.0}, 1.0),  # of 50 s - 20 s²: no further than an interval
+        ({0.0: 0.0, 0.05: -np.inf, 0.5: 1.0}, None),
+    ],
+)
+def test_the_next_share_is_a_parabolas_peak(gains: dict[float, float], peak: float | None) -> None:
+    assert _peak(gains) == (None if peak is None else pytest.approx(peak, abs=0.02))
 
 
 def test_controls_that_hardly_change_are_not_asked() -> None:
     scene = _scene(0.001)
     runs = [_commanded(0, 1.5)]
-    assert asked(make_bench(scene, prepare_all(runs, scene), 0.5)).midway is None
+    assert asked(make_bench(scene, prepare_all(runs, scene), 0.5)).lead is None
