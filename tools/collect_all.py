@@ -58,6 +58,8 @@ def data_sets() -> list[DataSet]:
         DataSet("push_cubes_test", "push_cubes", 168, TEST),
         DataSet("pick_and_place_train", "pick_and_place"),
         DataSet("pick_and_place_test", "pick_and_place", 126, TEST),
+        DataSet("stack_train", "stack", subtask="adapted"),
+        DataSet("stack_test", "stack", 200, TEST, "adapted"),
         DataSet("ball_train", "ball"),
         DataSet("ball_many_train", "ball", 8000, 2),
         DataSet("ball_test", "ball", 100, TEST),

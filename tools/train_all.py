@@ -169,6 +169,7 @@ JOBS: dict[str, Job] = {
         ("push", "push_hold", "push_more", "push_long"), settings=_TAIL, weight=6.0, start="push"
     ),
     "cubes": Job(("push_cubes", "pick_and_place"), settings=_CUBES, weight=6.0),
+    "tabletop": Job(("push_cubes", "pick_and_place", "stack"), settings=_CONTACTS, weight=6.0),
     "ball": Job(("ball", "ball_many"), settings=_EXACT, weight=4.0, horizons=(10, 20, 36), burn=0),
     "ball_500": Job(("ball",), settings=_EXACT, weight=2.0, horizons=(10, 20, 36), burn=0),
     "toss": Job(("toss",), settings=_SMALL, weight=4.0, burn=0),
