@@ -135,6 +135,11 @@ _SMALL_PARTS = (
     ("train.stages", "0.6x1x256,0.4x10x32ar"),
 )
 """For `mechanism_door` on one core of a CPU."""
+_ONE = (
+    ("model.width", 192),
+    ("train.stages", "0.3x1x1024,0.4x8x1024ar,0.3x24x1024arf"),
+)
+"""One model of all the suite's robots; one batch size for all stages, as for `_LEGS`."""
 _DRAPE = ("drape_primitives", "drape_meshes", "drape_unseen")
 """Of the last there are only episodes to measure on."""
 _WIDE = (
@@ -189,6 +194,14 @@ JOBS: dict[str, Job] = {
         )
         for name in ("parts", "parts_no_memory", "parts_no_geometry", "parts_no_joints")
     },
+    "suite_one": Job(
+        tuple(f"suite_{name}" for name in SUITE_DOMAINS),
+        "limbs",
+        _ONE,
+        weight=10.0,
+        horizons=(10, 50, 100),
+        burn=0,
+    ),
     "mechanism_door": Job(
         ("mechanism_door",), "parts_no_memory", _SMALL_PARTS, horizons=(10, 100, 300), burn=0
     ),
@@ -299,6 +312,10 @@ def _learner(job: Job, settings: dict[str, Any], folder: Path) -> Any:
     packs, spare = (read_named(folder, each) for each in names)
     assert packs, f"no data of {job.data}"
     wanted = replaced(preset(job.config), settings)
+    if wanted.model.articulated:
+        from orbisim_world_model.packing import limb_groups
+
+        packs, spare = limb_groups(packs), limb_groups(spare)
     return lambda run, report: train(packs, wanted, run, report, spare or None)
 
 
