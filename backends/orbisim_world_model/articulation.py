@@ -164,6 +164,9 @@ class Articulation(nn.Module):
         self.mechanics = Mechanics(layout)
         place = layout.part_columns.index
         self._index("seen", [place(name) for name in SEEN])
+        self.register_buffer("up", torch.tensor([0.0, 0.0, 1.0]), persistent=False)
+        level = torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+        self.register_buffer("level", level, persistent=False)
         names = ("gravity_x", "timestep", "control_timestep")
         self.gravity, self.fine_step, self.step = (layout.settings.index(name) for name in names)
         first = place(SHAPE[0])
@@ -247,8 +250,8 @@ class Articulation(nn.Module):
             free.v,
             free.inverse,
             free.motion,
-            self._moving(floor, 2, x.v, free, dt),
-            self._moving(limbs, 1, x.v, free, dt),
+            self._moving(floor, self.level, x.v, free, dt),
+            self._moving(limbs, None, x.v, free, dt),
             now,
             later,
         )
@@ -275,7 +278,7 @@ class Articulation(nn.Module):
         """The lowest points at the ends of capsules over a level floor."""
         ends, radius, there, second = self._capsules(motion, context)
         take = self.mechanics.column
-        up = ends.new_tensor([0.0, 0.0, 1.0]).expand(ends.shape)
+        up = self.up.expand(ends.shape)
         points = ends - up * radius[..., None]
         gap = points[..., 2] - take(context, "floor")[..., None]
         there = there * second * take(context, "floor_there")[..., None]
@@ -329,17 +332,22 @@ class Articulation(nn.Module):
         apart = apart & (body[:, :, None] != parent[:, None])
         return meets[:, :, None] * meets[:, None] * apart
 
-    def _moving(self, points: Points, ways: int, v: Tensor, free: Free, dt: Tensor) -> Contact:
-        """Contacts that slide in so many ways."""
+    def _moving(
+        self, points: Points, level: Tensor | None, v: Tensor, free: Free, dt: Tensor
+    ) -> Contact:
+        """Contacts that slide along the axes `level` [2, 3], or straight on without."""
         before, later = (
             (points.slopes * w[:, None, None, :, None]).sum(3) for w in (v, free.v)
         )
         inward = (later * points.normal).sum(-1, keepdim=True)
-        along_it = _ways(later - inward * points.normal, ways)
+        if level is None:
+            along_it = _direction(later - inward * points.normal)[..., None, :]
+        else:
+            along_it = level.expand(*later.shape[:-1], 2, 3)
         axes = torch.cat([points.normal[..., None, :], along_it], dim=-2)
         slope = (points.slopes[..., None, :, :] * axes[..., None, :]).sum(-1)  # [B, P, N, T, P]
-        back = free.inverse[:, None, None, None]
-        give = (slope * (back * slope[..., None, :]).sum(-1)).sum(-1)
+        moved = slope.flatten(1, 3) @ free.inverse  # rounding here only changes a unit
+        give = (slope * moved.view_as(slope)).sum(-1)
         give = give + _STIFF * give.mean(-1, keepdim=True)
         speed = (later * points.normal).sum(-1)
         wait = dt[..., None]
@@ -431,13 +439,9 @@ def _split(said: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, Tensor, Tensor]]
     return ends.unflatten(-1, (ENDS, 3)), limb[..., None, :], (low, high, dry)
 
 
-def _ways(slide: Tensor, count: int) -> Tensor:
-    """[B, P, N, count, 3]: x and y of a level floor, or the way in which something slides."""
-    if count == 2:
-        axes = slide.new_tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-        return axes.expand(*slide.shape[:-1], 2, 3)
-    length = slide.square().sum(-1, keepdim=True).add(_TINY).sqrt()
-    return (slide / length)[..., None, :]
+def _direction(slide: Tensor) -> Tensor:
+    """[..., 3] of length 1, or 0 where nothing slides."""
+    return slide / slide.square().sum(-1, keepdim=True).add(_TINY).sqrt()
 
 
 def _between(ends: Tensor, share: Tensor) -> Tensor:
@@ -451,3 +455,19 @@ def stopped(bias: Tensor) -> None:
         bias.zero_()
         for place in (*range(0, 3 * ENDS, 3), 3 * ENDS, 3 * ENDS + 2, 3 * ENDS + 3):
             bias[place] = math.log(math.e - 1.0)
+
+
+def silenced(last: nn.Linear) -> None:
+    """A decoder's last layer that gives no impulses at contacts and limits, whatever it is given.
+
+    What friction of its own a joint has still acts.
+    """
+    with torch.no_grad():
+        last.weight.zero_()
+        last.bias.zero_()
+        for place in (*range(0, 3 * ENDS, 3), 3 * ENDS, 3 * ENDS + 2, 3 * ENDS + 3):
+            last.bias[place] = _SILENT
+
+
+_SILENT = -30.0
+"""Its softplus is 1e-13."""

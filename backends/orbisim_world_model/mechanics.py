@@ -17,9 +17,6 @@ from orbisim_world_model.entities import Context
 from orbisim_world_model.layout import Layout
 from orbisim_world_model.rotation import exponential, product, rotate, to_matrix
 
-_MOST = 1e9
-"""What stands for no bound of a control or a force."""
-
 
 class Motion(NamedTuple):
     """Bodies in the world frame.
@@ -61,7 +58,9 @@ class Mechanics(nn.Module):
         self.count = len(layout.parts)
         self.rounds = max(1, (self.count - 1).bit_length())
         self.runge_kutta, self.substeps = layout.runge_kutta, layout.substeps
+        # buffers, so that nothing is copied from the host while a CUDA graph is recorded
         self.register_buffer("eye", torch.eye(self.count), persistent=False)
+        self.register_buffer("unit", torch.tensor([1.0, 0.0, 0.0, 0.0]), persistent=False)
 
     def column(self, context: Context, name: str) -> Tensor:
         """[B, P] of one column."""
@@ -97,8 +96,7 @@ class Mechanics(nn.Module):
         axis, anchor = (self.columns(context, name, 3) for name in ("axis_x", "anchor_x"))
         quat = self.columns(context, "base_qw", 4)
         there = self.there(context)[..., None]
-        unit = quat.new_tensor([1.0, 0.0, 0.0, 0.0])
-        lies = to_matrix(quat + (1.0 - there) * unit)
+        lies = to_matrix(quat + (1.0 - there) * self.unit)
         spin = to_matrix(exponential(axis * moved * hinge))
         rot = product(lies, spin)
         shift = anchor - rotate(spin, anchor) + axis * moved * (1.0 - hinge)
