@@ -275,6 +275,7 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
         resume=options.resume,
         start=_start(job, name, options),
         compiled=options.compiled,
+        graph=not options.no_graph,
         horizons=job.horizons,
         burn=job.burn,
     )
@@ -420,6 +421,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--resume", action="store_true")
     parser.add_argument("--start", type=Path, help="folder of checkpoints to go on from, by job")
     parser.add_argument("--compiled", action="store_true", help="training steps, by torch")
+    parser.add_argument("--no-graph", action="store_true", help="no CUDA graphs; much slower")
     return parser
 
 

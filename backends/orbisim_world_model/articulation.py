@@ -38,9 +38,10 @@ INERTIA = (
 in the frame of its body. Where a body has several joints, the last of them has it."""
 MOTOR = (
     *("control", "gear", "gain", "bias_0", "bias_1", "bias_2"),
-    *("ctrl_low", "ctrl_high", "force_low", "force_high"),
+    *("ctrl_low", "ctrl_high", "force_low", "force_high", "motor_implicit"),
 )
-"""Of the actuator that drives the joint: number of its control (-1: none), and MuJoCo's numbers."""
+"""Of the actuator that drives the joint: number of its control (-1: none), MuJoCo's numbers, and
+whether its damping is integrated implicitly."""
 SURFACE = (
     *("friction", "floor_there", "floor", "meets", "solref_0", "solref_1"),
     *("solimp_0", "solimp_1", "solimp_2", "body", "parent_body"),

@@ -107,7 +107,8 @@ class Engine(Stepping):
         """
         from orbisim_world_model.native import NativeStep
 
-        if self.device.type == "cpu":
+        # limbs' steps have gathers and eliminations, which are not written as C
+        if self.device.type == "cpu" and not self.layout.articulated:
             context = Context(self._attributes, self._settings, None, self._parts)
             self.native = NativeStep(self.stepper.model, context)
 

@@ -176,21 +176,25 @@ class Mechanics(nn.Module):
         spin = (weight * (turned * hinge)[:, None]).sum(2)
         return (weight * each).sum(2), spin
 
-    def force(self, q: Tensor, v: Tensor, control: Tensor, context: Context) -> Tensor:
-        """[B, P]: of motors, springs and dampers."""
+    def force(
+        self, q: Tensor, v: Tensor, control: Tensor, context: Context
+    ) -> tuple[Tensor, Tensor]:
+        """[B, P]: of motors, springs and dampers, and damping that is integrated implicitly."""
         take = self.column
         spring = take(context, "stiffness") * (take(context, "springref") - q)
-        passive = spring - take(context, "damping") * v
+        passive, implicit = spring - take(context, "damping") * v, take(context, "implicit")
         if not control.shape[1]:
-            return passive
+            return passive, implicit
         number = take(context, "control").round().long()
         given = control.gather(1, number.clamp(min=0))
-        given = torch.minimum(torch.maximum(given, take(context, "ctrl_low")), take(context, "ctrl_high"))
-        gear = take(context, "gear")
+        given = given.maximum(take(context, "ctrl_low")).minimum(take(context, "ctrl_high"))
+        gear = take(context, "gear") * (number >= 0)
         made = take(context, "gain") * given + take(context, "bias_0")
         made = made + gear * (take(context, "bias_1") * q + take(context, "bias_2") * v)
-        made = torch.minimum(torch.maximum(made, take(context, "force_low")), take(context, "force_high"))
-        return passive + gear * made * (number >= 0)
+        low, high = take(context, "force_low"), take(context, "force_high")
+        free = (made > low) & (made < high)  # what is cut off does not damp
+        damped = gear.square() * take(context, "bias_2") * take(context, "motor_implicit") * free
+        return passive + gear * made.maximum(low).minimum(high), implicit - damped
 
     # -- a step ----------------------------------------------------------------------------------
 
@@ -212,14 +216,14 @@ class Mechanics(nn.Module):
             return self._fourth_order(q, v, control, context, gravity, step)
         count = (step / fine).round()
         motion = first = None
-        implicit = self.column(context, "implicit")
         for number in range(self.substeps):
             now = self.motion(q, v, context)
             matrix, drift = self.inertia(now, v, context, gravity)
+            force, implicit = self.force(q, v, control, context)
             back = inverse(matrix + torch.diag_embed(fine * implicit))
             if motion is None:
                 motion, first = now, back
-            rate = applied(back, self.force(q, v, control, context) - drift)
+            rate = applied(back, force - drift)
             part = fine * (number < count)
             v = v + part * rate
             q = q + part * v
@@ -232,13 +236,13 @@ class Mechanics(nn.Module):
         motion = self.motion(q, v, context)
         matrix, drift = self.inertia(motion, v, context, gravity)
         first = inverse(matrix)
-        rate = applied(first, self.force(q, v, control, context) - drift)
+        rate = applied(first, self.force(q, v, control, context)[0] - drift)
         speeds, rates = [v], [rate]
         for share in (0.5, 0.5, 1.0):
             at, fast = q + share * step * speeds[-1], v + share * step * rates[-1]
             there = self.motion(at, fast, context)
             matrix, drift = self.inertia(there, fast, context, gravity)
-            force = self.force(at, fast, control, context) - drift
+            force = self.force(at, fast, control, context)[0] - drift
             speeds.append(fast)
             rates.append(applied(inverse(matrix), force))
         weights = (1 / 6, 1 / 3, 1 / 3, 1 / 6)

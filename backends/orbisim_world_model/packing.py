@@ -92,9 +92,17 @@ def with_limbs(pack: Pack, scene: str | None = None) -> Pack:
         raise InputError(
             f"a model of limbs knows robots alone; {task or 'the data'} have objects or mechanisms"
         )
-    model = _nominal(task, task, scene)
-    layout = read_articulated(model, pack.layout.timestep, source=task)
-    rows = torch.as_tensor(limb_rows(model, task), dtype=torch.float32)
+    return as_limbs(pack, _nominal(task, task, scene), task)
+
+
+def as_limbs(pack: Pack, model: mujoco.MjModel, source: str = "") -> Pack:
+    """The episodes of a robot of this model with its limbs as descriptors.
+
+    Raises:
+      UnsupportedSceneError: limbs do not know all of the scene.
+    """
+    layout = read_articulated(model, pack.layout.timestep, source=source)
+    rows = torch.as_tensor(limb_rows(model, source), dtype=torch.float32)
     row, _ = pack.transitions()
     for name, values in (("unit_q", pack.qpos), ("unit_v", pack.qvel)):
         change = (values[row + 1] - values[row]).square().mean(0).sqrt()

@@ -101,6 +101,8 @@ def limb_concerns(model: mujoco.MjModel) -> list[str]:
             found.append(f"body {name!r}: {len(others)} geoms that are no capsules are seen as one")
         if len(solid) > CAPSULES:
             found.append(f"body {name!r}: the largest {CAPSULES} of {len(solid)} geoms are seen")
+    if int(model.opt.integrator) == int(mujoco.mjtIntegrator.mjINT_IMPLICIT):
+        found.append("the integrator 'implicit' is taken for 'implicitfast'")
     floor = _floor(model)
     still = [g for g in range(model.ngeom) if model.body_weldid[model.geom_bodyid[g]] == 0]
     moving = [g for g in range(model.ngeom) if model.body_weldid[model.geom_bodyid[g]] != 0]
@@ -146,7 +148,7 @@ def _joint(model: mujoco.MjModel, joint: int, last: dict[int, int]) -> Row:
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, place[:3, :3].ravel())
     damping = float(model.dof_damping[dof]) * (not _off(model, "mjDSBL_DAMPER"))
-    implicit = damping * (not _off(model, "mjDSBL_EULERDAMP"))
+    explicit = _off(model, "mjDSBL_EULERDAMP") and not _implicit(model)
     bounded = bool(model.jnt_limited[joint]) and not _off(
         model, "mjDSBL_CONSTRAINT", "mjDSBL_LIMIT"
     )
@@ -166,7 +168,7 @@ def _joint(model: mujoco.MjModel, joint: int, last: dict[int, int]) -> Row:
         "armature": float(model.dof_armature[dof]),
         "limited": float(bounded),
         "ignored": float(_slides_freely(model, joint)),
-        "implicit": implicit,
+        "implicit": damping * (not explicit),
         "heavy": float(not _off(model, "mjDSBL_GRAVITY")),
         "body": float(body),
         "parent_body": float(carrier) if carrier else -1.0,  # the world's filters nothing
@@ -177,6 +179,12 @@ def _joint(model: mujoco.MjModel, joint: int, last: dict[int, int]) -> Row:
     limit = (*model.jnt_solref[joint], *model.jnt_solimp[joint, :3])
     names = [f"limit_solref_{i}" for i in range(2)] + [f"limit_solimp_{i}" for i in range(3)]
     return known | dict(zip(names, map(float, limit), strict=True))
+
+
+def _implicit(model: mujoco.MjModel) -> bool:
+    """Whether forces that depend on velocities are integrated implicitly."""
+    kinds = (mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+    return int(model.opt.integrator) in map(int, kinds)
 
 
 def _slides_freely(model: mujoco.MjModel, joint: int) -> bool:
@@ -364,7 +372,8 @@ def _motor(model: mujoco.MjModel, motor: tuple[int, int, float] | None) -> Row:
     names = ("control", "gear", "gain", "bias_0", "bias_1", "bias_2")
     values = (control, gear, model.actuator_gainprm[number, 0], *bias)
     ends = {"ctrl_low": low, "ctrl_high": high, "force_low": least, "force_high": most}
-    return {k: float(v) for k, v in (*zip(names, values, strict=True), *ends.items())}
+    known = {k: float(v) for k, v in (*zip(names, values, strict=True), *ends.items())}
+    return {**known, "motor_implicit": float(_implicit(model))}
 
 
 def _vector(name: str, values: Any) -> Row:
