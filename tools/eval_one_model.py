@@ -12,9 +12,9 @@ domain. DIR keeps scenes, episodes and finished rows, so that a run that was sto
   learning, of constant velocity; and `ratio`, of medians.
 - bodies: made of the suite's by MJCF (limbs 20 % longer, 20 % heavier, a hopper with another link),
   a pendulum of three links and an arm of three joints with servos. The same error on episodes of C
-  MuJoCo: `before` any training on them, `after` so many seconds of training on a CPU core on
-  `--episodes` episodes, and as much training from `nothing`, of the same kind and of a `separate`
-  model's kind.
+  MuJoCo: `before` any training on them, `after` so many processor seconds of training on one core
+  on `--episodes` episodes, and as much training from `nothing` and of a `separate` model from
+  nothing; `known` is what follows without learning, `untrained` the start of `nothing`.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ import functools
 import importlib
 import json
 import multiprocessing
-import shutil
 import sys
+import time
 import warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
@@ -40,6 +40,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "backends"), str(ROOT / "tools")]
 
 import train_all  # noqa: E402  (needs the path above)
+from orbisim_world_model.schedule import Clock  # noqa: E402
 
 from orbisim.tasks.domains import SUBSTEPS, SUITE_DOMAINS  # noqa: E402
 
@@ -114,7 +115,9 @@ def main() -> int:
     ]
     context = multiprocessing.get_context("spawn")
     with concurrent.futures.ProcessPoolExecutor(options.workers, mp_context=context) as pool:
-        running = {pool.submit(measured, part, name, options): (part, name) for part, name in chosen}
+        running = {
+            pool.submit(measured, part, name, options): (part, name) for part, name in chosen
+        }
         for future in concurrent.futures.as_completed(running):
             part, name = running[future]
             row = future.result()
@@ -127,38 +130,50 @@ def main() -> int:
 
 
 def measured(part: str, name: str, options: Any) -> dict[str, Any]:
-    """One row, from where it was kept if it was measured before."""
+    """One row, whose columns are kept, each when it is there."""
     warnings.simplefilter("ignore")
     torch.set_num_threads(1)
-    kept = options.work / f"{part}_{name}.json"
-    if kept.exists():
-        known: dict[str, Any] = json.loads(kept.read_text())
-        return known
-    row = PARTS[part][1](name, options)
-    kept.write_text(json.dumps(row))
+    row: dict[str, Any] = {}
+    for column in columns_of(part, options):
+        kept = options.work / f"{part}_{name}_{column.replace(' ', '_')}.json"
+        if not kept.exists():
+            found = PARTS[part][1](name, column, options)
+            if found is None:
+                continue
+            kept.write_text(json.dumps(found))
+        row[column] = json.loads(kept.read_text())
+    if part == "domains" and {"one", "separate"} <= set(row):
+        pairs = zip(row["one"], row["separate"], strict=True)
+        row["ratio"] = [one[0] / max(apart[0], 1e-12) for one, apart in pairs]
     return row
+
+
+def columns_of(part: str, options: Any) -> list[str]:
+    """Those that are asked for; without a checkpoint those that need none."""
+    wanted = options.columns.split(",") if options.columns else COLUMNS[part]
+    lacking = () if options.checkpoint else NEEDING[part]
+    return [c for c in COLUMNS[part] if c in wanted and c not in lacking]
 
 
 # -- domains -------------------------------------------------------------------------------------
 
 
-def domain(name: str, options: Any) -> dict[str, Any]:
-    """Errors of the models on one of the suite's domains."""
+def domain(name: str, column: str, options: Any) -> Any:
+    """Errors of one of the models on one of the suite's domains; None where there is none."""
     from orbisim_world_model.checkpoint import load_for
     from orbisim_world_model.packing import with_limbs
 
     (pack,) = train_all.read_named(options.data, (f"suite_{name}_test",))
-    limbs = with_limbs(pack)
     marks = [SUBSTEPS.get(name, 1) * mark for mark in MARKS]
+    if column == "constant velocity":
+        return still(pack, marks)
+    if column == "separate":
+        if not (options.zoo / name).exists():
+            return None
+        return errors(load_for(options.zoo / name, pack.layout).model, pack, marks)
+    limbs = with_limbs(pack)
     one = load_for(options.checkpoint, limbs.layout).model
-    row = {"one": errors(one, limbs, marks), "known": errors(unlearned(one), limbs, marks)}
-    if (options.zoo / name).exists():
-        row["separate"] = errors(load_for(options.zoo / name, pack.layout).model, pack, marks)
-        row["ratio"] = [
-            a[0] / max(b[0], 1e-12) for a, b in zip(row["one"], row["separate"], strict=True)
-        ]
-    row["constant velocity"] = still(pack, marks)
-    return row
+    return errors(unlearned(one) if column == "known" else one, limbs, marks)
 
 
 def errors(model: Any, pack: Any, marks: list[int]) -> list[list[float]]:
@@ -192,42 +207,35 @@ def unlearned(model: Any) -> Any:
 # -- bodies --------------------------------------------------------------------------------------
 
 
-def body(name: str, options: Any) -> dict[str, Any]:
-    """Errors on a body that was not trained on, before and after training, and from nothing."""
+def body(name: str, column: str, options: Any) -> Any:
+    """Errors of one of the models on a body that the one model was not trained on."""
+    from orbisim_world_model.checkpoint import load_for
     from orbisim_world_model.packing import read_data, with_limbs
     from orbisim_world_model.reading_articulation import natural_step
-    from orbisim_world_model.trainer import new_model
 
     text, control = BODIES[name]()
     scene = options.work / f"{name}.xml"
-    if not scene.exists():
-        scene.write_text(text)
+    scene.write_text(text)
     step = natural_step(mujoco.MjModel.from_xml_path(str(scene)))
     sets = (("train", options.episodes, TRAIN_SEED), ("test", TESTS, TEST_SEED))
-    plain = {kind: _episodes(scene, kind, count, seed, step) for kind, count, seed in sets}
-    packs = {kind: read_data([path], scene=str(scene)) for kind, path in plain.items()}
-    limbs = {kind: with_limbs(pack, str(scene)) for kind, pack in packs.items()}
+    files = {kind: _episodes(scene, kind, count, seed, step) for kind, count, seed in sets}
+    packs = {kind: read_data([path], scene=str(scene)) for kind, path in files.items()}
     marks = [round(control / step) * mark for mark in MARKS]
     marks = [mark for mark in marks if mark <= int(packs["test"].length.max())]
-    from orbisim_world_model.checkpoint import load_for
-
-    one = load_for(options.checkpoint, limbs["test"].layout).model
-    row: dict[str, Any] = {
-        "marks": marks,
-        "control_steps": list(MARKS[: len(marks)]),
-        "constant velocity": still(packs["test"], marks),
-        "known": errors(unlearned(one), limbs["test"], marks),
-        "before": errors(one, limbs["test"], marks),
-    }
-    untrained = new_model(limbs["train"], _config("limbs", one), 0)
-    row["untrained"] = errors(untrained, limbs["test"], marks)
-    for label, data, kind, start in (
-        ("after", limbs, "limbs", options.checkpoint),
-        ("nothing", limbs, "limbs", None),
-        ("separate", packs, "default", None),
-    ):
-        row[label] = errors(_trained(name, label, data, kind, start, options, one), data["test"], marks)
-    return row
+    if column == "constant velocity":
+        return still(packs["test"], marks)
+    if column == "separate":
+        return errors(_trained(packs, "default", None, options), packs["test"], marks)
+    limbs = {kind: with_limbs(pack, str(scene)) for kind, pack in packs.items()}
+    if column == "before":
+        return errors(
+            load_for(options.checkpoint, limbs["test"].layout).model, limbs["test"], marks
+        )
+    if column in ("known", "untrained"):
+        model = _started(limbs["train"], "limbs", None)[0]
+        return errors(unlearned(model) if column == "known" else model, limbs["test"], marks)
+    start = options.checkpoint if column == "after" else None
+    return errors(_trained(limbs, "limbs", start, options), limbs["test"], marks)
 
 
 def _episodes(scene: Path, kind: str, count: int, seed: int, step: float) -> Path:
@@ -242,38 +250,48 @@ def _episodes(scene: Path, kind: str, count: int, seed: int, step: float) -> Pat
     return path
 
 
-def _config(kind: str, like: Any) -> Any:
-    """The one model's sizes; of a separate model those of the suite's legs."""
-    from orbisim_world_model.config import replaced
-    from orbisim_world_model.presets import preset
-
-    if kind == "limbs":
-        known = like.config
-        sizes = {f"model.{n}": getattr(known, n) for n in ("width", "layers", "heads", "expansion")}
-        return replaced(preset("limbs"), {**sizes, "train.stages": STAGES[kind]})
-    touch = {"model.touch": True, "model.layers": 3, "train.noise": 0.003}
-    losses = {"loss.alignment": 0.0, "loss.consistency": 0.0}
-    return replaced(preset("default"), {**touch, **losses, "train.stages": STAGES[kind]})
-
-
-def _trained(
-    name: str, label: str, data: dict[str, Any], kind: str, start: Any, options: Any, like: Any
-) -> Any:
-    """A model after `--seconds` of training on one core; its evaluation does not count."""
+def _started(pack: Any, kind: str, start: Path | None) -> tuple[Any, Any]:
+    """A model to train, and its configuration: the job's; a separate one is as the suite's legs."""
     from orbisim_world_model.checkpoint import load_for
     from orbisim_world_model.config import replaced
-    from orbisim_world_model.run import Run, train
+    from orbisim_world_model.presets import preset
+    from orbisim_world_model.trainer import new_model
 
-    out = options.work / f"{name}_{label}"
-    shutil.rmtree(out, ignore_errors=True)
-    config = _config(kind, like)
+    if kind == "limbs":
+        settings = {**dict(train_all.JOBS["suite_one"].settings), "train.stages": STAGES[kind]}
+    else:
+        settings = {**dict(train_all._LEGS), "train.stages": STAGES[kind]}
+    config = replaced(preset(kind), settings)
+    if start is not None:
+        return load_for(start, pack.layout).model, config
+    return new_model(pack, config, 0), config
+
+
+class ProcessorClock(Clock):
+    """Counts processor seconds: how long a training takes does not depend on what else runs."""
+
+    def __post_init__(self) -> None:
+        self._since = time.process_time()
+
+    @property
+    def elapsed(self) -> float:
+        """Of this training."""
+        return time.process_time() - self._since
+
+
+def _trained(data: dict[str, Any], kind: str, start: Path | None, options: Any) -> Any:
+    """A model after `--seconds` of one processor, compiling and reading not counted."""
+    from orbisim_world_model.config import replaced
+    from orbisim_world_model.trainer import Trainer
+
+    model, config = _started(data["train"], kind, start)
     if start is not None:
         config = replaced(config, {"train.rate": options.rate})
-    whole = options.seconds / 0.9  # a tenth is kept for an evaluation that is not asked for
-    train(data["train"], config, Run(out=out, limit=whole, start=start, horizons=(), held_out=0.02))
-    model = load_for(out, data["test"].layout).model
-    shutil.rmtree(out)
-    return model
+    clock = ProcessorClock(None, options.seconds)
+    trainer = Trainer(data["train"], config, clock, models=[model])
+    while clock.progress < 1.0:
+        trainer.step()
+    return model.eval()
 
 
 def _suite(name: str) -> str:
@@ -364,7 +382,15 @@ BODIES: dict[str, Callable[[], tuple[str, float]]] = {
     "three_links": lambda: (LINKS, CONTROL),
     "arm": lambda: (ARM, CONTROL),
 }
-PARTS: dict[str, tuple[Any, Callable[[str, Any], dict[str, Any]]]] = {
+COLUMNS = {
+    "domains": ("constant velocity", "separate", "known", "one"),
+    "bodies": (
+        *("constant velocity", "known", "untrained", "separate", "nothing", "before", "after"),
+    ),
+}
+NEEDING = {"domains": ("known", "one"), "bodies": ("before", "after")}
+"""Columns that need the checkpoint."""
+PARTS: dict[str, tuple[Any, Callable[[str, str, Any], Any]]] = {
     "domains": (tuple(SUITE_DOMAINS), domain),
     "bodies": (tuple(BODIES), body),
 }
@@ -373,32 +399,31 @@ PARTS: dict[str, tuple[Any, Callable[[str, Any], dict[str, Any]]]] = {
 def tables(found: dict[str, Any]) -> list[str]:
     """Medians as Markdown, for docs/benchmarks.md."""
     lines = []
-    for part, columns in (
-        ("domains", ("separate", "one", "known", "constant velocity")),
-        ("bodies", ("constant velocity", "known", "before", "after", "nothing", "separate")),
-    ):
-        if part not in found:
-            continue
+    for part, rows in found.items():
+        columns = [c for c in (*COLUMNS[part], "ratio") if any(c in row for row in rows.values())]
         lines += [f"| {part} | {' | '.join(columns)} |", "| --- " * (1 + len(columns)) + "|"]
-        for name, row in sorted(found[part].items()):
-            cells = [
-                ", ".join(f"{mark[0]:.2g}" for mark in row[column]) if column in row else ""
-                for column in columns
-            ]
+        for name, row in sorted(rows.items()):
+            cells = [_cell(row.get(column, ())) for column in columns]
             lines.append(f"| {name} | {' | '.join(cells)} |")
     return lines
+
+
+def _cell(marks: Any) -> str:
+    values = [mark if isinstance(mark, float) else mark[0] for mark in marks]
+    return ", ".join(f"{value:.2g}" for value in values)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--checkpoint", type=Path, required=True)
-    parser.add_argument("--data", type=Path, default=Path("."))
+    parser.add_argument("--checkpoint", type=Path)
+    parser.add_argument("--data", type=Path, default=Path())
     parser.add_argument("--work", type=Path, required=True)
     zoo = ROOT / "backends" / "orbisim_world_model" / "zoo"
     parser.add_argument("--zoo", type=Path, default=zoo, help="of separate models")
     parser.add_argument("--only", default=",".join(PARTS))
+    parser.add_argument("--columns", help="only these, separated by commas")
     parser.add_argument("--names", help="only these domains or bodies")
     parser.add_argument("--seconds", type=float, default=60.0, help="of training, `bodies`")
     parser.add_argument("--rate", type=float, default=3e-4, help="of training that goes on")

@@ -200,9 +200,7 @@ class Articulation(nn.Module):
         fixed = x.q * (1.0 - take(context, "ignored"))
         own = torch.diagonal(known.inverse, dim1=1, dim2=2)
         dry = take(context, "frictionloss") * self._dt(context) * own
-        rooms = [
-            fine(room, _ANGLE) * limited[..., None] for room in (known.room, known.free_room)
-        ]
+        rooms = [fine(room, _ANGLE) * limited[..., None] for room in (known.room, known.free_room)]
         passed = (known.room < 0).to(x.q.dtype) * limited[..., None]
         single = [
             *(fixed.sin() * hinge, fixed.cos() * hinge, fixed * (1.0 - hinge)),
@@ -268,8 +266,7 @@ class Articulation(nn.Module):
         ends = context.parts.index_select(2, self.ends).unflatten(2, (ENDS, 3))
         placed = (motion.rot[:, :, None] * ends[..., None, :]).sum(-1) + motion.pos[:, :, None]
         radius, long, there = (
-            context.parts.index_select(2, which)
-            for which in (self.radii, self.alone, self.present)
+            context.parts.index_select(2, which) for which in (self.radii, self.alone, self.present)
         )
         twice = [part.repeat_interleave(2, dim=2) for part in (radius, there)]
         second = torch.stack([torch.ones_like(long), long], dim=-1).flatten(2)
@@ -306,9 +303,10 @@ class Articulation(nn.Module):
         pair = (radius.index_select(1, self.one), radius.index_select(1, self.other))
         thick = (pair[0][..., None] + pair[1][:, :, None]).flatten(1)
         may = self._may_touch(context).flatten(1)[..., None, None]
-        both = there.index_select(1, self.one)[..., None] * there.index_select(1, self.other)[
-            :, :, None
-        ]
+        both = (
+            there.index_select(1, self.one)[..., None]
+            * there.index_select(1, self.other)[:, :, None]
+        )
         allowed = (may * both).flatten(1) > 0
         gap = torch.where(allowed, length - thick, torch.full_like(length, _FAR))
         surface = here - normal * pair[0][..., None].expand(both.shape).flatten(1)[..., None]
@@ -337,9 +335,7 @@ class Articulation(nn.Module):
         self, points: Points, level: Tensor | None, v: Tensor, free: Free, dt: Tensor
     ) -> Contact:
         """Contacts that slide along the axes `level` [2, 3], or straight on without."""
-        before, later = (
-            (points.slopes * w[:, None, None, :, None]).sum(3) for w in (v, free.v)
-        )
+        before, later = ((points.slopes * w[:, None, None, :, None]).sum(3) for w in (v, free.v))
         inward = (later * points.normal).sum(-1, keepdim=True)
         if level is None:
             along_it = _direction(later - inward * points.normal)[..., None, :]

@@ -10,9 +10,9 @@ import numpy as np
 
 from orbisim.errors import UnsupportedSceneError
 from orbisim.scene import Scene
+from orbisim_world_model.articulation import SEEN
 from orbisim_world_model.layout import Layout
 from orbisim_world_model.manifest import variants
-from orbisim_world_model.articulation import SEEN
 from orbisim_world_model.parts import BODY, JOINT
 from orbisim_world_model.reading import read_attributes, read_layout, read_settings
 from orbisim_world_model.reading_articulation import (
@@ -66,7 +66,8 @@ def _fit_limbs(manifest: dict[str, Any], scene: Scene) -> Fit:
     layout = read_articulated(scene.model, natural_step(scene.model), source=scene.source)
     if (trained.settings, trained.part_columns) != (layout.settings, layout.part_columns):
         raise UnsupportedSceneError(
-            scene.source, "the checkpoint was trained with other descriptors than this version reads"
+            scene.source,
+            "the checkpoint was trained with other descriptors than this version reads",
         )
     concerns = limb_concerns(scene.model)
     known = [view["ranges"] for view in views]

@@ -144,7 +144,9 @@ class Mechanics(nn.Module):
         own = self.column(context, "armature") + 1.0 - self.there(context)
         matrix = matrix + torch.diag_embed(own)
         push, twist = self._drift(motion, v, centre, linear)
-        push = mass[..., None] * (push - self.column(context, "heavy")[..., None] * gravity[:, None])
+        push = mass[..., None] * (
+            push - self.column(context, "heavy")[..., None] * gravity[:, None]
+        )
         spin = rotate(tensor, motion.turning)
         twist = rotate(tensor, twist) + torch.linalg.cross(motion.turning, spin)
         force = (linear * push[:, :, None]).sum((1, 3)) + (angular * twist[:, :, None]).sum((1, 3))

@@ -131,9 +131,7 @@ def _refuse(model: mujoco.MjModel, source: str) -> None:
         "tendons with springs, dampers, friction or limits": any(
             bool(np.any(values)) for values in (*tendons, model.tendon_limited)
         ),
-        "bounds of the total force of actuators on a joint": bool(
-            np.any(model.jnt_actfrclimited)
-        ),
+        "bounds of the total force of actuators on a joint": bool(np.any(model.jnt_actfrclimited)),
     }
     for what, there in problems.items():
         if there:
@@ -195,9 +193,7 @@ def _slides_freely(model: mujoco.MjModel, joint: int) -> bool:
     return bool(root and slide and level and not model.jnt_stiffness[joint])
 
 
-def _attachment(
-    model: mujoco.MjModel, body: int, last: dict[int, int]
-) -> tuple[int, Floats]:
+def _attachment(model: mujoco.MjModel, body: int, last: dict[int, int]) -> tuple[int, Floats]:
     """The joint that carries a body (-1: none), and the body's pose in the frame of its body."""
     pose = np.eye(4)
     while body:
@@ -233,7 +229,11 @@ def _inertia(model: mujoco.MjModel, body: int) -> Row:
         total += tensor + m * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     six = [total[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
     names = [f"inertia_{name}" for name in ("xx", "yy", "zz", "xy", "xz", "yz")]
-    return {"mass": mass, **_vector("com", centre), **dict(zip(names, map(float, six), strict=True))}
+    return {
+        "mass": mass,
+        **_vector("com", centre),
+        **dict(zip(names, map(float, six), strict=True)),
+    }
 
 
 def _solid(model: mujoco.MjModel, body: int) -> list[int]:
@@ -290,7 +290,9 @@ def _shape(model: mujoco.MjModel, body: int) -> Row:
             half[long] = max(float(box[long]) - radius, 0.0)
         ends = [(pose @ [*(centre + sign * half), 1.0])[:3] for sign in (-1.0, 1.0)]
         for name, end in zip("ab", ends, strict=True):
-            known |= {f"{name}_{axis}_{number}": float(v) for axis, v in zip("xyz", end, strict=True)}
+            known |= {
+                f"{name}_{axis}_{number}": float(v) for axis, v in zip("xyz", end, strict=True)
+            }
         known |= {f"radius_{number}": radius, f"there_{number}": 1.0}
         known[f"long_{number}"] = float(half.any())
     return known
@@ -330,7 +332,8 @@ def _motors(model: mujoco.MjModel, source: str) -> dict[int, tuple[int, int, flo
             raise UnsupportedSceneError(
                 source,
                 f"a model of limbs knows actuators with a constant gain on one joint; {name!r} "
-                f"acts on {len(joints)} joints" + ("" if simple else " and has dynamics of its own"),
+                f"acts on {len(joints)} joints"
+                + ("" if simple else " and has dynamics of its own"),
             )
         joint, gear = next(iter(joints.items()))
         if joint in found:

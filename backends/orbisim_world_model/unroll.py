@@ -174,9 +174,7 @@ def _own_units(model: Dynamics, context: Context) -> Tensor | None:
     return None if limbs is None else limbs.units(context)
 
 
-def perturbed(
-    x: Entities, noise: Tensor, scales: Scales, units: Tensor | None = None
-) -> Entities:
+def perturbed(x: Entities, noise: Tensor, scales: Scales, units: Tensor | None = None) -> Entities:
     """The state with noise [B, entries], in units of the scales; rotations stay rotations.
 
     Args:

@@ -16,8 +16,8 @@ from orbisim_world_model.evaluate import evaluate
 from orbisim_world_model.pack import Pack, grouped
 from orbisim_world_model.packing import as_limbs
 from orbisim_world_model.run import Run, train
-from orbisim_world_model.trainer import Trainer, new_model
 from orbisim_world_model.schedule import Clock
+from orbisim_world_model.trainer import Trainer, new_model
 
 from orbisim import load_scene, make_backend
 from orbisim.errors import InputError, UnsupportedSceneError
@@ -134,11 +134,17 @@ def test_without_impulses_motion_is_free_and_an_untrained_foot_stops() -> None:
 
 def test_a_robot_is_learned_and_others_follow(packs: list[Pack], tmp_path: Path) -> None:
     config = limbs_toy()
-    found = train(grouped(packs), config, Run(out=tmp_path / "limbs", steps=12, horizons=(5,), burn=0))
+    found = train(
+        grouped(packs), config, Run(out=tmp_path / "limbs", steps=12, horizons=(5,), burn=0)
+    )
     assert [len(v["layout"]["parts"]) for v in (found, *found["variants"])] == [6, 2]
     assert found["metrics"]["model"]["5"]["normalised"]["median"] < 1.0
     scene = tmp_path / "arm.xml"  # other names, other lengths, another number of joints
-    longer = TWO.replace("-.4", "-.5").replace('size="0.03"', 'size="0.1"').replace('name="a"', 'name="first"')
+    longer = (
+        TWO.replace("-.4", "-.5")
+        .replace('size="0.03"', 'size="0.1"')
+        .replace('name="a"', 'name="first"')
+    )
     scene.write_text(longer.replace('integrator="RK4"', ""))
     with pytest.warns(OutsideTrainingWarning, match="radius_0 of the limb"):
         backend = make_backend(f"learned:{tmp_path / 'limbs'}", load_scene(str(scene)))

@@ -28,9 +28,7 @@ def test_free_motion_is_mujocos(xml: str) -> None:
     v, u = rng.uniform(-3, 3, (8, model.nv)), rng.uniform(-1.5, 1.5, (8, model.nu))
     limbs = dynamics.features.limbs
     assert limbs is not None
-    known = limbs.known(
-        x._replace(q=torch.tensor(q), v=torch.tensor(v)), torch.tensor(u), context
-    )
+    known = limbs.known(x._replace(q=torch.tensor(q), v=torch.tensor(v)), torch.tensor(u), context)
     qpos, qvel = stepped(model, q, v, u, dynamics.layout.substeps)
     assert np.abs(qvel - v).max() > 0.1
     np.testing.assert_allclose(known.q.numpy(), qpos, atol=1e-9)

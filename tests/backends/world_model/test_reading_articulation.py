@@ -41,9 +41,7 @@ def test_masses_motors_and_shapes() -> None:
 def test_what_is_switched_off_is_not_read() -> None:
     flags = '<flag contact="disable" limit="disable" frictionloss="disable" gravity="disable"/>'
     rows = rows_of(
-        CRAWLER.replace(
-            '<option timestep="0.005"/>', f'<option timestep="0.005">{flags}</option>'
-        )
+        CRAWLER.replace('<option timestep="0.005"/>', f'<option timestep="0.005">{flags}</option>')
     )
     for name in ("floor_there", "meets", "limited", "frictionloss", "heavy"):
         assert not rows[name].any(), name
@@ -88,8 +86,12 @@ def test_what_limbs_do_not_know_is_refused(old: str, new: str, match: str) -> No
 
 
 def test_what_is_seen_otherwise_is_told() -> None:
-    xml = CRAWLER.replace('<geom fromto="0 0 0 -.25 0 .05"/>', '<geom type="box" size=".1 .02 .02"/>')
-    xml = xml.replace("<worldbody>", '<worldbody><geom name="wall" type="box" size="1 1 1" pos="5 0 0"/>')
+    xml = CRAWLER.replace(
+        '<geom fromto="0 0 0 -.25 0 .05"/>', '<geom type="box" size=".1 .02 .02"/>'
+    )
+    xml = xml.replace(
+        "<worldbody>", '<worldbody><geom name="wall" type="box" size="1 1 1" pos="5 0 0"/>'
+    )
     said = " ".join(limb_concerns(mujoco.MjModel.from_xml_string(xml)))
     assert "body 'tail': 1 geoms that are no capsules" in said
     assert "contacts with geom 'wall' are not known" in said
