@@ -10,7 +10,7 @@ domain. DIR keeps scenes, episodes and finished rows, so that a run that was sto
   each coordinate's spread) after 10, 50 and 100 of the suite's control steps, median, 90 % and
   worst over the held-out episodes; of the separate model, of the one model, of what is known without
   learning, of constant velocity; and `ratio`, of medians.
-- bodies: made of the suite's by MJCF (limbs 20 % longer, 20 % heavier, a hopper with another link),
+- bodies: made of the suite by MJCF (limbs 20 % longer, 20 % heavier, a hopper with another link),
   a pendulum of three links and an arm of three joints with servos. The same error on episodes of C
   MuJoCo: `before` any training on them, `after` so many processor seconds of training on one core
   on `--episodes` episodes, and as much training from `nothing` and of a `separate` model from
@@ -103,49 +103,68 @@ ARM = """
 
 
 def main() -> int:
-    """Measures, prints lines of JSON, and writes all of them."""
+    """Measures what is not there yet; prints lines of JSON, and tables of all there is."""
     options = _parser().parse_args()
     warnings.simplefilter("ignore")
-    torch.set_num_threads(1)
     options.work.mkdir(parents=True, exist_ok=True)
-    found: dict[str, Any] = {}
-    jobs = [(part, name) for part in options.only.split(",") for name in PARTS[part][0]]
-    chosen = [
-        (part, name) for part, name in jobs if not options.names or name in options.names.split(",")
+    chosen = options.names.split(",") if options.names else None
+    jobs = [
+        (part, name, column)
+        for part in options.only.split(",")
+        for column in columns_of(part, options)
+        for name in PARTS[part][0]
+        if chosen is None or name in chosen
     ]
     context = multiprocessing.get_context("spawn")
     with concurrent.futures.ProcessPoolExecutor(options.workers, mp_context=context) as pool:
         running = {
-            pool.submit(measured, part, name, options): (part, name) for part, name in chosen
+            pool.submit(measured, *job, options): job for job in jobs if not _kept(job, options)
         }
         for future in concurrent.futures.as_completed(running):
-            part, name = running[future]
-            row = future.result()
-            found.setdefault(part, {})[name] = row
-            print(json.dumps({part: {name: row}}), flush=True)
-            if options.json:
-                options.json.write_text(json.dumps(found, indent=1))
+            part, name, column = running[future]
+            print(json.dumps({part: {name: {column: future.result()}}}), flush=True)
+    found = {part: rows(part, options) for part in options.only.split(",")}
+    if options.json:
+        options.json.write_text(json.dumps(found, indent=1))
     print("\n".join(tables(found)))
     return 0
 
 
-def measured(part: str, name: str, options: Any) -> dict[str, Any]:
-    """One row, whose columns are kept, each when it is there."""
+def measured(part: str, name: str, column: str, options: Any) -> Any:
+    """One column of a row, which is kept."""
     warnings.simplefilter("ignore")
     torch.set_num_threads(1)
-    row: dict[str, Any] = {}
-    for column in columns_of(part, options):
-        kept = options.work / f"{part}_{name}_{column.replace(' ', '_')}.json"
-        if not kept.exists():
-            found = PARTS[part][1](name, column, options)
-            if found is None:
-                continue
-            kept.write_text(json.dumps(found))
-        row[column] = json.loads(kept.read_text())
-    if part == "domains" and {"one", "separate"} <= set(row):
-        pairs = zip(row["one"], row["separate"], strict=True)
-        row["ratio"] = [one[0] / max(apart[0], 1e-12) for one, apart in pairs]
-    return row
+    found = PARTS[part][1](name, column, options)
+    _kept_at((part, name, column), options).write_text(json.dumps(found))
+    return found
+
+
+def rows(part: str, options: Any) -> dict[str, Any]:
+    """All columns that are kept, by row."""
+    table: dict[str, Any] = {}
+    for name in PARTS[part][0]:
+        row = {
+            column: found
+            for column in COLUMNS[part]
+            if (found := _kept((part, name, column), options)) is not None
+        }
+        if part == "domains" and {"one", "separate"} <= set(row):
+            pairs = zip(row["one"], row["separate"], strict=True)
+            row["ratio"] = [one[0] / max(apart[0], 1e-12) for one, apart in pairs]
+        if row:
+            table[name] = row
+    return table
+
+
+def _kept_at(job: tuple[str, str, str], options: Any) -> Path:
+    part, name, column = job
+    found: Path = options.work / f"{part}_{name}_{column.replace(' ', '_')}.json"
+    return found
+
+
+def _kept(job: tuple[str, str, str], options: Any) -> Any:
+    path = _kept_at(job, options)
+    return json.loads(path.read_text()) if path.exists() else None
 
 
 def columns_of(part: str, options: Any) -> list[str]:
@@ -215,7 +234,8 @@ def body(name: str, column: str, options: Any) -> Any:
 
     text, control = BODIES[name]()
     scene = options.work / f"{name}.xml"
-    scene.write_text(text)
+    if not scene.exists():
+        scene.write_text(text)
     step = natural_step(mujoco.MjModel.from_xml_path(str(scene)))
     sets = (("train", options.episodes, TRAIN_SEED), ("test", TESTS, TEST_SEED))
     files = {kind: _episodes(scene, kind, count, seed, step) for kind, count, seed in sets}
