@@ -8,8 +8,8 @@ domain. DIR keeps scenes, episodes and finished rows, so that a run that was sto
 
 - domains: for each domain the normalised error (root mean square over joints and steps, in units of
   each coordinate's spread) after 10, 50 and 100 of the suite's control steps, median, 90 % and
-  worst over the held-out episodes; of the separate model, of the one model, of what is known without
-  learning, of constant velocity; and `ratio`, of medians.
+  worst over the held-out episodes; of the separate model, of the one model, of what is known
+  without learning, of constant velocity; and `ratio`, of medians.
 - bodies: made of the suite by MJCF (limbs 20 % longer, 20 % heavier, a hopper with another link),
   a pendulum of three links and an arm of three joints with servos. The same error on episodes of C
   MuJoCo: `before` any training on them, `after` so many processor seconds of training on one core
