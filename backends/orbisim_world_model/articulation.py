@@ -51,7 +51,7 @@ whether it can touch other limbs, and MuJoCo's softness; numbers of its body and
 carries it, which never touch each other."""
 FELT = ("friction", "floor_there", *SURFACE[3:9])
 LIMIT = ("limit_solref_0", "limit_solref_1", "limit_solimp_0", "limit_solimp_1", "limit_solimp_2")
-CAPSULES = 2
+CAPSULES = 2  # the suite's robots have no body with more geoms that touch anything
 ENDS = 2 * CAPSULES
 SHAPE = tuple(
     f"{name}_{number}"
@@ -91,7 +91,7 @@ _OUT = 0.1
 """Share of an overlap that a unit of impulse undoes in a step: MuJoCo's contacts take some ten."""
 _STIFF = 0.1
 """See `Contact.give`."""
-_TINY = 1e-6
+_TINY = 1e-6  # 1/kg, N s, m^2/s^2: keeps quotients and roots finite where nothing moves
 
 
 class Points(NamedTuple):
