@@ -131,8 +131,8 @@ def cut(pack: Any, steps: int) -> dict[int, Problem]:
         held = windows[-1:] if len(windows) > 1 else []
         kept = windows[: len(windows) - len(held)]
         half = pack.attributes[episode][:, columns].double().numpy()
-        grids = [_grid(pack, begins, steps) for begins in (kept, held)]
-        found[episode] = Problem(truth[episode], half, *grids, pack.layout.timestep)
+        fit, spare = (_grid(pack, begins, steps) for begins in (kept, held))
+        found[episode] = Problem(truth[episode], half, fit, spare, pack.layout.timestep)
     return found
 
 
@@ -196,7 +196,7 @@ def learned(pack: Any, problems: dict[int, Problem], options: Any) -> dict[str, 
         f"learned:{options.checkpoint}", scene, device=options.device, compiled=False
     )
     episodes = torch.tensor(numbers)[group]
-    run = simulation(_Sized(backend, pack, episodes), wanted, windows, options.device)  # type: ignore[arg-type]
+    run = simulation(_Sized(backend, pack, episodes), wanted, windows, options.device)
     start = torch.tensor([[p.declared for p in wanted]], dtype=torch.float64)
     low, high = (
         torch.tensor([getattr(p, end) for p in wanted], dtype=torch.float64).to(options.device)
