@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import pytest
 import torch
 from orbisim_world_model.checkpoint import load_checkpoint
@@ -16,6 +17,7 @@ from orbisim_world_model.config import Config
 from orbisim_world_model.evaluate import constant_velocity, evaluate
 from orbisim_world_model.network.objects import ObjectCentricNetwork
 from orbisim_world_model.pack import Pack, joined
+from orbisim_world_model.packing import as_limbs
 from orbisim_world_model.presets import PRESETS
 from orbisim_world_model.run import Run, train
 from orbisim_world_model.schedule import Clock
@@ -25,6 +27,7 @@ from safetensors.torch import load_file, save_file
 
 from orbisim.errors import InputError, OrbiSimError
 from tests.backends.world_model.conftest import toy
+from tests.backends.world_model.robots import CRAWLER
 from tests.backends.world_model.synthetic import BOX, PENDULUM, TABLE, simulate
 
 ROOT = Path(__file__).parents[3]
@@ -135,6 +138,9 @@ def test_every_configuration_trains(name: str) -> None:
     pack = simulate(TABLE, 3, 12, 4)
     if name == "hybrid":
         pack = _with_predictions(pack)
+    if name == "limbs":  # knows no objects
+        model = mujoco.MjModel.from_xml_string(CRAWLER)
+        pack = as_limbs(simulate(CRAWLER, 3, 12, 1), model)
     config = toy(name, "1x1x8" if name == "hybrid" else "1x2x8ar")
     trainer = Trainer(pack, config, Clock(2, None))
     before = trainer.optimizer.values.clone()
