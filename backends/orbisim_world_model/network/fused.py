@@ -13,13 +13,15 @@ from torch import Tensor, nn
 
 from orbisim_world_model.network.coupling import PAIR, Block
 from orbisim_world_model.network.folded import encoder_of, stacked, transition_of
-from orbisim_world_model.network.fused_kernels import network_kernel, pair_kernel
+from orbisim_world_model.network.fused_kernels import layers_kernel, tokens_kernel
 from orbisim_world_model.network.inputs import Inputs, Outputs
 from orbisim_world_model.network.objects import ObjectCentricNetwork
 from orbisim_world_model.network.tokens import TokenNetwork
 
-_MOST_TOKENS = 4
-"""Of a world: the tiles of more do not fit into the registers."""
+_MOST_TOKENS = 16
+"""Of a world: as many rows as the smallest tile has."""
+_ROWS, _CHUNK = 64, 64
+"""Of the kernel that makes tokens."""
 _LEAST = 16
 """Rows and columns that a product of the tensor cores has at least."""
 
@@ -28,12 +30,15 @@ class Tile(NamedTuple):
     """How the kernel is cut.
 
     Attributes:
-      worlds: of a program. chunk: hidden numbers at a time. warps: of a program. stages: of loads
-        under way.
+      rows: of a program, tokens of whole worlds. chunk: hidden numbers at a time.
+      part: numbers of heads at a time. columns: of AdaLN's numbers of a program.
+      warps: of a program. stages: of loads under way.
     """
 
-    worlds: int
+    rows: int
     chunk: int
+    part: int
+    columns: int
     warps: int
     stages: int
 
@@ -50,19 +55,17 @@ class FusedNetwork(TokenNetwork):
         super().__init__()
         self.robot_token, self.count, self.parts = network.robot_token, network.count, 0
         self.start = nn.Parameter(network.start.detach().clone())
-        self.robot_condition = network.robot_condition
-        self.object_condition = network.object_condition
+        self.robot_condition, self.object_condition = None, None  # in the kernels
         self.part_condition = None
         blocks = [block for block in network.f_cp.blocks if isinstance(block, Block)]
-        norms = [norm for b in blocks for norm in (b.before_attention, b.before_mixing)]
-        self.modulation = stacked([norm.modulation for norm in norms])
         self.tile = tile
-        weights, biases, self.heads = _Packed(), _Packed(), blocks[0].heads
-        self.outputs = _pack(network, blocks, weights, biases)
+        weights, biases = _Packed(), _Packed()
+        outputs = _pack(network, blocks, weights, biases)
+        self.sizes = [len(blocks), blocks[0].heads, self.start.shape[1], *outputs]
         self.register_buffer("weights", weights.joined().half(), persistent=False)
         # a parameter would be converted to half precision with the network
         self.biases = Exact(biases.joined())
-        self.starts = weights.starts, biases.starts
+        self.starts = weights.starts, biases.starts  # of the groups of `_pack`
 
     @staticmethod
     def suits(network: Any) -> bool:
@@ -82,14 +85,14 @@ class FusedNetwork(TokenNetwork):
     def forward(self, inputs: Inputs, memory: Tensor, observe: bool = True) -> Outputs:
         """One step of equation RSSM; the latent is not given."""
         assert inputs.edges is not None
-        modulation = self.modulation(self.condition(inputs))
-        given = (inputs.robot, inputs.objects, inputs.edges, modulation)
+        given = (inputs.robot, inputs.objects, inputs.edges)
+        described = (inputs.control, inputs.attributes, inputs.world)
         robot, objects = _network(
-            *(tensor.contiguous() for tensor in given),
+            *(tensor.contiguous() for tensor in (*given, *described)),
             self.weights,
             self.biases.values,
-            [self.heads, *self.outputs],
-            *map(list, self.starts),
+            self.sizes,
+            *self.starts,
             list(self.tile or chosen_tile(len(inputs.robot))),
         )
         none = robot.new_zeros(())
@@ -98,7 +101,7 @@ class FusedNetwork(TokenNetwork):
 
 def chosen_tile(worlds: int) -> Tile:
     """What was fastest for a number of worlds."""
-    return Tile(16, 128, 4, 2) if worlds <= 2048 else Tile(32, 64, 4, 2)
+    return Tile(16, 64, 128, 128, 4, 3) if worlds <= 512 else Tile(128, 64, 64, 2048, 8, 3)
 
 
 class Exact(nn.Module):
@@ -118,7 +121,9 @@ def _network(
     robot: Tensor,
     objects: Tensor,
     edges: Tensor,
-    modulation: Tensor,
+    control: Tensor,
+    attributes: Tensor,
+    setting: Tensor,
     weights: Tensor,
     biases: Tensor,
     sizes: list[int],
@@ -130,50 +135,54 @@ def _network(
 
     Args:
       robot: [B, F]. objects: [B, N, G]. edges: [B, K, K, E].
-      modulation: [B, K, layers * 4 * width], scale and shift of each AdaLN.
+      control: [B, U]. attributes: [B, N, D]. setting: [B, W].
       weights, biases, starts, bias_starts: see `_pack`.
-      sizes: heads, R and O. tile: see `Tile`.
+      sizes: layers, heads, width, R and O. tile: see `Tile`.
     """
-    heads, robot_out, object_out = sizes
-    count, tokens = modulation.shape[:2]
-    many = objects.shape[1]
-    layers = len(starts) - 6
-    width = modulation.shape[2] // (4 * layers)
-    worlds, chunk, warps, stages = tile
-    options = {"num_warps": warps, "num_stages": stages}
-    pairs = edges.new_empty((count, tokens, tokens, PAIR), dtype=torch.float16)
-    rows = count * tokens * tokens
-    space = _space(edges.shape[-1])
-    hidden = (bias_starts[1] - bias_starts[0] - PAIR)
-    pair_kernel[(-(-rows // 64),)](
-        edges, pairs, weights, biases, rows,
-        E=edges.shape[-1], SPACE=space, HIDDEN=hidden, OUT=PAIR,
-        AT=starts[0], AT_BIAS=bias_starts[0], M=64, num_warps=4,
-    )  # fmt: skip
-    found = robot.new_empty((count, robot_out), dtype=torch.float32)
-    moved = robot.new_empty((count, many, object_out), dtype=torch.float32)
-    layer = bias_starts[4] - bias_starts[3] if layers > 1 else bias_starts[-3] - bias_starts[3]
-    mix = layer - 5 * width
-    ends = (*range(1, 4), *range(-3, 0))
-    network_kernel[(-(-count // worlds),)](
-        robot, objects, pairs, modulation, weights, biases, found, moved, count,
-        K=tokens, HAS_ROBOT=tokens - many, L=layers, W=width, HEADS=heads, MIX=mix, PAIR=PAIR,
+    layers, heads, width, robot_out, object_out = sizes
+    worlds, tokens = edges.shape[:2]
+    many, scales = objects.shape[1], layers * 4 * width
+    rows, chunk, part, columns, warps, stages = tile
+    half = {"dtype": torch.float16}
+    z = robot.new_empty((worlds, tokens, width), **half)
+    pairs = robot.new_empty((worlds, tokens, tokens, PAIR), **half)
+    modulation = robot.new_empty((worlds, tokens, scales), **half)
+    most, split = worlds * tokens * tokens, scales // columns
+    tokens_kernel[(-(-most // _ROWS), 3 + 2 * split)](
+        robot, objects, edges, control, attributes, setting, z, pairs, modulation,
+        weights, biases, worlds,
+        K=tokens, HAS_ROBOT=tokens - many, L=layers, W=width, PAIR=PAIR,
         ROBOT=robot.shape[1], ROBOT_SPACE=_space(robot.shape[1]),
         OBJECT=objects.shape[2], OBJECT_SPACE=_space(objects.shape[2]),
-        ROBOT_OUT=robot_out, OBJECT_OUT=object_out,
-        ROBOT_SPACE_OUT=_space(robot_out), OBJECT_SPACE_OUT=_space(object_out),
-        AT=tuple(starts[e] for e in ends), AT_BIAS=tuple(bias_starts[e] for e in ends),
-        CHUNK=chunk, M=worlds, **options,
+        EDGE=edges.shape[3], EDGE_SPACE=_space(edges.shape[3]),
+        EDGE_HIDDEN=bias_starts[1] - bias_starts[0] - PAIR,
+        CONTROL=control.shape[1], ATTRIBUTES=attributes.shape[2], SETTING=setting.shape[1],
+        COMMAND_SPACE=_space(control.shape[1] + setting.shape[1]),
+        DESCRIBED_SPACE=_space(attributes.shape[2] + setting.shape[1]),
+        AT=tuple(starts[:6]), AT_BIAS=tuple(bias_starts[:6]),
+        COLUMNS=columns, CHUNK=_CHUNK, M=_ROWS,
+    )  # fmt: skip
+    found = robot.new_empty((worlds, robot_out), dtype=torch.float32)
+    moved = robot.new_empty((worlds, many, object_out), dtype=torch.float32)
+    told = robot.new_empty((worlds, tokens, 2 * width), dtype=torch.float16)
+    mix = (bias_starts[-3] - bias_starts[6]) // layers - 5 * width
+    layers_kernel[(-(-worlds // (rows // tokens)),)](
+        z, pairs, modulation, weights, biases, told, found, moved, worlds,
+        K=tokens, HAS_ROBOT=tokens - many, L=layers, W=width, HEADS=heads, MIX=mix, PAIR=PAIR,
+        ROBOT_OUT=robot_out, ROBOT_SPACE=_space(robot_out),
+        OBJECT_OUT=object_out, OBJECT_SPACE=_space(object_out),
+        AT=(starts[6], *starts[-3:]), AT_BIAS=(bias_starts[6], *bias_starts[-3:]),
+        CHUNK=chunk, PART=part, M=rows, num_warps=warps, num_stages=stages,
     )  # fmt: skip
     return found, moved
 
 
 @_network.register_fake
 def _(robot: Tensor, objects: Tensor, *rest: Any) -> tuple[Tensor, Tensor]:
-    sizes = rest[4]
+    sizes = rest[6]
     single = {"dtype": torch.float32}
-    found = robot.new_empty((len(robot), sizes[1]), **single)
-    return found, robot.new_empty((len(robot), objects.shape[1], sizes[2]), **single)
+    found = robot.new_empty((len(robot), sizes[3]), **single)
+    return found, robot.new_empty((len(robot), objects.shape[1], sizes[4]), **single)
 
 
 class _Packed:
@@ -201,8 +210,8 @@ def _pack(
 ) -> tuple[int, int]:
     """Everything in the order in which the kernels read it; gives the numbers of outputs.
 
-    Groups: features of pairs, encoder of the robot, of objects, each layer, transition, decoder of
-    the robot, of objects. Matrices have a row for each input; sides are filled up with zeros to
+    Groups: features of pairs, encoder of the robot, of objects, condition of the robot, of
+    objects, AdaLN of all layers, each layer, transition, decoder of the robot, of objects. Matrices have a row for each input; sides are filled up with zeros to
     powers of two, of at least 16.
     """
 
@@ -232,6 +241,14 @@ def _pack(
         layers = encoder_of(encoder, start)
         perceptron(layers[0], layers[2])
         vectors(layers[3].weight, layers[3].bias)
+    for condition in (network.robot_condition, network.object_condition):
+        begin()
+        perceptron(condition[0], condition[2])
+    begin()
+    norms = [norm for block in blocks for norm in (block.before_attention, block.before_mixing)]
+    modulation = stacked([norm.modulation for norm in norms])
+    weights.add(modulation.weight.T)
+    vectors(modulation.bias)
     for block in blocks:
         begin()
         _pack_block(block, weights, biases)

@@ -1,9 +1,9 @@
 """The kernels of `network.fused`, in Triton: needs a GPU with tensor cores, or TRITON_INTERPRET=1.
 
-A program steps M worlds. A token is a tile of M rows and stays in registers through all layers, so
-that everything between two tokens of the same world (scores, softmax, sums over tokens) is
-elementwise between tiles; only weights, features of pairs and modulations are read on the way.
-Products are of float16 and summed in float32, as is what runs from layer to layer.
+A row is a token of a world; a program of `layers_kernel` has M rows, whole worlds, and keeps them
+in registers through all layers. Only weights, modulations, features of pairs, and the keys and
+values of the program's own rows are read on the way. Products are of float16 and summed in float32,
+as is what runs from layer to layer.
 """
 
 from __future__ import annotations
@@ -35,6 +35,18 @@ def _rows(base, rows, ok, stride, size, SPACE: tl.constexpr):  # type: ignore[no
 
 
 @triton.jit
+def _beside(own, row, world, ok, OWN: tl.constexpr, setting, SETTING: tl.constexpr,
+            SPACE: tl.constexpr):  # type: ignore[no-untyped-def]  # fmt: skip
+    """[M, SPACE]: a row's own numbers and then its world's, zeros beyond them."""
+    at = tl.arange(0, SPACE)[None, :]
+    mine = ok[:, None] & (at < OWN)
+    x = tl.load(own + row[:, None] * OWN + at, mask=mine, other=0.0)
+    rest = ok[:, None] & (at >= OWN) & (at < OWN + SETTING)
+    y = tl.load(setting + world[:, None] * SETTING + at - OWN, mask=rest, other=0.0)
+    return x.to(tl.float16) + y.to(tl.float16)
+
+
+@triton.jit
 def _weight(base, first, step, ROWS: tl.constexpr, COLUMNS: tl.constexpr):  # type: ignore[no-untyped-def]
     """[ROWS, COLUMNS] of a matrix with `step` numbers a row, from element `first` on."""
     at = tl.arange(0, ROWS)[:, None] * step + tl.arange(0, COLUMNS)[None, :]
@@ -60,145 +72,185 @@ def _hidden(x, acc, weights, biases, IN: tl.constexpr, OUT: tl.constexpr, HIDDEN
 
 
 @triton.jit
-def pair_kernel(edges, pairs, weights, biases, count,
-                E: tl.constexpr, SPACE: tl.constexpr, HIDDEN: tl.constexpr, OUT: tl.constexpr,
-                AT: tl.constexpr, AT_BIAS: tl.constexpr, M: tl.constexpr):  # type: ignore[no-untyped-def]  # fmt: skip
-    """`Coupling.edge`: features of pairs [count, E] to [count, OUT], row by row."""
-    rows = tl.program_id(0).to(tl.int64) * M + tl.arange(0, M)
-    ok = rows < count
-    x = _rows(edges, rows, ok, E, E, SPACE).to(tl.float16)
-    zero = tl.zeros((M, OUT), tl.float32)
-    found = _silu(_hidden(x, zero, weights, biases, SPACE, OUT, HIDDEN, HIDDEN, AT, AT_BIAS))
-    at = rows[:, None] * OUT + tl.arange(0, OUT)[None, :]
-    tl.store(pairs + at, found.to(tl.float16), mask=ok[:, None])
+def _scales(x, to, row, ok, first, weights, biases, SPACE: tl.constexpr, W: tl.constexpr,
+            ALL: tl.constexpr, COLUMNS: tl.constexpr, CHUNK: tl.constexpr, AT: tl.constexpr,
+            AT_BIAS: tl.constexpr, AT_ALL: tl.constexpr, AT_ALL_BIAS: tl.constexpr, M: tl.constexpr):  # type: ignore[no-untyped-def]  # fmt: skip
+    """Scales and shifts of AdaLN, columns from `first` on, of tokens with the descriptors x."""
+    c = tl.zeros((M, W), tl.float32)
+    c = _silu(_hidden(x, c, weights, biases, SPACE, W, W, CHUNK, AT, AT_BIAS)).to(tl.float16)
+    for at in tl.range(0, COLUMNS, CHUNK):
+        w = _weight(weights, AT_ALL + first + at, ALL, W, CHUNK)
+        found = tl.dot(c, w) + _vector(biases, AT_ALL_BIAS + first + at, CHUNK)
+        where = to + row[:, None] * ALL + first + at + tl.arange(0, CHUNK)[None, :]
+        tl.store(where, found.to(tl.float16), mask=ok[:, None])
 
 
 @triton.jit
-def network_kernel(robot, objects, pairs, modulation, weights, biases, robot_out, objects_out,
-                   count, K: tl.constexpr, HAS_ROBOT: tl.constexpr, L: tl.constexpr,
-                   W: tl.constexpr, HEADS: tl.constexpr, MIX: tl.constexpr, PAIR: tl.constexpr,
-                   ROBOT: tl.constexpr, ROBOT_SPACE: tl.constexpr, OBJECT: tl.constexpr,
-                   OBJECT_SPACE: tl.constexpr, ROBOT_OUT: tl.constexpr, OBJECT_OUT: tl.constexpr,
-                   ROBOT_SPACE_OUT: tl.constexpr, OBJECT_SPACE_OUT: tl.constexpr,
-                   AT: tl.constexpr, AT_BIAS: tl.constexpr, CHUNK: tl.constexpr, M: tl.constexpr):  # type: ignore[no-untyped-def]  # fmt: skip
-    """Equation RSSM for M worlds: encoder, layers of attention and mixing, transition, decoder.
+def tokens_kernel(robot, objects, edges, control, attributes, setting, tokens, pairs, modulation,
+                  weights, biases, worlds,
+                  K: tl.constexpr, HAS_ROBOT: tl.constexpr, L: tl.constexpr, W: tl.constexpr,
+                  PAIR: tl.constexpr, ROBOT: tl.constexpr, ROBOT_SPACE: tl.constexpr,
+                  OBJECT: tl.constexpr, OBJECT_SPACE: tl.constexpr, EDGE: tl.constexpr,
+                  EDGE_SPACE: tl.constexpr, EDGE_HIDDEN: tl.constexpr, CONTROL: tl.constexpr,
+                  ATTRIBUTES: tl.constexpr, SETTING: tl.constexpr, COMMAND_SPACE: tl.constexpr,
+                  DESCRIBED_SPACE: tl.constexpr, AT: tl.constexpr, AT_BIAS: tl.constexpr,
+                  COLUMNS: tl.constexpr, CHUNK: tl.constexpr, M: tl.constexpr):  # type: ignore[no-untyped-def]  # fmt: skip
+    """z_t = f_enc and the AdaLN of robots and objects, and the features of pairs.
 
-    `AT` and `AT_BIAS` say where in `weights` and `biases` begin: encoder of the robot, of an
-    object, layers, transition, decoder of the robot, of an object (see `fused._packed`).
+    Axis 1 of the grid: 0 pairs, 1 robots, 2 objects, then as many programs for the AdaLN of
+    robots, and of objects, as there are `COLUMNS` in `modulation`.
+
+    Args:
+      robot: [B, ROBOT]. objects: [B, N, OBJECT]. edges: [B, K, K, EDGE]. control: [B, CONTROL].
+      attributes: [B, N, ATTRIBUTES]. setting: [B, SETTING].
+      tokens: [B, K, W], pairs: [B, K, K, PAIR] and modulation: [B, K, L * 4 W], to be written.
+      AT, AT_BIAS: where weights and biases of pairs, encoders of robots and objects, conditions of
+        robots and objects, and of the AdaLN begin.
+    """
+    N: tl.constexpr = K - HAS_ROBOT
+    ALL: tl.constexpr = L * 4 * W
+    SPLIT: tl.constexpr = ALL // COLUMNS
+    first = tl.program_id(0).to(tl.int64) * M
+    at = first + tl.arange(0, M)
+    kind = tl.program_id(1)
+    wide = tl.arange(0, W)[None, :]
+    if kind == 0:
+        ok = at < worlds * (K * K)
+        x = _rows(edges, at, ok, EDGE, EDGE, EDGE_SPACE).to(tl.float16)
+        z = tl.zeros((M, PAIR), tl.float32)
+        z = _hidden(
+            x, z, weights, biases, EDGE_SPACE, PAIR, EDGE_HIDDEN, CHUNK, AT[0], AT_BIAS[0]
+        )
+        where = pairs + at[:, None] * PAIR + tl.arange(0, PAIR)[None, :]
+        tl.store(where, _silu(z).to(tl.float16), mask=ok[:, None])
+    elif (kind == 1) & (first < worlds * HAS_ROBOT):
+        ok = at < worlds
+        x = _rows(robot, at, ok, ROBOT, ROBOT, ROBOT_SPACE).to(tl.float16)
+        z = tl.zeros((M, W), tl.float32)
+        z = _hidden(x, z, weights, biases, ROBOT_SPACE, W, 2 * W, CHUNK, AT[1], AT_BIAS[1])
+        z = _normed(z, W) * _vector(biases, AT_BIAS[1] + 3 * W, W)
+        z += _vector(biases, AT_BIAS[1] + 4 * W, W)
+        tl.store(tokens + at[:, None] * (K * W) + wide, z.to(tl.float16), mask=ok[:, None])
+    elif (kind == 2) & (first < worlds * N):
+        ok = at < worlds * N
+        x = _rows(objects, at, ok, OBJECT, OBJECT, OBJECT_SPACE).to(tl.float16)
+        z = tl.zeros((M, W), tl.float32)
+        z = _hidden(x, z, weights, biases, OBJECT_SPACE, W, 2 * W, CHUNK, AT[2], AT_BIAS[2])
+        z = _normed(z, W) * _vector(biases, AT_BIAS[2] + 3 * W, W)
+        z += _vector(biases, AT_BIAS[2] + 4 * W, W)
+        row = at // N * K + HAS_ROBOT + at % N
+        tl.store(tokens + row[:, None] * W + wide, z.to(tl.float16), mask=ok[:, None])
+    elif (kind > 2) & (kind < 3 + SPLIT) & (first < worlds * HAS_ROBOT):
+        ok = at < worlds
+        x = _beside(control, at, at, ok, CONTROL, setting, SETTING, COMMAND_SPACE)
+        _scales(x, modulation, at * K, ok, (kind - 3) * COLUMNS, weights, biases, COMMAND_SPACE,
+                W, ALL, COLUMNS, CHUNK, AT[3], AT_BIAS[3], AT[5], AT_BIAS[5], M)  # fmt: skip
+    elif (kind >= 3 + SPLIT) & (first < worlds * N):
+        ok = at < worlds * N
+        x = _beside(attributes, at, at // N, ok, ATTRIBUTES, setting, SETTING, DESCRIBED_SPACE)
+        row = at // N * K + HAS_ROBOT + at % N
+        _scales(x, modulation, row, ok, (kind - 3 - SPLIT) * COLUMNS, weights, biases,
+                DESCRIBED_SPACE, W, ALL, COLUMNS, CHUNK, AT[4], AT_BIAS[4], AT[5], AT_BIAS[5], M)  # fmt: skip
+
+
+@triton.jit
+def layers_kernel(tokens, pairs, modulation, weights, biases, told, robot_out, objects_out, worlds,
+                  K: tl.constexpr, HAS_ROBOT: tl.constexpr, L: tl.constexpr, W: tl.constexpr,
+                  HEADS: tl.constexpr, MIX: tl.constexpr, PAIR: tl.constexpr,
+                  ROBOT_OUT: tl.constexpr, ROBOT_SPACE: tl.constexpr, OBJECT_OUT: tl.constexpr,
+                  OBJECT_SPACE: tl.constexpr, AT: tl.constexpr, AT_BIAS: tl.constexpr,
+                  CHUNK: tl.constexpr, PART: tl.constexpr, M: tl.constexpr):  # type: ignore[no-untyped-def]  # fmt: skip
+    """f_cp, f_tra and f_dec of M // K worlds.
+
+    Args:
+      tokens: [B, K, W]. pairs: [B, K, K, PAIR]. modulation: [B, K, L * 4 W].
+      told: [B, K, 2 W], room for keys and values.
+      robot_out: [B, ROBOT_OUT] and objects_out: [B, N, OBJECT_OUT], to be written.
+      AT, AT_BIAS: where weights and biases of the layers, of the transition, and of the decoders
+        of robots and objects begin.
+      CHUNK: hidden numbers at a time. PART: numbers of heads at a time, whole heads.
     """
     D: tl.constexpr = W // HEADS
     N: tl.constexpr = K - HAS_ROBOT
-    rows = tl.program_id(0).to(tl.int64) * M + tl.arange(0, M)
-    ok = rows < count
-    wide = tl.arange(0, W)[None, :]
-
-    zs = ()
-    for t in tl.static_range(K):
-        zero = tl.zeros((M, W), tl.float32)
-        if t < HAS_ROBOT:
-            x = _rows(robot, rows, ok, ROBOT, ROBOT, ROBOT_SPACE).to(tl.float16)
-            z = _hidden(x, zero, weights, biases, ROBOT_SPACE, W, 2 * W, CHUNK, AT[0], AT_BIAS[0])
-            z = _normed(z, W) * _vector(biases, AT_BIAS[0] + 3 * W, W)
-            z += _vector(biases, AT_BIAS[0] + 4 * W, W)
-        else:
-            first = objects + (t - HAS_ROBOT) * OBJECT
-            x = _rows(first, rows, ok, N * OBJECT, OBJECT, OBJECT_SPACE).to(tl.float16)
-            z = _hidden(x, zero, weights, biases, OBJECT_SPACE, W, 2 * W, CHUNK, AT[1], AT_BIAS[1])
-            z = _normed(z, W) * _vector(biases, AT_BIAS[1] + 3 * W, W)
-            z += _vector(biases, AT_BIAS[1] + 4 * W, W)
-        zs = zs + (z,)
+    USED: tl.constexpr = M // K * K
+    local = tl.arange(0, M)
+    row = tl.program_id(0).to(tl.int64) * USED + local
+    ok = (local < USED) & (row < worlds.to(tl.int64) * K)
+    world = row // K
+    there = ok[:, None]
+    wide, part = tl.arange(0, W)[None, :], tl.arange(0, PART)[None, :]
+    z = tl.load(tokens + row[:, None] * W + wide, mask=there, other=0.0).to(tl.float32)
 
     QKV: tl.constexpr = 3 * W
     layer_size: tl.constexpr = W * QKV + PAIR * 2 * W + W * W + 2 * W * MIX
     bias_size: tl.constexpr = QKV + W + MIX + W
     for layer in tl.range(0, L):
-        at = AT[2] + layer * layer_size
-        at_bias = AT_BIAS[2] + layer * bias_size
-        told = layer * 4 * W
+        at = AT[0] + layer * layer_size
+        at_bias = AT_BIAS[0] + layer * bias_size
+        scales = modulation + row[:, None] * (L * 4 * W) + layer * (4 * W) + wide
 
-        us = ()
-        for t in tl.static_range(K):
-            base = modulation + (rows[:, None] * K + t) * (L * 4 * W) + told + wide
-            gamma = tl.load(base, mask=ok[:, None], other=0.0).to(tl.float32)
-            beta = tl.load(base + W, mask=ok[:, None], other=0.0).to(tl.float32)
-            us = us + ((_normed(zs[t], W) * gamma + beta).to(tl.float16),)
-        for head in tl.range(0, HEADS):
-            c = head * D
-            wq = _weight(weights, at + c, QKV, W, D)
-            wk = _weight(weights, at + W + c, QKV, W, D)
-            wv = _weight(weights, at + 2 * W + c, QKV, W, D)
-            wpk = _weight(weights, at + W * QKV + c, 2 * W, PAIR, D)
-            wpv = _weight(weights, at + W * QKV + W + c, 2 * W, PAIR, D)
-            wo = _weight(weights, at + W * QKV + PAIR * 2 * W + c * W, W, D, W)
-            bq = _vector(biases, at_bias + c, D)
-            bk = _vector(biases, at_bias + W + c, D)
-            bv = _vector(biases, at_bias + 2 * W + c, D)
-            ks, vs = (), ()
-            for t in tl.static_range(K):
-                ks = ks + (tl.dot(us[t], wk) + bk,)
-                vs = vs + (tl.dot(us[t], wv) + bv,)
-            new = ()
-            for i in tl.static_range(K):
-                q = tl.dot(us[i], wq) + bq
-                # softmax with a running maximum, so that no more than one token's is kept
-                most = tl.full((M,), -1e30, tl.float32)
-                total = tl.zeros((M,), tl.float32)
-                seen = tl.zeros((M, D), tl.float32)
-                for j in tl.static_range(K):
-                    pair = pairs + ((i * K + j) + rows[:, None] * (K * K)) * PAIR
-                    p = tl.load(pair + tl.arange(0, PAIR)[None, :], mask=ok[:, None], other=0.0)
-                    score = tl.sum(q * tl.dot(p, wpk, ks[j]), 1)
-                    value = tl.dot(p, wpv, vs[j])
-                    larger = tl.maximum(most, score)
-                    kept, more = tl.exp(most - larger), tl.exp(score - larger)
-                    total = total * kept + more
-                    seen = seen * kept[:, None] + value * more[:, None]
-                    most = larger
-                seen = (seen / total[:, None]).to(tl.float16)
-                new = new + (tl.dot(seen, wo, zs[i]),)
-            zs = new
+        gamma = tl.load(scales, mask=there, other=0.0)
+        beta = tl.load(scales + W, mask=there, other=0.0)
+        u = (_normed(z, W) * gamma + beta).to(tl.float16)
+        for c in tl.range(0, 2 * W, CHUNK):
+            w = _weight(weights, at + W + c, QKV, W, CHUNK)
+            bias = _vector(biases, at_bias + W + c, CHUNK)
+            where = told + row[:, None] * (2 * W) + c + tl.arange(0, CHUNK)[None, :]
+            tl.store(where, (tl.dot(u, w) + bias).to(tl.float16), mask=there)
+        tl.debug_barrier()  # keys and values of other rows were written by other threads
+        for c in tl.range(0, W, PART):  # some heads
+            wq = _weight(weights, at + c, QKV, W, PART)
+            wk = _weight(weights, at + W * QKV + c, 2 * W, PAIR, PART)
+            wv = _weight(weights, at + W * QKV + W + c, 2 * W, PAIR, PART)
+            q = tl.dot(u, wq) + _vector(biases, at_bias + c, PART)
+            # softmax with a running maximum, so that one token at a time is looked at
+            most = tl.full((M, PART // D), -1e30, tl.float32)
+            total = tl.zeros((M, PART // D), tl.float32)
+            seen = tl.zeros((M, PART // D, D), tl.float32)
+            for j in tl.range(0, K):
+                pair = pairs + (row[:, None] * K + j) * PAIR + tl.arange(0, PAIR)[None, :]
+                p = tl.load(pair, mask=there, other=0.0)
+                other = told + (world[:, None] * K + j) * (2 * W) + c + part
+                k = tl.load(other, mask=there, other=0.0)
+                v = tl.load(other + W, mask=there, other=0.0)
+                score = tl.sum(tl.reshape(q * (tl.dot(p, wk) + k), (M, PART // D, D)), 2)
+                value = tl.reshape(tl.dot(p, wv) + v, (M, PART // D, D))
+                larger = tl.maximum(most, score)
+                kept, more = tl.exp(most - larger), tl.exp(score - larger)
+                total = total * kept + more
+                seen = seen * kept[:, :, None] + value * more[:, :, None]
+                most = larger
+            heard = tl.reshape(seen / total[:, :, None], (M, PART)).to(tl.float16)
+            wo = _weight(weights, at + W * QKV + PAIR * 2 * W + c * W, W, PART, W)
+            z = tl.dot(heard, wo, z)
+        z += _vector(biases, at_bias + QKV, W)
+        tl.debug_barrier()  # all have read before the next layer's are written
 
-        us = ()
-        new = ()
-        bias = _vector(biases, at_bias + QKV, W)
-        for t in tl.static_range(K):
-            z = zs[t] + bias
-            base = modulation + (rows[:, None] * K + t) * (L * 4 * W) + told + 2 * W + wide
-            gamma = tl.load(base, mask=ok[:, None], other=0.0).to(tl.float32)
-            beta = tl.load(base + W, mask=ok[:, None], other=0.0).to(tl.float32)
-            us = us + ((_normed(z, W) * gamma + beta).to(tl.float16),)
-            new = new + (z + _vector(biases, at_bias + QKV + W + MIX, W),)
-        zs = new
+        gamma = tl.load(scales + 2 * W, mask=there, other=0.0)
+        beta = tl.load(scales + 3 * W, mask=there, other=0.0)
+        u = (_normed(z, W) * gamma + beta).to(tl.float16)
         at_mix = at + W * QKV + PAIR * 2 * W + W * W
         for c in tl.range(0, MIX, CHUNK):
             w1 = _weight(weights, at_mix + c, MIX, W, CHUNK)
             b1 = _vector(biases, at_bias + QKV + W + c, CHUNK)
             w2 = _weight(weights, at_mix + W * MIX + c * W, W, CHUNK, W)
-            new = ()
-            for t in tl.static_range(K):
-                h = _silu(tl.dot(us[t], w1) + b1).to(tl.float16)
-                new = new + (tl.dot(h, w2, zs[t]),)
-            zs = new
+            z = tl.dot(_silu(tl.dot(u, w1) + b1).to(tl.float16), w2, z)
+        z += _vector(biases, at_bias + QKV + W + MIX, W)
 
-    for t in tl.static_range(K):
-        e = _normed(zs[t], W) * _vector(biases, AT_BIAS[3], W)
-        e += _vector(biases, AT_BIAS[3] + W, W)
-        x = e.to(tl.float16)
-        latent = _hidden(x, e, weights, biases, W, W, 2 * W, CHUNK, AT[3], AT_BIAS[3] + 2 * W)
-        x = latent.to(tl.float16)
-        if t < HAS_ROBOT:
-            out = tl.zeros((M, ROBOT_SPACE_OUT), tl.float32)
-            out = _hidden(
-                x, out, weights, biases, W, ROBOT_SPACE_OUT, W, CHUNK, AT[4], AT_BIAS[4]
-            )
-            at = tl.arange(0, ROBOT_SPACE_OUT)[None, :]
-            where = robot_out + rows[:, None] * ROBOT_OUT + at
-            tl.store(where, out, mask=ok[:, None] & (at < ROBOT_OUT))
-        else:
-            out = tl.zeros((M, OBJECT_SPACE_OUT), tl.float32)
-            out = _hidden(
-                x, out, weights, biases, W, OBJECT_SPACE_OUT, W, CHUNK, AT[5], AT_BIAS[5]
-            )
-            at = tl.arange(0, OBJECT_SPACE_OUT)[None, :]
-            where = objects_out + (rows[:, None] * N + t - HAS_ROBOT) * OBJECT_OUT + at
-            tl.store(where, out, mask=ok[:, None] & (at < OBJECT_OUT))
+    e = _normed(z, W) * _vector(biases, AT_BIAS[1], W) + _vector(biases, AT_BIAS[1] + W, W)
+    x = e.to(tl.float16)
+    e = _hidden(x, e, weights, biases, W, W, 2 * W, CHUNK, AT[1], AT_BIAS[1] + 2 * W)
+    x = e.to(tl.float16)  # the latent
+    token = row % K
+    if HAS_ROBOT:
+        out = tl.zeros((M, ROBOT_SPACE), tl.float32)
+        out = _hidden(x, out, weights, biases, W, ROBOT_SPACE, W, CHUNK, AT[2], AT_BIAS[2])
+        at = tl.arange(0, ROBOT_SPACE)[None, :]
+        mask = (ok & (token == 0))[:, None] & (at < ROBOT_OUT)
+        tl.store(robot_out + world[:, None] * ROBOT_OUT + at, out, mask=mask)
+    out = tl.zeros((M, OBJECT_SPACE), tl.float32)
+    out = _hidden(x, out, weights, biases, W, OBJECT_SPACE, W, CHUNK, AT[3], AT_BIAS[3])
+    at = tl.arange(0, OBJECT_SPACE)[None, :]
+    place = world * N + token - HAS_ROBOT
+    mask = (ok & (token >= HAS_ROBOT))[:, None] & (at < OBJECT_OUT)
+    tl.store(objects_out + place[:, None] * OBJECT_OUT + at, out, mask=mask)
