@@ -53,12 +53,15 @@ class Speedups:
       folded: compute the network with its weights combined (`network.folded`); None: where that
         is faster.
       precision: of the network, on a GPU; physics is always computed in float32.
+      kernels: compute the network by kernels of our own (`network.fused`), on a GPU in fp16, where
+        they suit it.
       compiled: how torch compiles the step, if it can; None does not compile.
       graphed: one CUDA graph for each number of worlds.
     """
 
     folded: bool | None = None
     precision: Literal["fp16", "bf16", "fp32"] = "fp16"
+    kernels: bool = True
     compiled: Compiler | None = "fused"
     graphed: bool = True
 
@@ -85,6 +88,7 @@ class Stepper:
         self._many = self.model  # for many worlds, where torch does not compile
         if self.on_gpu and self.speedups.folded is None:
             self._many = self._made(model, folded=False)
+        self._kernels = self._with_kernels(model) if self.on_gpu else None
         self._compiler = self.speedups.compiled
         self._graphs: dict[int, Slot] = {}
 
@@ -96,6 +100,25 @@ class Stepper:
         if self.on_gpu:
             made.network.to(_TYPES[self.speedups.precision])
         return made
+
+    @property
+    def fastest(self) -> Dynamics:
+        """The model that is used for many worlds, to be compiled with what is around it."""
+        return self.model if self._kernels is None else self._kernels
+
+    def _with_kernels(self, model: Dynamics) -> Dynamics | None:
+        """The model with its network in kernels of our own, where they suit it."""
+        if not self.speedups.kernels or self.speedups.precision != "fp16":
+            return None
+        try:
+            from orbisim_world_model.network.fused import FusedNetwork
+        except ImportError:  # a torch without triton
+            return None
+        if not FusedNetwork.suits(model.network):
+            return None
+        made = self._made(model, folded=False)
+        made.network = FusedNetwork(model.network).to(self.device, torch.float16)
+        return made.requires_grad_(False)
 
     def __call__(
         self, x: Entities, memory: Tensor, control: Tensor, context: Context
@@ -132,19 +155,29 @@ class Stepper:
         return self._graphs[size]
 
     def _slot(self, x: Entities, memory: Tensor, control: Tensor, context: Context) -> Slot:
-        graphed = self.speedups.graphed
-        if self._compiler is not None:
-            fast = compiled_step(self.model, self._compiler)
+        given = (x, memory, control, context)
+        while True:
+            model = self.model if self._kernels is None else self._kernels
+            compiler = self._compiler
+            if compiler is None and model is self.model and len(x.pos) > _FOLDED_UP_TO:
+                model = self._many
+            step = plain_step(model) if compiler is None else compiled_step(model, compiler)
             try:
                 with torch._dynamo.config.patch(recompile_limit=_RECOMPILATIONS):
-                    fast(x, memory, control, context)
-                return Slot(fast, True, graphed, x, memory, control, context)
+                    step(*given)
+                if self.device.type == "cuda":  # what fails on the device fails here
+                    torch.cuda.synchronize(self.device)
             except Exception as error:  # compilers fail in many ways; the step itself does not
-                self._compiler = None
-                text = f"step not compiled, it is slower: {cause(error)}"
-                warnings.warn(text, stacklevel=5)
-        step = plain_step(self.model if len(x.pos) <= _FOLDED_UP_TO else self._many)
-        return Slot(step, False, graphed, x, memory, control, context)
+                if compiler is None and self._kernels is None:
+                    raise
+                what = "compiled" if compiler is not None else "computed by our own kernels"
+                warnings.warn(f"step not {what}, it is slower: {cause(error)}", stacklevel=5)
+                if compiler is not None:
+                    self._compiler = None
+                else:
+                    self._kernels, self._compiler = None, self.speedups.compiled
+                continue
+            return Slot(step, compiler is not None, self.speedups.graphed, *given)
 
 
 class Slot:

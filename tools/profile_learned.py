@@ -1,0 +1,297 @@
+"""What the learned step's time on a GPU is made of: kernels by name, tiles, environments.
+
+    python tools/profile_learned.py OUT [--jobs tiles,step,environment,gradient] [--limit 240]
+
+Each measurement is a process of its own. All compile at the same time; then, while the others
+wait, one after the other measures: milliseconds by CUDA events, and the kernels of one call by
+torch's profiler. OUT/profile.json has what is finished, early and often; what fails has its error.
+
+- tiles: `network.fused` alone, in several ways to cut it, by number of worlds, and its relative
+  error against the same network in float32.
+- step: the whole step, with and without these kernels.
+- environment: `DeviceEnvironment` of push, with a policy.
+- gradient: an update of a policy through 32 steps.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import json
+import os
+import statistics
+import subprocess
+import sys
+import time
+import traceback
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path[:0] = [str(ROOT), str(ROOT / "backends"), str(ROOT / "tools")]
+
+PUSH = ROOT / "backends/orbisim_world_model/zoo/push"
+TILES = (
+    "128,64,64,2048,8,3",
+    "128,64,64,2048,8,2",
+    "128,32,64,2048,8,4",
+    "128,128,64,2048,8,2",
+    "128,64,32,2048,8,3",
+    "128,64,128,2048,8,3",
+    "64,64,64,2048,4,3",
+    "64,32,64,2048,4,3",
+    "64,64,128,2048,8,3",
+    "32,64,64,512,4,3",
+    "16,64,128,128,4,3",
+    "16,128,128,128,4,2",
+    "16,128,128,128,8,3",
+    "16,32,128,128,4,4",
+)
+"""Of `network.fused.Tile`."""
+SIZES = (1, 4096, 65536)
+JOBS = {
+    "tiles": [f"tile:{tile}" for tile in TILES],
+    "step": [f"step:{kind}:{n}" for n in (65536, 8192, 1) for kind in ("kernels", "compiled")],
+    "environment": [f"environment:{n}" for n in (4096, 16384, 65536)],
+    "gradient": [f"gradient:{n}" for n in (1, 1024)],
+}
+
+Measure = Callable[[], dict[str, Any]]
+
+
+def main() -> int:
+    """Runs the jobs, or one of them."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--jobs", default="tiles,step,environment")
+    parser.add_argument("--job", help="one, by its own name; used by this tool itself")
+    parser.add_argument("--limit", type=float, default=240.0, help="seconds for compiling")
+    parser.add_argument("--largest", type=int, default=SIZES[-1], help="number of worlds")
+    options = parser.parse_args()
+    if options.job:
+        return job(options)
+    options.out.mkdir(parents=True, exist_ok=True)
+    names = [n for part in options.jobs.split(",") for n in JOBS.get(part, [part])]
+    names = [n for n in names if int(n.rpartition(":")[2].split(",")[0]) <= options.largest]
+    words = [sys.executable, __file__, str(options.out), "--largest", str(options.largest)]
+    environment = {**os.environ, "TORCHINDUCTOR_COMPILE_THREADS": "2", "OMP_NUM_THREADS": "1"}
+    running = {
+        name: subprocess.Popen(
+            [*words, "--job", name],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=environment,
+            text=True,
+        )
+        for name in names
+    }
+    found: dict[str, Any] = {}
+    for name, process in running.items():
+        assert process.stdout is not None
+        process.stdout.readline()  # ready, or ended
+    for name, process in running.items():
+        try:
+            answer, _ = process.communicate("go\n", timeout=60)
+            found[name] = json.loads(answer.strip().splitlines()[-1])
+        except Exception as error:  # one that failed must not lose the others
+            process.kill()
+            found[name] = {"failed": repr(error)[:300]}
+        (options.out / "profile.json").write_text(json.dumps(found, indent=1))
+        print(name, json.dumps({k: v for k, v in found[name].items() if k != "kernels"})[:400])
+    return 0
+
+
+def job(options: Any) -> int:
+    """Compiles, says so, waits until it may measure, and prints what it found."""
+    warnings.simplefilter("ignore")
+    kind, _, rest = options.job.partition(":")
+    began = time.perf_counter()
+    try:
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            measure = PREPARE[kind](rest, options)
+        prepared = time.perf_counter() - began
+        print("ready", flush=True)
+        sys.stdin.readline()
+        found = measure()
+        found["prepared_s"] = prepared
+        found["warnings"] = sorted({str(w.message)[:400] for w in said})[:5]
+    except Exception as error:
+        print("ready", flush=True)
+        found = {"failed": repr(error)[:400], "where": traceback.format_exc()[-800:]}
+    if torch.cuda.is_available():
+        found["device"] = torch.cuda.get_device_name()
+    print(json.dumps(found), flush=True)
+    return 0
+
+
+def tile(rest: str, options: Any) -> Measure:
+    """`network.fused` with one tile."""
+    from orbisim_world_model.graphs import Graphed
+    from orbisim_world_model.network.fused import FusedNetwork, Tile
+
+    model, device = _model(), _device()
+    torch.backends.cuda.matmul.allow_tf32 = False
+    exact = model.network.to(device).requires_grad_(False)
+    fused = FusedNetwork(model.network, Tile(*map(int, rest.split(","))))
+    fused = fused.to(device, torch.float16).requires_grad_(False)
+    runs, errors = {}, {}
+    for worlds in (n for n in SIZES if n <= options.largest):
+        if worlds * fused.count > 1 << 20:
+            continue
+        inputs = _random_inputs(model.sizes, worlds, device)
+        half = inputs._replace(
+            **{n: v.half() for n, v in inputs._asdict().items() if isinstance(v, torch.Tensor)}
+        )
+        memory = fused.initial_memory(worlds)
+        run = functools.partial(fused, half, memory)
+        found = run()
+        if worlds <= 4096:
+            wanted = exact(inputs, exact.initial_memory(worlds))
+            for name in ("robot", "objects"):
+                a, b = getattr(wanted, name).double(), getattr(found, name).double()
+                errors[f"{name} {worlds}"] = float((a - b).norm() / a.norm())
+        runs[worlds] = Graphed(run, lambda: None, device.type == "cuda")
+
+    def measure() -> dict[str, Any]:
+        times = {worlds: _milliseconds(run) for worlds, run in runs.items()}
+        return {"ms": times, "error": errors, "kernels": _kernels(runs[max(runs)])}
+
+    return measure
+
+
+def step(rest: str, options: Any) -> Measure:
+    """The whole step."""
+    from bench_learned import _inputs
+    from orbisim_world_model.stepper import Speedups, Stepper
+
+    kind, _, worlds = rest.partition(":")
+    stepper = Stepper(_model(), _device(), Speedups(kernels=kind == "kernels"))
+    inputs = _inputs(stepper, int(worlds))
+    stepper(*inputs)
+    if not stepper.on_gpu:
+        return lambda: {"ms": _milliseconds(functools.partial(stepper, *inputs))}
+    slot = stepper.prepared(*inputs)
+
+    def measure() -> dict[str, Any]:
+        ms = _milliseconds(slot.run)
+        whole = _milliseconds(functools.partial(stepper, *inputs))
+        rate = int(worlds) / ms * 1e3
+        found = {"ms": ms, "with_copies_ms": whole, "control_steps_per_s": rate}
+        return {**found, "compiled": slot.compiled, "kernels": _kernels(slot.run)}
+
+    return measure
+
+
+def environment(rest: str, options: Any) -> Measure:
+    """Push with rewards and a policy of two hidden layers."""
+    from orbisim_policies.environment import DeviceEnvironment
+    from orbisim_policies.problems import make_problem
+
+    worlds, device = int(rest), _device()
+    problem = make_problem("push")
+    made = DeviceEnvironment(problem, worlds, device=str(device), starts=64)
+    made.reset()
+    action = torch.rand((worlds, problem.actions), device=device) * 2 - 1
+    made.step(action)
+
+    def measure() -> dict[str, Any]:
+        ms = _milliseconds(lambda: made.step(action))
+        assert made._run is not None
+        graph = _milliseconds(made._run)
+        found = {"ms": ms, "graph_ms": graph, "environment_steps_per_s": worlds / ms * 1e3}
+        found["diverged"] = int(made.diverged.sum())
+        return {**found, "kernels": _kernels(made._run)}
+
+    return measure
+
+
+def gradient(rest: str, options: Any) -> Measure:
+    """See `bench_learned.gradient`."""
+    import bench_learned
+
+    chosen = argparse.Namespace(
+        device=str(_device()), compile_gradient=True, gradient_worlds=rest, seconds=1.0
+    )
+    return lambda: {"rows": bench_learned.gradient(_model(), chosen)}
+
+
+PREPARE: dict[str, Callable[[str, Any], Measure]] = {
+    "tile": tile,
+    "step": step,
+    "environment": environment,
+    "gradient": gradient,
+}
+
+
+def _model() -> Any:
+    from orbisim_world_model.checkpoint import load_checkpoint
+
+    return load_checkpoint(PUSH).model.eval()
+
+
+def _device() -> torch.device:
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def _random_inputs(sizes: Any, worlds: int, device: torch.device) -> Any:
+    from orbisim_world_model.network.inputs import Inputs
+
+    torch.manual_seed(worlds)
+    many, tokens = sizes.many, sizes.tokens
+    shapes = (
+        (sizes.robot,),
+        (many, sizes.objects),
+        (tokens, tokens, sizes.edges),
+        (many, sizes.attributes),
+        (sizes.world,),
+        (sizes.control,),
+    )
+    return Inputs(*(torch.randn(worlds, *shape, device=device) for shape in shapes), None)
+
+
+def _milliseconds(run: Callable[[], Any]) -> float:
+    """Median of a call."""
+    if not torch.cuda.is_available():
+        began = time.perf_counter()
+        run()
+        return (time.perf_counter() - began) * 1e3
+    for _ in range(3):
+        run()
+    times = []
+    for _ in range(15):
+        begin, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
+        begin.record()
+        for _ in range(5):
+            run()
+        end.record()
+        torch.cuda.synchronize()
+        times.append(begin.elapsed_time(end) / 5)
+    return statistics.median(times)
+
+
+def _kernels(run: Callable[[], Any], most: int = 40) -> list[Any]:
+    """Name, number of launches and microseconds of the kernels of a call, the longest first."""
+    if not torch.cuda.is_available():
+        return []
+    from torch.profiler import ProfilerActivity, profile
+
+    run()
+    torch.cuda.synchronize()
+    with profile(activities=[ProfilerActivity.CUDA]) as seen:
+        run()
+        torch.cuda.synchronize()
+    rows = [(e.key[:90], e.count, round(e.device_time_total, 1)) for e in seen.key_averages()]
+    rows = sorted((row for row in rows if row[2] > 0), key=lambda row: -row[2])
+    total = ("all", sum(row[1] for row in rows), round(sum(row[2] for row in rows), 1))
+    return [total, *rows[:most]]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
