@@ -1,6 +1,6 @@
 """What the learned step's time on a GPU is made of: kernels by name, tiles, environments.
 
-    python tools/profile_learned.py OUT [--jobs tiles,step,environment,gradient] [--limit 240]
+    python tools/profile_learned.py OUT [--jobs tiles step environment rollout]
 
 Each measurement is a process of its own. All compile at the same time; then, while the others
 wait, one after the other measures: milliseconds by CUDA events, and the kernels of one call by
@@ -10,7 +10,7 @@ torch's profiler. OUT/profile.json has what is finished, early and often; what f
   error against the same network in float32.
 - step: the whole step, with and without these kernels.
 - environment: `DeviceEnvironment` of push, with a policy.
-- gradient: an update of a policy through 32 steps.
+- rollout: `backend.rollout` of 20 control steps, with everything that is watched.
 """
 
 from __future__ import annotations
@@ -43,9 +43,7 @@ TILES = (
     "128,64,32,2048,8,3",
     "128,64,128,2048,8,3",
     "64,64,64,2048,4,3",
-    "64,32,64,2048,4,3",
     "64,64,128,2048,8,3",
-    "32,64,64,512,4,3",
     "16,64,128,128,4,3",
     "16,128,128,128,4,2",
     "16,128,128,128,8,3",
@@ -55,9 +53,9 @@ TILES = (
 SIZES = (1, 4096, 65536)
 JOBS = {
     "tiles": [f"tile:{tile}" for tile in TILES],
-    "step": [f"step:{kind}:{n}" for n in (65536, 8192, 1) for kind in ("kernels", "compiled")],
-    "environment": [f"environment:{n}" for n in (4096, 16384, 65536)],
-    "gradient": [f"gradient:{n}" for n in (1, 1024)],
+    "step": [f"step:{kind}:{n}" for n in (65536, 1) for kind in ("kernels", "compiled")],
+    "environment": [f"environment:{n}" for n in (16384, 65536)],
+    "rollout": ["rollout:65536"],
 }
 
 Measure = Callable[[], dict[str, Any]]
@@ -69,16 +67,14 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("out", type=Path)
-    parser.add_argument("--jobs", default="tiles,step,environment")
+    parser.add_argument("--jobs", nargs="*", default=["tiles", "step", "environment", "rollout"])
     parser.add_argument("--job", help="one, by its own name; used by this tool itself")
-    parser.add_argument("--limit", type=float, default=240.0, help="seconds for compiling")
     parser.add_argument("--largest", type=int, default=SIZES[-1], help="number of worlds")
     options = parser.parse_args()
     if options.job:
         return job(options)
     options.out.mkdir(parents=True, exist_ok=True)
-    names = [n for part in options.jobs.split(",") for n in JOBS.get(part, [part])]
-    names = [n for n in names if int(n.rpartition(":")[2].split(",")[0]) <= options.largest]
+    names = [n for part in options.jobs for n in JOBS.get(part, [part])]
     words = [sys.executable, __file__, str(options.out), "--largest", str(options.largest)]
     environment = {**os.environ, "TORCHINDUCTOR_COMPILE_THREADS": "2", "OMP_NUM_THREADS": "1"}
     running = {
@@ -212,21 +208,34 @@ def environment(rest: str, options: Any) -> Measure:
     return measure
 
 
-def gradient(rest: str, options: Any) -> Measure:
-    """See `bench_learned.gradient`."""
-    import bench_learned
+def rollout(rest: str, options: Any) -> Measure:
+    """The backend as users have it, with tensors on the device."""
+    from orbisim import State, make_backend
+    from orbisim.tasks.push import Push
 
-    chosen = argparse.Namespace(
-        device=str(_device()), compile_gradient=True, gradient_worlds=rest, seconds=1.0
-    )
-    return lambda: {"rows": bench_learned.gradient(_model(), chosen)}
+    worlds, steps, device = int(rest), 20, _device()
+    backend = make_backend("learned", Push().scene(), nworld=worlds, device=str(device))
+    first = backend.reset(worlds)
+    fields = (first.time, first.qpos, first.qvel, first.act)
+    state = State(*(torch.as_tensor(f, dtype=torch.float32).to(device) for f in fields))
+    controls = state.qpos[:, None, :7].repeat(1, steps, 1)
+    controls[..., 6] = 0.0
+    run = functools.partial(backend.rollout, state, controls)
+    run()
+
+    def measure() -> dict[str, Any]:
+        ms = _milliseconds(run)
+        rate = worlds * steps / ms * 1e3
+        return {"ms": ms, "control_steps_per_s": rate, "kernels": _kernels(run)}
+
+    return measure
 
 
 PREPARE: dict[str, Callable[[str, Any], Measure]] = {
     "tile": tile,
     "step": step,
     "environment": environment,
-    "gradient": gradient,
+    "rollout": rollout,
 }
 
 

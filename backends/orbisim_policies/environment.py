@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from orbisim_world_model.entities import Entities, choose
+from orbisim_world_model.entities import Entities
 from orbisim_world_model.graphs import Graphed
 from orbisim_world_model.guard import Guard
 from orbisim_world_model.manifest import read_manifest
@@ -23,6 +23,8 @@ from orbisim_policies.problem import Problem
 from orbisim_policies.rollout import Running, advanced, began, observation
 
 _FIELDS = len(Entities._fields)
+_VIEW, _OVER = -5, -3
+"""Where in the state of all worlds the observation, and whether the episode is over, stand."""
 
 
 class DeviceEnvironment:
@@ -79,21 +81,20 @@ class DeviceEnvironment:
         self.guard = Guard(read_manifest(worlds.folder), worlds.layout, self.problem.scene.model)
         self.entity_names = self.guard.names
         with torch.no_grad():
-            self._pool = worlds.pool(self.problem.draw(range(seed, seed + count)))
-            self._index = torch.arange(self.nworld, device=self.device) % count
-            first = began(worlds, self._pool.at(self._index))
-            self._now = Running(first.x, *(field.clone() for field in first[1:]))
-            self._over = torch.zeros(self.nworld, dtype=torch.bool, device=self.device)
-            self.diverged = torch.zeros(self.nworld, dtype=torch.int64, device=self.device)
-            self.outside = self.guard.outside(first.x)
-            self._total = self._worth(first)
-            self._view = observation(worlds, first)
-            self._action = torch.zeros((self.nworld, self.problem.actions), device=self.device)
-        self._state = [*self._now.x, *self._now[1:], self._total, self._view, self._over,
-                       self._index, self.diverged, self.outside]  # fmt: skip
-        self._state = [tensor.contiguous().clone() for tensor in self._state]
-        self.diverged, self.outside = self._state[-2:]
-        self._begun = [tensor.clone() for tensor in self._state]
+            pool = worlds.pool(self.problem.draw(range(seed, seed + count)))
+            starts_of = began(worlds, pool)
+            view, total = observation(worlds, starts_of), self._worth(starts_of)
+        left = self.guard.outside(starts_of.x)
+        # of each start: what an episode begins with
+        self._starts = [*starts_of.x, *starts_of[1:], total, view, left]
+        index = torch.arange(self.nworld, device=self.device) % count
+        begun = [rows[index] for rows in self._starts]
+        over = torch.zeros(self.nworld, dtype=torch.bool, device=self.device)
+        self.diverged = torch.zeros(self.nworld, dtype=torch.int64, device=self.device)
+        self.outside = begun[-1]
+        self._action = torch.zeros((self.nworld, self.problem.actions), device=self.device)
+        # worlds' own numbers, in the order of `_moved`
+        self._state = [*begun, over, index, self.diverged]
         self._compiled = compiled and self.device.type == "cuda"
         self._run: Graphed | None = None
         self._steps, self._warned = 0, False
@@ -104,9 +105,13 @@ class DeviceEnvironment:
         Returns:
           `observations` [nworld, F].
         """
-        self._restore()
+        index = torch.arange(self.nworld, device=self.device) % len(self._starts[0])
+        begun = [rows[index] for rows in self._starts]
+        begun += [torch.zeros_like(self._state[_OVER]), index]
+        for mine, given in zip(self._state, begun, strict=False):  # what has diverged is kept
+            mine.copy_(given)
         self._steps = 0
-        return {FLAT: self._state[-5].clone()}
+        return {FLAT: self._state[_VIEW].clone()}
 
     def step(self, action: Tensor) -> Step:
         """One control step in every world; in those whose episode is over, a reset.
@@ -140,10 +145,6 @@ class DeviceEnvironment:
 
     # -- inner workings --------------------------------------------------------------------------
 
-    def _restore(self) -> None:
-        for mine, given in zip(self._state, self._begun, strict=True):
-            mine.copy_(given)
-
     def _prepared(self) -> Graphed:
         """The step, compiled if that is possible, as one graph that works on the state."""
         step: Any = self._moved
@@ -161,7 +162,7 @@ class DeviceEnvironment:
             *state, reward, terminated, truncated = step(self._action, *self._state)
             for mine, new in zip(self._state, state, strict=True):
                 mine.copy_(new)
-            return self._state[-5], reward, terminated, truncated
+            return self._state[_VIEW], reward, terminated, truncated
 
         def restore() -> None:
             for mine, given in zip(self._state, kept, strict=True):
@@ -171,36 +172,32 @@ class DeviceEnvironment:
 
     def _moved(self, action: Tensor, *given: Tensor) -> tuple[Tensor, ...]:
         """The state after a step, reward, and how episodes ended; from tensors to tensors."""
-        *running, total, view, over, index, diverged, outside = given
+        *running, total, view, outside, over, index, diverged = given
         now = Running(Entities(*running[:_FIELDS]), *running[_FIELDS:])
         worlds, problem, guard = self.worlds, self.problem, self.guard
-        began_at = self._pool.at(index)
-        start = worlds.layout.split(began_at.qpos, began_at.qvel, began_at.act)
+        start = Entities(*(rows[index] for rows in self._starts[:_FIELDS]))
         after = advanced(worlds, now, action, 0.0)
         worth, seen = self._worth(after), observation(worlds, after)
-        done = after.done >= problem.steps
-        reward = torch.where(done, worth, 0.0) if problem.sparse else (worth - total) * problem.steps
+        late = after.done >= problem.steps
+        if problem.sparse:
+            reward = torch.where(late, worth, 0.0)
+        else:
+            reward = (worth - total) * problem.steps
         lost = guard.lost(after.x, start).any(-1) | ~torch.isfinite(reward)
-        lost, done = lost & ~over, done & ~over
+        lost, late = lost & ~over, late & ~over & ~lost
+        seen = torch.where(lost[:, None], view, seen)
+        terminated = late if problem.sparse else torch.zeros_like(late)
+        truncated = lost | (late & ~terminated)
         # worlds whose episode is over begin the next one instead
-        index = torch.where(over, (index + self.nworld) % len(self._pool.qpos), index)
-        fresh = began(worlds, self._pool.at(index))
-        x = choose(over, fresh.x, after.x)
-        rest = (
-            torch.where(over.reshape(-1, *([1] * (mine.dim() - 1))), begun, mine)
-            for begun, mine in zip(fresh[1:], after[1:], strict=True)
-        )
-        first = observation(worlds, fresh)
-        view = torch.where(lost[:, None], view, torch.where(over[:, None], first, seen))
+        index = torch.where(over, (index + self.nworld) % len(self._starts[0]), index)
+        moved = [*after.x, *after[1:], worth, seen, outside | guard.outside(after.x)]
+        state = [
+            torch.where(over.reshape(-1, *([1] * (mine.dim() - 1))), rows[index], mine)
+            for rows, mine in zip(self._starts, moved, strict=True)
+        ]
         reward = torch.where(over | lost, 0.0, reward)
-        total = torch.where(over, self._worth(fresh), worth)
-        left = guard.outside(x)
-        outside = torch.where(over[:, None], left, outside | left)
-        none = torch.zeros_like(over)
-        terminated = done & ~lost if problem.sparse else none
-        truncated = lost if problem.sparse else lost | done
-        state = (*x, *rest, total, view, terminated | truncated, index, diverged + lost, outside)
-        return (*state, reward, terminated, truncated)
+        kept = (terminated | truncated, index, diverged + lost)
+        return (*state, *kept, reward, terminated, truncated)
 
     def _worth(self, now: Running) -> Tensor:
         """[nworld]: what the episode is worth if it ends here, by the task's own reward."""
