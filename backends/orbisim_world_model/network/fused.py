@@ -13,15 +13,18 @@ from torch import Tensor, nn
 
 from orbisim_world_model.network.coupling import PAIR, Block
 from orbisim_world_model.network.folded import encoder_of, stacked, transition_of
-from orbisim_world_model.network.fused_kernels import layers_kernel, tokens_kernel
-from orbisim_world_model.network.inputs import Inputs, Outputs
+from orbisim_world_model.network.fused_kernels import layers_kernel, spread_kernel, tokens_kernel
+from orbisim_world_model.network.inputs import Inputs, Outputs, Sizes
 from orbisim_world_model.network.objects import ObjectCentricNetwork
 from orbisim_world_model.network.tokens import TokenNetwork
+from orbisim_world_model.spread import MOST, MOST_GAIN, Spread
 
 _MOST_TOKENS = 16
 """Of a world: as many rows as the smallest tile has."""
 _ROWS, _CHUNK = 64, 64
 """Of the kernel that makes tokens."""
+_SPREAD_ROWS = 64
+"""Of the kernel of variances."""
 _LEAST = 16
 """Rows and columns that a product of the tensor cores has at least."""
 
@@ -85,10 +88,13 @@ class FusedNetwork(TokenNetwork):
     def forward(self, inputs: Inputs, memory: Tensor, observe: bool = True) -> Outputs:
         """One step of equation RSSM; the latent is not given."""
         assert inputs.edges is not None
-        given = (inputs.robot, inputs.objects, inputs.edges)
-        described = (inputs.control, inputs.attributes, inputs.world)
+        scales = inputs.scales
+        if scales is None:
+            scales = self.scales(inputs.attributes, inputs.world)
+        given = (inputs.robot, inputs.objects, inputs.edges, inputs.control, inputs.world)
         robot, objects = _network(
-            *(tensor.contiguous() for tensor in (*given, *described)),
+            *(tensor.contiguous() for tensor in given),
+            scales,
             self.weights,
             self.biases.values,
             self.sizes,
@@ -97,6 +103,119 @@ class FusedNetwork(TokenNetwork):
         )
         none = robot.new_zeros(())
         return Outputs(robot, objects, memory, none, none)
+
+    def scales(self, attributes: Tensor, world: Tensor) -> Tensor:
+        """Scales and shifts of all AdaLN of objects, [B, N, layers * 4 * width].
+
+        Args:
+          attributes: [B, N, D]. world: [B, W], both normalised.
+        """
+        tile = self.tile or chosen_tile(len(attributes))
+        described = (attributes.contiguous(), world.contiguous())
+        found: Tensor = _scales(
+            *described, self.weights, self.biases.values, self.sizes, *self.starts, list(tile)
+        )
+        return found
+
+
+class FusedSpread(nn.Module):
+    """`Spread` as one kernel; products are of half precision.
+
+    Args:
+      spread: whose weights are taken over; it is not changed.
+      sizes: of the features.
+    """
+
+    def __init__(self, spread: Spread, sizes: Sizes) -> None:
+        super().__init__()
+        weights, biases = _Packed(), _Packed()
+        more = sizes.control + sizes.world, sizes.attributes + sizes.world
+        pads = (
+            (spread.robot, (sizes.robot, more[0])),
+            (spread.objects, (sizes.objects, more[1])),
+            (spread.pair, (sizes.edges,)),
+            (spread.sender, (spread.width,)),
+            (spread.mix, (spread.width,)),
+            (spread.gain, (spread.width,)),
+            (spread.noise, (spread.width, spread.width)),
+        )
+        for layer, groups in pads:
+            weights.begin()
+            biases.begin()
+            outputs = _space(layer.out_features)
+            for part in layer.weight.detach().cpu().split(groups, dim=1):
+                matrix = torch.zeros(_space(part.shape[1]), outputs)
+                matrix[: part.shape[1], : part.shape[0]] = part.T
+                weights.add(matrix)
+            bias = torch.zeros(outputs)
+            bias[: layer.out_features] = layer.bias.detach()
+            biases.add(bias)
+        self.width = _space(spread.width)
+        self.starts = weights.starts, biases.starts
+        self.register_buffer("weights", weights.joined().half(), persistent=False)
+        self.register_buffer("biases", biases.joined(), persistent=False)
+        self.register_buffer("start", spread.start.detach().clone(), persistent=False)
+
+    @staticmethod
+    def suits(sizes: Sizes) -> bool:
+        """Whether there is everything that the kernel expects."""
+        return bool(sizes.robot and sizes.many and sizes.edges) and not sizes.parts
+
+    def forward(self, inputs: Inputs, variance: Tensor) -> Tensor:
+        """See `Spread.forward`."""
+        assert inputs.edges is not None
+        given = (inputs.robot, inputs.objects, inputs.edges, inputs.control)
+        described = (inputs.attributes, inputs.world, variance)
+        found: Tensor = _spread(
+            *(tensor.contiguous() for tensor in (*given, *described)),
+            self.weights,
+            self.biases,
+            self.start,
+            self.width,
+            *self.starts,
+        )
+        return found
+
+
+@torch.library.custom_op("orbisim::token_spread", mutates_args=())
+def _spread(
+    robot: Tensor,
+    objects: Tensor,
+    edges: Tensor,
+    control: Tensor,
+    attributes: Tensor,
+    setting: Tensor,
+    variance: Tensor,
+    weights: Tensor,
+    biases: Tensor,
+    start: Tensor,
+    width: int,
+    starts: list[int],
+    bias_starts: list[int],
+) -> Tensor:
+    """The variances [B, K, 2] after a step."""
+    worlds, tokens = edges.shape[:2]
+    found = torch.empty_like(variance)
+    senders = variance.new_empty((worlds, tokens, width), dtype=torch.float16)
+    spread_kernel[(-(-worlds // (_SPREAD_ROWS // tokens)),)](
+        robot, objects, edges, control, attributes, setting, variance, weights, biases, start,
+        senders, found, worlds,
+        K=tokens, HAS_ROBOT=tokens - objects.shape[1], W=width,
+        ROBOT=robot.shape[1], ROBOT_SPACE=_space(robot.shape[1]),
+        OBJECT=objects.shape[2], OBJECT_SPACE=_space(objects.shape[2]),
+        EDGE=edges.shape[3], EDGE_SPACE=_space(edges.shape[3]),
+        CONTROL=control.shape[1], ATTRIBUTES=attributes.shape[2], SETTING=setting.shape[1],
+        COMMAND_SPACE=_space(control.shape[1] + setting.shape[1]),
+        DESCRIBED_SPACE=_space(attributes.shape[2] + setting.shape[1]),
+        MOST_GAIN=MOST_GAIN, MOST=MOST, AT=tuple(starts), AT_BIAS=tuple(bias_starts),
+        NARROW=_LEAST, M=_SPREAD_ROWS,
+    )  # fmt: skip
+    return found
+
+
+@_spread.register_fake
+def _(*given: Any) -> Tensor:
+    return torch.empty_like(given[6])
 
 
 def chosen_tile(worlds: int) -> Tile:
@@ -116,14 +235,51 @@ class Exact(nn.Module):
         return self
 
 
+@torch.library.custom_op("orbisim::token_scales", mutates_args=())
+def _scales(
+    attributes: Tensor,
+    setting: Tensor,
+    weights: Tensor,
+    biases: Tensor,
+    sizes: list[int],
+    starts: list[int],
+    bias_starts: list[int],
+    tile: list[int],
+) -> Tensor:
+    """See `FusedNetwork.scales`."""
+    layers, _, width = sizes[:3]
+    (worlds, many, columns), all_of = attributes.shape, layers * 4 * width
+    found = attributes.new_empty((worlds, many, all_of), dtype=torch.float16)
+    split = all_of // tile[3]
+    none = found  # of what is not computed here
+    tokens_kernel[(-(-worlds * many // _ROWS), split)](
+        none, none, none, none, attributes, setting, none, none, none, found,
+        weights, biases, worlds,
+        K=many + 1, HAS_ROBOT=1, L=layers, W=width, PAIR=PAIR,
+        ROBOT=1, ROBOT_SPACE=_LEAST, OBJECT=1, OBJECT_SPACE=_LEAST, EDGE=1, EDGE_SPACE=_LEAST,
+        EDGE_HIDDEN=_CHUNK, CONTROL=1, ATTRIBUTES=columns, SETTING=setting.shape[1],
+        COMMAND_SPACE=_LEAST, DESCRIBED_SPACE=_space(columns + setting.shape[1]),
+        AT=tuple(starts[:6]), AT_BIAS=tuple(bias_starts[:6]),
+        COLUMNS=tile[3], CHUNK=_CHUNK, FIRST=3 + split, M=_ROWS,
+    )  # fmt: skip
+    return found
+
+
+@_scales.register_fake
+def _(attributes: Tensor, *rest: Any) -> Tensor:
+    layers, _, width = rest[3][:3]
+    shape = (*attributes.shape[:2], layers * 4 * width)
+    return attributes.new_empty(shape, dtype=torch.float16)
+
+
 @torch.library.custom_op("orbisim::token_network", mutates_args=())
 def _network(
     robot: Tensor,
     objects: Tensor,
     edges: Tensor,
     control: Tensor,
-    attributes: Tensor,
     setting: Tensor,
+    scales: Tensor,
     weights: Tensor,
     biases: Tensor,
     sizes: list[int],
@@ -134,40 +290,40 @@ def _network(
     """Numbers of the robot [B, R] and of objects [B, N, O].
 
     Args:
-      robot: [B, F]. objects: [B, N, G]. edges: [B, K, K, E].
-      control: [B, U]. attributes: [B, N, D]. setting: [B, W].
+      robot: [B, F]. objects: [B, N, G]. edges: [B, K, K, E]. control: [B, U]. setting: [B, W].
+      scales: [B or 1, N, layers * 4 * width], of objects.
       weights, biases, starts, bias_starts: see `_pack`.
       sizes: layers, heads, width, R and O. tile: see `Tile`.
     """
     layers, heads, width, robot_out, object_out = sizes
     worlds, tokens = edges.shape[:2]
-    many, scales = objects.shape[1], layers * 4 * width
+    many, all_of = objects.shape[1], layers * 4 * width
     rows, chunk, part, columns, warps, stages = tile
     half = {"dtype": torch.float16}
     z = robot.new_empty((worlds, tokens, width), **half)
     pairs = robot.new_empty((worlds, tokens, tokens, PAIR), **half)
-    modulation = robot.new_empty((worlds, tokens, scales), **half)
-    most, split = worlds * tokens * tokens, scales // columns
-    tokens_kernel[(-(-most // _ROWS), 3 + 2 * split)](
-        robot, objects, edges, control, attributes, setting, z, pairs, modulation,
+    robot_scales = robot.new_empty((worlds, all_of), **half)
+    most = worlds * tokens * tokens
+    tokens_kernel[(-(-most // _ROWS), 3 + all_of // columns)](
+        robot, objects, edges, control, z, setting, z, pairs, robot_scales, z,
         weights, biases, worlds,
         K=tokens, HAS_ROBOT=tokens - many, L=layers, W=width, PAIR=PAIR,
         ROBOT=robot.shape[1], ROBOT_SPACE=_space(robot.shape[1]),
         OBJECT=objects.shape[2], OBJECT_SPACE=_space(objects.shape[2]),
         EDGE=edges.shape[3], EDGE_SPACE=_space(edges.shape[3]),
         EDGE_HIDDEN=bias_starts[1] - bias_starts[0] - PAIR,
-        CONTROL=control.shape[1], ATTRIBUTES=attributes.shape[2], SETTING=setting.shape[1],
-        COMMAND_SPACE=_space(control.shape[1] + setting.shape[1]),
-        DESCRIBED_SPACE=_space(attributes.shape[2] + setting.shape[1]),
+        CONTROL=control.shape[1], ATTRIBUTES=1, SETTING=setting.shape[1],
+        COMMAND_SPACE=_space(control.shape[1] + setting.shape[1]), DESCRIBED_SPACE=_LEAST,
         AT=tuple(starts[:6]), AT_BIAS=tuple(bias_starts[:6]),
-        COLUMNS=columns, CHUNK=_CHUNK, M=_ROWS,
+        COLUMNS=columns, CHUNK=_CHUNK, FIRST=0, M=_ROWS,
     )  # fmt: skip
     found = robot.new_empty((worlds, robot_out), dtype=torch.float32)
     moved = robot.new_empty((worlds, many, object_out), dtype=torch.float32)
     told = robot.new_empty((worlds, tokens, 2 * width), dtype=torch.float16)
     mix = (bias_starts[-3] - bias_starts[6]) // layers - 5 * width
     layers_kernel[(-(-worlds // (rows // tokens)),)](
-        z, pairs, modulation, weights, biases, told, found, moved, worlds,
+        z, pairs, robot_scales, scales, int(len(scales) > 1), weights, biases, told,
+        found, moved, worlds,
         K=tokens, HAS_ROBOT=tokens - many, L=layers, W=width, HEADS=heads, MIX=mix, PAIR=PAIR,
         ROBOT_OUT=robot_out, ROBOT_SPACE=_space(robot_out),
         OBJECT_OUT=object_out, OBJECT_SPACE=_space(object_out),
@@ -179,10 +335,10 @@ def _network(
 
 @_network.register_fake
 def _(robot: Tensor, objects: Tensor, *rest: Any) -> tuple[Tensor, Tensor]:
-    sizes = rest[6]
+    robot_out, object_out = rest[6][3:]
     single = {"dtype": torch.float32}
-    found = robot.new_empty((len(robot), sizes[3]), **single)
-    return found, robot.new_empty((len(robot), objects.shape[1], sizes[4]), **single)
+    found = robot.new_empty((len(robot), robot_out), **single)
+    return found, robot.new_empty((len(robot), objects.shape[1], object_out), **single)
 
 
 class _Packed:

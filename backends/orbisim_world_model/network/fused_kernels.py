@@ -85,25 +85,26 @@ def _scales(x, to, row, ok, first, weights, biases, SPACE: tl.constexpr, W: tl.c
         tl.store(where, found.to(tl.float16), mask=ok[:, None])
 
 
-@triton.jit
-def tokens_kernel(robot, objects, edges, control, attributes, setting, tokens, pairs, modulation,
-                  weights, biases, worlds,
+@triton.jit(do_not_specialize=["worlds"])
+def tokens_kernel(robot, objects, edges, control, attributes, setting, tokens, pairs, robot_scales,
+                  object_scales, weights, biases, worlds,
                   K: tl.constexpr, HAS_ROBOT: tl.constexpr, L: tl.constexpr, W: tl.constexpr,
                   PAIR: tl.constexpr, ROBOT: tl.constexpr, ROBOT_SPACE: tl.constexpr,
                   OBJECT: tl.constexpr, OBJECT_SPACE: tl.constexpr, EDGE: tl.constexpr,
                   EDGE_SPACE: tl.constexpr, EDGE_HIDDEN: tl.constexpr, CONTROL: tl.constexpr,
                   ATTRIBUTES: tl.constexpr, SETTING: tl.constexpr, COMMAND_SPACE: tl.constexpr,
                   DESCRIBED_SPACE: tl.constexpr, AT: tl.constexpr, AT_BIAS: tl.constexpr,
-                  COLUMNS: tl.constexpr, CHUNK: tl.constexpr, M: tl.constexpr):  # type: ignore[no-untyped-def]  # fmt: skip
+                  COLUMNS: tl.constexpr, CHUNK: tl.constexpr, FIRST: tl.constexpr, M: tl.constexpr):  # type: ignore[no-untyped-def]  # fmt: skip
     """z_t = f_enc and the AdaLN of robots and objects, and the features of pairs.
 
-    Axis 1 of the grid: 0 pairs, 1 robots, 2 objects, then as many programs for the AdaLN of
-    robots, and of objects, as there are `COLUMNS` in `modulation`.
+    Axis 1 of the grid, counted from `FIRST`: 0 pairs, 1 robots, 2 objects, then as many programs
+    for the AdaLN of robots, and of objects, as there are `COLUMNS` in all its numbers.
 
     Args:
       robot: [B, ROBOT]. objects: [B, N, OBJECT]. edges: [B, K, K, EDGE]. control: [B, CONTROL].
       attributes: [B, N, ATTRIBUTES]. setting: [B, SETTING].
-      tokens: [B, K, W], pairs: [B, K, K, PAIR] and modulation: [B, K, L * 4 W], to be written.
+      tokens: [B, K, W], pairs: [B, K, K, PAIR], robot_scales: [B, L * 4 W] and
+        object_scales: [B, N, L * 4 W], to be written.
       AT, AT_BIAS: where weights and biases of pairs, encoders of robots and objects, conditions of
         robots and objects, and of the AdaLN begin.
     """
@@ -112,7 +113,7 @@ def tokens_kernel(robot, objects, edges, control, attributes, setting, tokens, p
     SPLIT: tl.constexpr = ALL // COLUMNS
     first = tl.program_id(0).to(tl.int64) * M
     at = first + tl.arange(0, M)
-    kind = tl.program_id(1)
+    kind = FIRST + tl.program_id(1)
     wide = tl.arange(0, W)[None, :]
     if kind == 0:
         ok = at < worlds * (K * K)
@@ -143,18 +144,18 @@ def tokens_kernel(robot, objects, edges, control, attributes, setting, tokens, p
     elif (kind > 2) & (kind < 3 + SPLIT) & (first < worlds * HAS_ROBOT):
         ok = at < worlds
         x = _beside(control, at, at, ok, CONTROL, setting, SETTING, COMMAND_SPACE)
-        _scales(x, modulation, at * K, ok, (kind - 3) * COLUMNS, weights, biases, COMMAND_SPACE,
+        _scales(x, robot_scales, at, ok, (kind - 3) * COLUMNS, weights, biases, COMMAND_SPACE,
                 W, ALL, COLUMNS, CHUNK, AT[3], AT_BIAS[3], AT[5], AT_BIAS[5], M)  # fmt: skip
     elif (kind >= 3 + SPLIT) & (first < worlds * N):
         ok = at < worlds * N
         x = _beside(attributes, at, at // N, ok, ATTRIBUTES, setting, SETTING, DESCRIBED_SPACE)
-        row = at // N * K + HAS_ROBOT + at % N
-        _scales(x, modulation, row, ok, (kind - 3 - SPLIT) * COLUMNS, weights, biases,
+        _scales(x, object_scales, at, ok, (kind - 3 - SPLIT) * COLUMNS, weights, biases,
                 DESCRIBED_SPACE, W, ALL, COLUMNS, CHUNK, AT[4], AT_BIAS[4], AT[5], AT_BIAS[5], M)  # fmt: skip
 
 
-@triton.jit
-def layers_kernel(tokens, pairs, modulation, weights, biases, told, robot_out, objects_out, worlds,
+@triton.jit(do_not_specialize=["worlds", "scales_step"])
+def layers_kernel(tokens, pairs, robot_scales, object_scales, scales_step, weights, biases, told,
+                  robot_out, objects_out, worlds,
                   K: tl.constexpr, HAS_ROBOT: tl.constexpr, L: tl.constexpr, W: tl.constexpr,
                   HEADS: tl.constexpr, MIX: tl.constexpr, PAIR: tl.constexpr,
                   ROBOT_OUT: tl.constexpr, ROBOT_SPACE: tl.constexpr, OBJECT_OUT: tl.constexpr,
@@ -163,7 +164,8 @@ def layers_kernel(tokens, pairs, modulation, weights, biases, told, robot_out, o
     """f_cp, f_tra and f_dec of M // K worlds.
 
     Args:
-      tokens: [B, K, W]. pairs: [B, K, K, PAIR]. modulation: [B, K, L * 4 W].
+      tokens: [B, K, W]. pairs: [B, K, K, PAIR]. robot_scales: [B, L * 4 W].
+      object_scales: [B or 1, N, L * 4 W]. scales_step: 1, or 0 where they are all worlds' own.
       told: [B, K, 2 W], room for keys and values.
       robot_out: [B, ROBOT_OUT] and objects_out: [B, N, OBJECT_OUT], to be written.
       AT, AT_BIAS: where weights and biases of the layers, of the transition, and of the decoders
@@ -175,10 +177,15 @@ def layers_kernel(tokens, pairs, modulation, weights, biases, told, robot_out, o
     USED: tl.constexpr = M // K * K
     local = tl.arange(0, M)
     row = tl.program_id(0).to(tl.int64) * USED + local
-    ok = (local < USED) & (row < worlds.to(tl.int64) * K)
+    ok = (local < USED) & (row < worlds * K)
     world = row // K
     there = ok[:, None]
     wide, part = tl.arange(0, W)[None, :], tl.arange(0, PART)[None, :]
+    token = row % K
+    own = object_scales + ((world * scales_step * N + token - HAS_ROBOT) * (L * 4 * W))[:, None]
+    if HAS_ROBOT:
+        robots = robot_scales + (world * (L * 4 * W))[:, None]
+        own = tl.where((token == 0)[:, None], robots, own)
     z = tl.load(tokens + row[:, None] * W + wide, mask=there, other=0.0).to(tl.float32)
 
     QKV: tl.constexpr = 3 * W
@@ -187,7 +194,7 @@ def layers_kernel(tokens, pairs, modulation, weights, biases, told, robot_out, o
     for layer in tl.range(0, L):
         at = AT[0] + layer * layer_size
         at_bias = AT_BIAS[0] + layer * bias_size
-        scales = modulation + row[:, None] * (L * 4 * W) + layer * (4 * W) + wide
+        scales = own + layer * (4 * W) + wide
 
         gamma = tl.load(scales, mask=there, other=0.0)
         beta = tl.load(scales + W, mask=there, other=0.0)
@@ -241,7 +248,6 @@ def layers_kernel(tokens, pairs, modulation, weights, biases, told, robot_out, o
     x = e.to(tl.float16)
     e = _hidden(x, e, weights, biases, W, W, 2 * W, CHUNK, AT[1], AT_BIAS[1] + 2 * W)
     x = e.to(tl.float16)  # the latent
-    token = row % K
     if HAS_ROBOT:
         out = tl.zeros((M, ROBOT_SPACE), tl.float32)
         out = _hidden(x, out, weights, biases, W, ROBOT_SPACE, W, CHUNK, AT[2], AT_BIAS[2])
@@ -254,3 +260,79 @@ def layers_kernel(tokens, pairs, modulation, weights, biases, told, robot_out, o
     place = world * N + token - HAS_ROBOT
     mask = (ok & (token >= HAS_ROBOT))[:, None] & (at < OBJECT_OUT)
     tl.store(objects_out + place[:, None] * OBJECT_OUT + at, out, mask=mask)
+
+
+@triton.jit(do_not_specialize=["worlds"])
+def spread_kernel(robot, objects, edges, control, attributes, setting, variance, weights, biases,
+                  start, senders, found, worlds,
+                  K: tl.constexpr, HAS_ROBOT: tl.constexpr, W: tl.constexpr, ROBOT: tl.constexpr,
+                  ROBOT_SPACE: tl.constexpr, OBJECT: tl.constexpr, OBJECT_SPACE: tl.constexpr,
+                  EDGE: tl.constexpr, EDGE_SPACE: tl.constexpr, CONTROL: tl.constexpr,
+                  ATTRIBUTES: tl.constexpr, SETTING: tl.constexpr, COMMAND_SPACE: tl.constexpr,
+                  DESCRIBED_SPACE: tl.constexpr, MOST_GAIN: tl.constexpr, MOST: tl.constexpr,
+                  AT: tl.constexpr, AT_BIAS: tl.constexpr, NARROW: tl.constexpr, M: tl.constexpr):  # type: ignore[no-untyped-def]  # fmt: skip
+    """`spread.Spread` for M // K worlds: a row is a token.
+
+    Args:
+      robot, objects, edges, control, attributes, setting: as for `tokens_kernel`.
+      variance: [B, K, 2]. start: [K, K, 4]. senders: [B, K, W], room.
+      found: [B, K, 2], to be written.
+      AT, AT_BIAS: where weights and biases begin of the robot's layer, the objects', the pairs',
+        `sender`, `mix`, `gain` and `noise`, which have `NARROW` columns, those beyond theirs 0.
+    """
+    N: tl.constexpr = K - HAS_ROBOT
+    USED: tl.constexpr = M // K * K
+    local = tl.arange(0, M)
+    row = tl.program_id(0).to(tl.int64) * USED + local
+    ok = (local < USED) & (row < worlds * K)
+    there = ok[:, None]
+    world, token = row // K, row % K
+    column, wide = tl.arange(0, NARROW)[None, :], tl.arange(0, W)[None, :]
+
+    at = world * N + token - HAS_ROBOT
+    object_here = ok & (token >= HAS_ROBOT)
+    x = _rows(objects, at, object_here, OBJECT, OBJECT, OBJECT_SPACE).to(tl.float16)
+    y = _beside(attributes, at, world, object_here, ATTRIBUTES, setting, SETTING, DESCRIBED_SPACE)
+    own = tl.dot(x, _weight(weights, AT[1], W, OBJECT_SPACE, W))
+    own = tl.dot(y, _weight(weights, AT[1] + OBJECT_SPACE * W, W, DESCRIBED_SPACE, W), own)
+    own += tl.where(object_here[:, None], _vector(biases, AT_BIAS[1], W), 0.0)
+    if HAS_ROBOT:  # of other rows these are zeros
+        robot_here = ok & (token == 0)
+        x = _rows(robot, world, robot_here, ROBOT, ROBOT, ROBOT_SPACE).to(tl.float16)
+        y = _beside(control, world, world, robot_here, CONTROL, setting, SETTING, COMMAND_SPACE)
+        own = tl.dot(x, _weight(weights, AT[0], W, ROBOT_SPACE, W), own)
+        own = tl.dot(y, _weight(weights, AT[0] + ROBOT_SPACE * W, W, COMMAND_SPACE, W), own)
+        own += tl.where(robot_here[:, None], _vector(biases, AT_BIAS[0], W), 0.0)
+    own = _silu(own)
+    mine = own.to(tl.float16)
+    sender = tl.dot(mine, _weight(weights, AT[3], W, W, W)) + _vector(biases, AT_BIAS[3], W)
+    tl.store(senders + row[:, None] * W + wide, sender.to(tl.float16), mask=there)
+    tl.debug_barrier()  # those of other rows were written by other threads
+
+    wp = _weight(weights, AT[2], W, EDGE_SPACE, W)
+    wm = _weight(weights, AT[4], W, W, W)
+    wg = _weight(weights, AT[5], NARROW, W, NARROW)
+    own += _vector(biases, AT_BIAS[2], W)
+    sent = tl.zeros((M, NARROW), tl.float32)
+    all_pairs = tl.zeros((M, W), tl.float32)
+    for j in tl.range(0, K):
+        e = _rows(edges, row * K + j, ok, EDGE, EDGE, EDGE_SPACE).to(tl.float16)
+        other = world[:, None] * K + j
+        pair = tl.load(senders + other * W + wide, mask=there, other=0.0).to(tl.float32)
+        pair = _silu(tl.dot(e, wp, own + pair)).to(tl.float16)
+        pair = _silu(tl.dot(pair, wm) + _vector(biases, AT_BIAS[4], W))
+        all_pairs += pair
+        gain = tl.dot(pair.to(tl.float16), wg) + _vector(biases, AT_BIAS[5], NARROW)
+        before = start + (token[:, None] * K + j) * 4 + column
+        gain += tl.load(before, mask=there & (column < 4), other=0.0)
+        # of (onto, from) in columns 0 to 3: what becomes of the other's variance of `from`
+        theirs = variance + other * 2 + column % 2
+        theirs = tl.load(theirs, mask=there & (column < 4), other=0.0)
+        sent += MOST_GAIN * tl.sigmoid(gain) * theirs
+    noise = tl.dot(mine, _weight(weights, AT[6], NARROW, W, NARROW))
+    more = _weight(weights, AT[6] + W * NARROW, NARROW, W, NARROW)
+    noise = tl.dot(all_pairs.to(tl.float16), more, noise) + _vector(biases, AT_BIAS[6], NARROW)
+    noise = tl.exp(tl.minimum(tl.maximum(noise, -20.0), 10.0))
+    for onto in tl.static_range(2):
+        total = tl.where(column // 2 == onto, sent, 0.0) + tl.where(column == onto, noise, 0.0)
+        tl.store(found + row * 2 + onto, tl.minimum(tl.sum(total, 1), MOST), mask=ok)

@@ -21,6 +21,7 @@ class Inputs(NamedTuple):
       contacts: candidate contacts in SI units, where the model looks for them.
       parts: [B, P, H] of parts of mechanisms, part_attributes: [B, P, A], part_mask: [B, P] as
         `mask`; None without.
+      scales: of the objects' AdaLN, where they were computed beforehand (`fused`).
     """
 
     robot: Tensor
@@ -34,6 +35,7 @@ class Inputs(NamedTuple):
     parts: Tensor | None = None
     part_attributes: Tensor | None = None
     part_mask: Tensor | None = None
+    scales: Tensor | None = None
 
     def flat(self) -> Tensor:
         """Everything in one vector [B, ...] for networks without tokens."""
