@@ -82,7 +82,7 @@ class FusedNetwork(TokenNetwork):
             and network.f_tra.skip
             and bool(network.robot_token and network.count)
             and network.robot_token + network.count <= _MOST_TOKENS
-            and _space(network.start.shape[1]) == network.start.shape[1]
+            and _space(network.start.shape[1]) == network.start.shape[1]  # a power of two
         )
 
     def forward(self, inputs: Inputs, memory: Tensor, observe: bool = True) -> Outputs:
@@ -99,7 +99,7 @@ class FusedNetwork(TokenNetwork):
             self.biases.values,
             self.sizes,
             *self.starts,
-            list(self.tile or chosen_tile(len(inputs.robot))),
+            list(self._tile(len(inputs.robot))),
         )
         none = robot.new_zeros(())
         return Outputs(robot, objects, memory, none, none)
@@ -110,12 +110,21 @@ class FusedNetwork(TokenNetwork):
         Args:
           attributes: [B, N, D]. world: [B, W], both normalised.
         """
-        tile = self.tile or chosen_tile(len(attributes))
+        tile = self._tile(len(attributes))
         described = (attributes.contiguous(), world.contiguous())
         found: Tensor = _scales(
             *described, self.weights, self.biases.values, self.sizes, *self.starts, list(tile)
         )
         return found
+
+
+    def _tile(self, worlds: int) -> Tile:
+        """No larger than the network is."""
+        layers, heads, width = self.sizes[:3]
+        tile = self.tile or chosen_tile(worlds)
+        part = max(min(tile.part, width), width // heads)
+        columns = min(tile.columns, layers * 4 * width)
+        return tile._replace(chunk=min(tile.chunk, width), part=part, columns=columns)
 
 
 class FusedSpread(nn.Module):
@@ -257,10 +266,10 @@ def _scales(
         weights, biases, worlds,
         K=many + 1, HAS_ROBOT=1, L=layers, W=width, PAIR=PAIR,
         ROBOT=1, ROBOT_SPACE=_LEAST, OBJECT=1, OBJECT_SPACE=_LEAST, EDGE=1, EDGE_SPACE=_LEAST,
-        EDGE_HIDDEN=_CHUNK, CONTROL=1, ATTRIBUTES=columns, SETTING=setting.shape[1],
+        EDGE_HIDDEN=_LEAST, CONTROL=1, ATTRIBUTES=columns, SETTING=setting.shape[1],
         COMMAND_SPACE=_LEAST, DESCRIBED_SPACE=_space(columns + setting.shape[1]),
         AT=tuple(starts[:6]), AT_BIAS=tuple(bias_starts[:6]),
-        COLUMNS=tile[3], CHUNK=_CHUNK, FIRST=3 + split, M=_ROWS,
+        COLUMNS=tile[3], CHUNK=min(_CHUNK, width), FIRST=3 + split, M=_ROWS,
     )  # fmt: skip
     return found
 
@@ -315,7 +324,7 @@ def _network(
         CONTROL=control.shape[1], ATTRIBUTES=1, SETTING=setting.shape[1],
         COMMAND_SPACE=_space(control.shape[1] + setting.shape[1]), DESCRIBED_SPACE=_LEAST,
         AT=tuple(starts[:6]), AT_BIAS=tuple(bias_starts[:6]),
-        COLUMNS=columns, CHUNK=_CHUNK, FIRST=0, M=_ROWS,
+        COLUMNS=columns, CHUNK=min(_CHUNK, width), FIRST=0, M=_ROWS,
     )  # fmt: skip
     found = robot.new_empty((worlds, robot_out), dtype=torch.float32)
     moved = robot.new_empty((worlds, many, object_out), dtype=torch.float32)
