@@ -1,6 +1,6 @@
 """What the learned step's time on a GPU is made of: kernels by name, tiles, environments.
 
-    python tools/profile_learned.py OUT [--jobs tiles step environment rollout]
+    python tools/profile_learned.py OUT [--jobs tiles step environment rollout gradient]
 
 Each measurement is a process of its own. All compile at the same time; then, while the others
 wait, one after the other measures: milliseconds by CUDA events, and the kernels of one call by
@@ -10,6 +10,7 @@ torch's profiler. OUT/profile.json has what is finished, early and often; what f
   error against the same network in float32.
 - step: the whole step, with and without these kernels.
 - environment: `DeviceEnvironment` of push, with a policy.
+- gradient: an update of a policy through 32 control steps.
 - rollout: `backend.rollout` of 20 control steps, with everything that is watched.
 """
 
@@ -35,27 +36,22 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "backends"), str(ROOT / "tools")]
 
 PUSH = ROOT / "backends/orbisim_world_model/zoo/push"
-TILES = (
-    "128,64,64,2048,8,3",
-    "128,64,64,2048,8,2",
-    "128,32,64,2048,8,4",
-    "128,128,64,2048,8,2",
-    "128,64,32,2048,8,3",
-    "128,64,128,2048,8,3",
-    "64,64,64,2048,4,3",
-    "64,64,128,2048,8,3",
-    "16,64,128,128,4,3",
-    "16,128,128,128,4,2",
-    "16,128,128,128,8,3",
-    "16,32,128,128,4,4",
-)
+FEW, MANY, HALF = "16,64,128,128,4,3", "128,64,64,2048,8,3", "64,64,64,2048,4,3"
 """Of `network.fused.Tile`."""
 SIZES = (1, 4096, 65536)
 JOBS = {
-    "tiles": [f"tile:{tile}" for tile in TILES],
-    "step": [f"step:{kind}:{n}" for n in (65536, 1) for kind in ("kernels", "compiled")],
-    "environment": [f"environment:{n}" for n in (16384, 65536)],
+    "tiles": [f"tile:{tile}" for tile in (MANY, HALF, FEW)],
+    "step": [
+        *(f"step:kernels/{more}:65536" for more in (MANY, HALF, f"{MANY}/shared", "joined")),
+        *(f"step:kernels/{tile}:65536" for tile in ("128,64,32,2048,8,3", "128,32,64,2048,8,3")),
+        "step:compiled:65536",
+        *(f"step:kernels:{n}" for n in (8192, 4096, 256)),
+        *(f"step:kernels{more}:1" for more in ("", "/joined", "/joined/16,128,128,128,8,3")),
+        *(f"step:compiled{more}:1" for more in ("", "/joined")),
+    ],
+    "environment": [f"environment:{n}" for n in (4096, 16384, 65536)],
     "rollout": ["rollout:65536"],
+    "gradient": [f"gradient:{kind}:{n}" for n in (1, 1024) for kind in ("fused", "joined")],
 }
 
 Measure = Callable[[], dict[str, Any]]
@@ -67,7 +63,7 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("out", type=Path)
-    parser.add_argument("--jobs", nargs="*", default=["tiles", "step", "environment", "rollout"])
+    parser.add_argument("--jobs", nargs="*", default=list(JOBS))
     parser.add_argument("--job", help="one, by its own name; used by this tool itself")
     parser.add_argument("--largest", type=int, default=SIZES[-1], help="number of worlds")
     options = parser.parse_args()
@@ -163,23 +159,44 @@ def tile(rest: str, options: Any) -> Measure:
 
 
 def step(rest: str, options: Any) -> Measure:
-    """The whole step."""
+    """The whole step: `kernels` or `compiled`, and after slashes what is not as usual."""
     from bench_learned import _inputs
+    from orbisim_world_model.network.fused import Tile
     from orbisim_world_model.stepper import Speedups, Stepper
 
-    kind, _, worlds = rest.partition(":")
-    stepper = Stepper(_model(), _device(), Speedups(kernels=kind == "kernels"))
-    inputs = _inputs(stepper, int(worlds))
-    stepper(*inputs)
+    words, _, worlds = rest.partition(":")
+    kind, *more = words.split("/")
+    compiler: Any = "joined" if "joined" in more else "fused"
+    model = _model()
+    stepper = Stepper(model, _device(), Speedups(kernels=kind == "kernels", compiled=compiler))
+    tiles = [word for word in more if "," in word]
+    if tiles and stepper._kernels is not None:
+        stepper._kernels.network.tile = Tile(*map(int, tiles[0].split(",")))
+    inputs = _inputs(stepper, int(worlds), "shared" in more)
+    found, memory = stepper(*inputs)
     if not stepper.on_gpu:
         return lambda: {"ms": _milliseconds(functools.partial(stepper, *inputs))}
     slot = stepper.prepared(*inputs)
+    few = slice(0, 256)
+    exact = model.to(stepper.device)
+    x, context = type(found)(*(f[few] for f in inputs[0])), inputs[3]
+    context = context._replace(attributes=context.attributes[few], world=context.world[few])
+    with torch.no_grad():
+        wanted = exact(x, inputs[1][few].float(), inputs[2][few], context)
+    apart = {
+        name: float((a[few] - b).abs().max())
+        for name, a, b in zip(found._fields, found, wanted.state, strict=True)
+        if b.numel()
+    }
+    rows = ((memory[few] - wanted.memory).abs() / wanted.memory.abs().clamp_min(1e-6)).flatten()
+    apart["variance, relative, 90 %"] = float(rows.float().quantile(0.9)) if len(rows) else 0.0
 
     def measure() -> dict[str, Any]:
         ms = _milliseconds(slot.run)
         whole = _milliseconds(functools.partial(stepper, *inputs))
         rate = int(worlds) / ms * 1e3
-        found = {"ms": ms, "with_copies_ms": whole, "control_steps_per_s": rate}
+        found = {"ms": ms, "with_copies_ms": whole, "control_steps_per_s": rate, "apart": apart}
+        found["kernels_used"] = stepper._kernels is not None
         return {**found, "compiled": slot.compiled, "kernels": _kernels(slot.run)}
 
     return measure
@@ -231,11 +248,27 @@ def rollout(rest: str, options: Any) -> Measure:
     return measure
 
 
+def gradient(rest: str, options: Any) -> Measure:
+    """An update of a policy (see `bench_learned.policy_update`)."""
+    from bench_learned import policy_update, update_row
+
+    compiler, _, worlds = rest.partition(":")
+    run = policy_update(_model(), int(worlds), str(_device()), compiler)
+    run()
+
+    def measure() -> dict[str, Any]:
+        ms = _milliseconds(run)
+        return {"ms": ms, **update_row(int(worlds), ms / 1e3), "kernels": _kernels(run)}
+
+    return measure
+
+
 PREPARE: dict[str, Callable[[str, Any], Measure]] = {
     "tile": tile,
     "step": step,
     "environment": environment,
     "rollout": rollout,
+    "gradient": gradient,
 }
 
 

@@ -20,7 +20,7 @@ from orbisim_world_model.graphs import Graphed
 from orbisim_world_model.network.folded import FoldedNetwork
 from orbisim_world_model.network.objects import ObjectCentricNetwork
 
-Compiler = Literal["fused", "inlined", "tuned"]
+Compiler = Literal["fused", "joined", "inlined", "tuned"]
 Step = Callable[[Entities, Tensor, Tensor, Context], tuple[Entities, Tensor]]
 _FUSED = {"force_pointwise_cat": True}
 _INLINED = {
@@ -31,11 +31,13 @@ _INLINED = {
 }
 _OPTIONS: dict[Compiler, dict[str, Any]] = {
     "fused": _FUSED,
+    "joined": {**_FUSED, "combo_kernels": True},
     "inlined": _INLINED,
     "tuned": {**_INLINED, "max_autotune": True, "coordinate_descent_tuning": True},
 }
-"""Options of torch's compiler: features joined within kernels; computed again rather than stored;
-products chosen by measurement and fused with what follows them."""
+"""Options of torch's compiler: features joined within kernels; kernels that do not depend on each
+other launched as one, half as many for one world; computed again rather than stored; products
+chosen by measurement and fused with what follows them."""
 _GRAPHS = 4
 """How many batch sizes keep their CUDA graph."""
 _RECOMPILATIONS = 1000
