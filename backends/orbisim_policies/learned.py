@@ -129,7 +129,7 @@ class LearnedWorlds:
     def _step(self, x: Entities, control: Tensor, context: Context) -> Entities:
         memory = self._memory.expand(len(x.pos), *self._memory.shape[1:])
         after: Entities = self.model(x, memory, control, context).state
-        if self.model.rest is None:
+        if self.model.rest is None or not self.model.training:
             return after
         held = self.model.rest(x, after, context)
         return Entities(*(a + (h - a).detach() for a, h in zip(after, held, strict=True)))

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 import torch
+from orbisim_world_model.rotation import rotate
 from torch import Tensor
 
 from orbisim.scene import Scene
@@ -220,7 +221,7 @@ class PushProblem(Problem):
         found = torch.maximum(torch.minimum(found, before + stride), before - stride).detach()
         pose = torch.cat([pos, torch.zeros_like(pos[:, :2]), yaw[:, None]], 1)
         # the value is `found`; its derivative is that of the inverse kinematics
-        target = found + (inverse @ (pose - pose.detach())[..., None])[..., 0]
+        target = found + rotate(inverse, pose - pose.detach())
         control = torch.cat([target, torch.zeros_like(yaw[:, None])], 1)
         return control, torch.cat([pos, yaw[:, None], found], 1)
 

@@ -313,7 +313,16 @@ class Dynamics(nn.Module):
             context.mask,
             contacts,
             **more,
+            scales=context.scales,
         )
+
+    def described(self, context: Context) -> Context:
+        """The same with what the network makes of descriptors alone, for steps that share them."""
+        if not hasattr(self.network, "scales"):
+            return context
+        dtype = self.network.start.dtype
+        seen = self.see_attributes(context.attributes), self.see_world(context.world)
+        return context._replace(scales=self.network.scales(*(part.to(dtype) for part in seen)))
 
     def _geometry(self, x: Entities, context: Context) -> Geometry | None:
         if self.contacts is None or not self.config.boxes:
