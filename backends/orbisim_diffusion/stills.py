@@ -28,7 +28,7 @@ from orbisim.state import State
 from orbisim.tasks.armtask import ArmTask
 from orbisim.tasks.registry import make
 from orbisim.tasks.sampling import episode_seed, stream
-from orbisim.tasks.tabletop import TABLE_HIGH, TABLE_LOW
+from orbisim.tasks.tabletop import SETTLED, TABLE_HIGH, TABLE_LOW
 from orbisim_diffusion.solids import ABSENT
 from orbisim_diffusion.store import Store
 
@@ -54,7 +54,13 @@ _LYING = 2e-3
 
 
 def make_stills(
-    task: str, subtask: str, seed: int, number: int, path: Path, camera: str = "side", size: int = 128
+    task: str,
+    subtask: str,
+    seed: int,
+    number: int,
+    path: Path,
+    camera: str = "side",
+    size: int = 128,
 ) -> int:
     """Runs one episode of an arm's task and writes an image of each of its states, drawn anew.
 
@@ -96,7 +102,13 @@ class _Painter:
     """
 
     def __init__(
-        self, task: ArmTask, scene: Any, qpos: Floats, rng: np.random.Generator, camera: str, size: int
+        self,
+        task: ArmTask,
+        scene: Any,
+        qpos: Floats,
+        rng: np.random.Generator,
+        camera: str,
+        size: int,
     ) -> None:
         self.model, self.qpos, self.rng, self.size = scene.model, qpos, rng, size
         self.task, self.camera = task, int(scene.model.camera(camera).id)
@@ -105,8 +117,11 @@ class _Painter:
         self.site = int(self.model.site(task.arm.site).id)
         free = self.model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)
         self.cubes = [int(self.model.body_geomadr[b]) for b in self.model.jnt_bodyid[free]]
+        self.bounds = self.model.body_bvhadr[self.model.jnt_bodyid[free]]
         self.places = self.model.jnt_qposadr[free].astype(int)
-        self.scalar = self.model.jnt_qposadr[self.model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)]
+        self.scalar = self.model.jnt_qposadr[
+            self.model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)
+        ]
         self.sizes = self.model.geom_size[self.cubes].copy()
 
     def close(self) -> None:
@@ -169,7 +184,7 @@ class _Painter:
                 continue
             half = self.rng.uniform(*config.cube_half)
             self.model.geom_size[cube] = half * size / size[0]
-            qpos[place + 2] = self.model.geom_size[cube, 2]
+            qpos[place + 2] = self.model.geom_size[cube, 2] - SETTLED
             if self.rng.random() < _ELSEWHERE:
                 margin = 2.0 * half
                 qpos[place : place + 2] = self.rng.uniform(TABLE_LOW + margin, TABLE_HIGH - margin)
@@ -178,10 +193,11 @@ class _Painter:
 
     def _overlaps(self, qpos: Floats) -> bool:
         """Whether something is within something else."""
-        self.model.geom_rbound[self.cubes] = np.linalg.norm(
-            self.model.geom_size[self.cubes], axis=1
-        )
-        self.model.geom_aabb[self.cubes, 3:] = self.model.geom_size[self.cubes]
+        sizes = self.model.geom_size[self.cubes]
+        # what MuJoCo compiled of the sizes, to tell what is far apart
+        self.model.geom_rbound[self.cubes] = np.linalg.norm(sizes, axis=1)
+        self.model.geom_aabb[self.cubes, 3:] = sizes
+        self.model.bvh_aabb[self.bounds, 3:] = sizes
         data = self._at(qpos)
         mujoco.mj_collision(self.model, data)
         return bool(data.ncon) and float(data.contact.dist.min()) < -_DEPTH
@@ -224,7 +240,9 @@ def load_stills(paths: Sequence[Path], device: torch.device) -> Store:
 
     count = sum(len(part["frames"]) for part in parts)
     each = torch.arange(count, device=device)
-    light = torch.cat([torch.from_numpy(p["lights"]).expand(len(p["frames"]), -1, -1) for p in parts])
+    light = torch.cat(
+        [torch.from_numpy(p["lights"]).expand(len(p["frames"]), -1, -1) for p in parts]
+    )
     extras = {
         name: [torch.from_numpy(part[name]).to(device) for part in parts]
         for name in ("robot/qpos", "robot/pos", "robot/quat")
