@@ -270,17 +270,18 @@ class DiffusionRenderer(Renderer):
     ) -> tuple[Tensor, Tensor]:
         """Images and latents of coordinates, noise and context, played back where recorded."""
         if not self._graph:
-            return self._drawn(*given, frame, size)
+            return self._drawn(given, frame, size)
         key = (len(given[0]), given[2].shape[1], frame, size)
         if key not in self._recorded:
             before = next(iter(self._recorded.values()), None)
-            self._recorded[key] = Recorded(lambda *x: self._drawn(*x, frame, size), given, before)
+            self._recorded[key] = Recorded(lambda *x: self._drawn(x, frame, size), given, before)
         images, latents = self._recorded[key](given)
         return images, latents
 
     def _drawn(
-        self, qpos: Tensor, noise: Tensor, context: Tensor, frame: Frame, size: tuple[int, int]
+        self, given: tuple[Tensor, ...], frame: Frame, size: tuple[int, int]
     ) -> tuple[Tensor, Tensor]:
+        qpos, noise, context = given
         latents = self._latents(qpos, noise, context, frame)
         with mixed(self._device):
             images = self.painter.decode(latents)

@@ -87,9 +87,8 @@ def make_stills(
     painter.close()
     arrays = {name: np.stack([shot[name] for shot in shots]) for name in shots[0]}
     arrays["lights"] = visible.lights(scene.model).astype(np.float32)
-    with writing(path, announce=False) as part:
-        with part.open("wb") as file:
-            np.savez(file, **arrays)
+    with writing(path, announce=False) as part, part.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
     return len(shots)
 
 

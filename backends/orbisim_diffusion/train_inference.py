@@ -99,7 +99,7 @@ def _loaded(paths: Sequence[Path], device: torch.device, workers: int) -> Store:
         return load(paths, device, workers=workers)
     if not all(stills):
         raise InputError(
-            f"{paths[stills.index(False)]}: episodes and stills are not mixed; give one kind of data"
+            f"{paths[stills.index(False)]}: episodes and stills are not mixed; give one kind"
         )
     return load_stills(paths, device)
 
