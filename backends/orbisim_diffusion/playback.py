@@ -41,7 +41,7 @@ class Recorded:
             self._found = work(*self._given)
 
     def __call__(self, given: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
-        """What the work makes of tensors; the next call, of another recording too, overwrites it."""
+        """What the work makes of tensors; the next call, of any recording, overwrites it."""
         for place, value in zip(self._given, given, strict=True):
             place.copy_(value)
         self._graph.replay()
