@@ -31,9 +31,9 @@ from orbisim_diffusion.synthesis import Eye
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
-_NOISE = 0.02
+NOISE = 0.02
 """Of a pixel's value, 0 to 1; what drawing cannot say of a rendered image is 0.03 rms."""
-_ALIKE = 4.0
+ALIKE = 4.0
 """Neighbouring pixels err together: so many count as one where uncertainties are stated."""
 _SEEN_PIXELS, _SEEN_SHARE, EXPLAINED = 6.0, 0.15, 0.5
 """What counts as seen: at least so many pixels (of 128 x 128) of an object that are right with it
@@ -255,7 +255,7 @@ class Refiner:
             pixels,
             qpos[None],
             directions,
-            noise=_NOISE * np.sqrt(_ALIKE),
+            noise=NOISE * np.sqrt(ALIKE),
             prior=prior,
             geoms=geoms,
             steps=steps,
@@ -332,7 +332,7 @@ class Refiner:
                 chosen, k, row = loose, 6, 0
                 seen, explained = self._judged(scene, loose.qpos[0], geoms, pixels)
         variance = np.linalg.inv(chosen.precision[row] + 1e-6 * np.eye(k))
-        spread = np.sqrt(_ALIKE * np.diag(variance))
+        spread = np.sqrt(ALIKE * np.diag(variance))
         if k == 3:  # how a body at rest lies is known
             spread = np.array([spread[0], spread[1], 0.0, 0.0, 0.0, spread[2]])
         std = np.hypot(spread, self._bias(body, chosen.qpos[row, body.qpos : body.qpos + 3]))
@@ -364,7 +364,7 @@ class Refiner:
             pixels,
             states,
             ways,
-            noise=_NOISE,
+            noise=NOISE,
             geoms=geoms,
             steps=steps,
         )

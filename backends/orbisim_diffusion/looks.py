@@ -1,0 +1,251 @@
+"""Sizes and colours of bodies, fitted to a frame together with where they are."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from orbisim.errors import UnsupportedSceneError
+from orbisim_diffusion.levenberg import fit
+from orbisim_diffusion.refine import ALIKE, NOISE, Frame, Refiner
+from orbisim_diffusion.resting import Body, at_rest, directions, window
+from orbisim_diffusion.solids import Solids, View
+from orbisim_diffusion.synthesis import Eye
+from orbisim_diffusion.tracking import Reading
+
+Floats = npt.NDArray[np.float64]
+
+EXTRA = 4
+"""Numbers of a look: the logarithm of the scale, red, green, blue."""
+_SCALE, _COLOUR = 0.15, 0.25
+"""Priors about a first guess, as standard deviations: of a size's logarithm, of a colour. Wide: they
+keep what a frame does not show from running away."""
+_SHADE = 60.0
+"""A change of colour by 0.05 is looked at as a motion of three pixels is."""
+_STEPS, _ROUNDS = 12, 2
+"""Steps of a fit; every body is fitted anew with the others' new looks."""
+_DULL = 0.02
+"""Darkest colour: the search for a body by its colour divides by it."""
+
+
+class Look(NamedTuple):
+    """What a body looks like.
+
+    Attributes:
+      half: [3] half sizes of its bounding box, m. colour: [3], 0 to 1.
+      half_std, colour_std: [3] standard deviations; infinite where it is not seen.
+    """
+
+    half: Floats
+    colour: Floats
+    half_std: Floats
+    colour_std: Floats
+
+
+class Dressed(Eye):
+    """An eye whose states [nq + 4] go on with the look of one body (see `EXTRA`).
+
+    Args:
+      eye: of the scene. body: of one geom, which the look changes.
+    """
+
+    def __init__(self, eye: Eye, body: Body) -> None:
+        self.__dict__.update(eye.__dict__)
+        self._plain, self._body, self._nq, self._nv = eye, body, eye.model.nq, eye.model.nv
+
+    def placed(self, qpos: Floats) -> tuple[Solids, View]:
+        """Geoms and camera of states [B, nq + 4]."""
+        solids, view = super().placed(qpos[:, : self._nq])
+        look = torch.as_tensor(qpos[:, self._nq :]).float()
+        size, colour, geom = solids.size.clone(), solids.colour.clone(), int(self._body.geoms[0])
+        size[:, geom] = size[:, geom] * look[:, :1].exp()
+        colour[:, geom] = look[:, 1:]
+        return solids._replace(size=size, colour=colour), view
+
+    def moved(self, qpos: Floats, change: Floats) -> Floats:
+        """States [..., nq + 4] after changes [..., nv + 4]."""
+        pose = super().moved(qpos[..., : self._nq], change[..., : self._nv])
+        look = qpos[..., self._nq :] + change[..., self._nv :]
+        look[..., 1:] = look[..., 1:].clip(_DULL, 1.0)
+        after: Floats = np.concatenate([pose, look], axis=-1)
+        return after
+
+    def speeds(self, qpos: Floats, directions: Floats) -> Floats:
+        """[B, k] pixels for one unit of each direction [B, nv + 4, k]; see `_SHADE`."""
+        found = self._plain.speeds(qpos[:, : self._nq], directions[:, : self._nv])
+        scale = np.abs(directions[:, self._nv]) * self._reach(qpos)[:, None]
+        shade = _SHADE * np.abs(directions[:, self._nv + 1 :]).max(1)
+        fastest: Floats = np.maximum(found, np.maximum(scale, shade))
+        return fastest
+
+    def _reach(self, qpos: Floats) -> Floats:
+        """[B] pixels by which outlines move for one unit of the scale's logarithm."""
+        solids, view = self.placed(qpos)
+        geom = int(self._body.geoms[0])
+        depth = (view.pos - solids.pos[:, geom]).norm(dim=-1).clamp_min(0.05)
+        reach: Floats = (
+            self.size * view.focal[:, 1] * float(np.linalg.norm(self._body.half)) / depth
+        ).numpy()
+        return reach
+
+
+class Wardrobe:
+    """Finds looks of a scene's free bodies in frames, from what a network reads.
+
+    A body's proportions stay as they are declared; its scale and its colour are free. Which body is
+    which cannot be told by looks then: the surest object that the network sees is the first body,
+    and so on.
+
+    Args:
+      refiner: of the scene and the camera; its bodies get the looks. sizes, colours: what is free.
+
+    Raises:
+      UnsupportedSceneError: a free body is not one geom about the body's origin.
+    """
+
+    def __init__(self, refiner: Refiner, sizes: bool, colours: bool) -> None:
+        self.refiner, self.sizes, self.colours = refiner, sizes, colours
+        eye = refiner.eye
+        eye.model = refiner.model = copy.copy(eye.model)  # sizes are written into it
+        eye._data = mujoco.MjData(eye.model)
+        self.declared = refiner.bodies
+        for body in refiner.bodies:
+            if len(body.geoms) != 1 or np.abs(body.centre).max() > 1e-6:
+                raise UnsupportedSceneError(
+                    eye.model.body(int(eye.model.geom_bodyid[self._geom(body)])).name,
+                    "sizes and colours are fitted for bodies of one geom about their origin",
+                )
+
+    def _geom(self, body: Body) -> int:
+        return int(self.refiner.eye.rows[int(body.geoms[0]), 8])
+
+    def wear(self, number: int, scale: float, colour: Floats) -> None:
+        """Gives a body a size, as a multiple of the declared one, and a colour [3]."""
+        refiner, body = self.refiner, self.declared[number]
+        eye, place, geom = refiner.eye, int(body.geoms[0]), self._geom(self.declared[number])
+        size = scale * eye.rows[place, 1:4]
+        eye._rows[place, 1:4] = torch.as_tensor(size).float()
+        eye._rows[place, 4:7] = torch.as_tensor(colour).float()
+        eye.model.geom_size[geom] = size
+        eye.model.geom_aabb[geom, 3:] = scale * body.half
+        eye.model.geom_rbound[geom] = float(np.linalg.norm(scale * body.half))
+        worn = dataclasses.replace(body, half=scale * body.half, colour=np.array(colour))
+        bodies = list(refiner.bodies)
+        bodies[number] = worn
+        refiner.bodies = tuple(bodies)
+
+    def first(
+        self, frame: npt.NDArray[np.uint8], read: Reading, t: int
+    ) -> tuple[Frame, tuple[Look, ...]]:
+        """What frame t shows by itself, and the looks of its bodies.
+
+        Args:
+          frame: [H, W, 3]. read: what a network reads off frames. t: which of them this one is.
+        """
+        order = np.argsort(-read.present[t])
+        places = []
+        for i, body in enumerate(self.declared):
+            slot = order[min(i, len(order) - 1)]
+            scale = float(np.exp(np.log(read.sizes[t, slot] / body.half).mean()))
+            self.wear(
+                i,
+                scale if self.sizes else 1.0,
+                read.colours[t, slot].clip(_DULL, 1.0) if self.colours else body.colour,
+            )
+            places.append([read.places[t, slot]] if i < len(order) else [])
+        found = self.refiner.first(frame, read.joints[t], places)
+        looks = [self._unseen(i) for i in range(len(self.declared))]
+        for _ in range(_ROUNDS):
+            for i, pose in enumerate(found.objects):
+                if pose.seen:
+                    found, looks[i] = self._fitted(frame, found, i)
+        # poses once more with the looks that were found
+        places = [[pose.qpos] for pose in found.objects]
+        joints = found.qpos[self.refiner.scalar.qpos]
+        return self.refiner.first(frame, joints, places), tuple(looks)
+
+    def _unseen(self, number: int) -> Look:
+        body, none = self.refiner.bodies[number], np.full(3, np.inf)
+        return Look(body.half, body.colour, none, none)
+
+    def _fitted(
+        self, frame: npt.NDArray[np.uint8], found: Frame, number: int
+    ) -> tuple[Frame, Look]:
+        """One body's pose, scale and colour together, the rest as it is."""
+        refiner, body = self.refiner, self.refiner.bodies[number]
+        eye, nv, place = Dressed(refiner.eye, body), refiner.model.nv, found.objects[number].qpos
+        seen = [i for i, pose in enumerate(found.objects) if pose.seen]
+        geoms = refiner.shown(seen)
+        pixels = window(refiner.view, refiner.size, body, place[:3], 1.5)
+        pose = at_rest(body, place, refiner.surfaces, refiner._eye, True)
+        pose = pose[[int(np.argmin(np.linalg.norm(pose - place, axis=1)))]]
+        upright = bool(abs(pose[0, 2] - place[2]) < 0.1 * float(body.half.min()))
+        start = found.qpos.copy()
+        if upright:
+            start[body.qpos : body.qpos + 7] = pose[0]
+        moves = directions(nv, body, start[body.qpos : body.qpos + 7], upright)
+        count = moves.shape[1]
+        ways = np.zeros((1, nv + EXTRA, count + 1 + 3))
+        ways[0, :nv, :count] = moves
+        if upright:  # what lies on something grows upwards
+            ways[0, body.dof + 2, count] = _height(body, start)
+        ways[0, nv, count] = 1.0
+        ways[0, nv + 1 :, count + 1 :] = np.eye(3)
+        free = np.array([True] * count + [self.sizes] + [self.colours] * 3)
+        prior = np.array([0.0] * count + [_SCALE**-2.0] + [_COLOUR**-2.0] * 3)
+        result = fit(
+            eye,
+            torch.as_tensor(frame).double() / 255.0,
+            pixels,
+            np.concatenate([start, [0.0], body.colour])[None],
+            ways[..., free],
+            noise=NOISE,
+            prior=np.diag(prior[free]),
+            geoms=geoms,
+            steps=_STEPS,
+            wide=False,
+        )
+        best = result.qpos[0]
+        declared = self.declared[number].half
+        scale = float(np.exp(best[refiner.model.nq])) * float((body.half / declared).mean())
+        colour = best[refiner.model.nq + 1 :]
+        self.wear(number, scale, colour)
+        std = np.full(count + 4, 0.0)
+        std[free] = np.sqrt(ALIKE * np.diag(np.linalg.inv(result.precision[0])))
+        qpos = best[: refiner.model.nq]
+        objects = list(found.objects)
+        objects[number] = objects[number]._replace(qpos=qpos[body.qpos : body.qpos + 7].copy())
+        look = Look(scale * declared, colour, scale * declared * std[count], std[count + 1 :])
+        return found._replace(qpos=qpos, objects=tuple(objects)), look
+
+
+def _height(body: Body, qpos: Floats) -> float:
+    """Of a body's middle above its lowest point, m."""
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, qpos[body.qpos + 3 : body.qpos + 7])
+    return float((np.abs(turn.reshape(3, 3)) @ body.half)[2])
+
+
+def together(looks: list[tuple[Look, ...]]) -> tuple[Look, ...]:
+    """One look of each body from those of several frames, weighted by their variances.
+
+    Frames err alike, so that the standard deviation does not fall below the least of them.
+    """
+    found = []
+    for of in zip(*looks, strict=True):
+        values = []
+        for name in ("half", "colour"):
+            value = np.stack([getattr(one, name) for one in of])
+            std = np.stack([getattr(one, f"{name}_std") for one in of])
+            share = np.where(np.isfinite(std), 1.0 / np.maximum(std, 1e-6) ** 2, 0.0)
+            none = share.sum(0) <= 0
+            share = np.where(none, 1.0, share)
+            values.append(((share * value).sum(0) / share.sum(0), std.min(0)))
+        found.append(Look(values[0][0], values[1][0], values[0][1], values[1][1]))
+    return tuple(found)
