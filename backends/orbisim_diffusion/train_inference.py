@@ -29,7 +29,7 @@ from orbisim_diffusion.stills import SUFFIX, load_stills
 from orbisim_diffusion.store import Store, load
 from orbisim_diffusion.training import Run, encoded
 
-TRAIN = TrainConfig(batch=256, rate=1e-3, warmup=200)
+TRAIN = TrainConfig(batch=512, rate=1e-3, warmup=200)
 _SAME_VIEW = 1e-3
 """m, and of matrices' entries: cameras of collections that stand still differ by rounding only."""
 _AGAIN = 0.5
