@@ -120,12 +120,13 @@ def opened(
     """Errors in one frame of which sizes and colours are not known."""
     refiner = Refiner(scene, scene.model.camera("side").id, frame.shape[0])
     declared = refiner.bodies
-    fitted, looks = Wardrobe(refiner, True, True).first(frame, read, i)
+    wardrobe = Wardrobe(refiner, sizes=True, colours=True)
+    fitted, looks = wardrobe.first(frame, read, i)
     places = np.stack([pose.qpos[:3] for pose in fitted.objects])
     truths = np.stack([true[body.qpos : body.qpos + 7] for body in declared])
     far = np.linalg.norm(places[:, None] - truths[None, :, :3], axis=-1)
     far[[not pose.seen for pose in fitted.objects]] += 10.0  # they get what is left
-    order = np.argsort(-read.present[i])[: len(declared)]
+    order = wardrobe.slots(read, i)
     objects = []
     for k, j in zip(*linear_sum_assignment(far), strict=True):
         pose, look, body, slot = fitted.objects[k], looks[k], declared[j], order[k]

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 import torch
+from scipy.optimize import linear_sum_assignment
 
 from orbisim.errors import UnsupportedSceneError
+from orbisim_diffusion.estimate import SURE
 from orbisim_diffusion.levenberg import fit
+from orbisim_diffusion.likeness import unlikeness
 from orbisim_diffusion.refine import ALIKE, NOISE, Frame, Refiner
 from orbisim_diffusion.resting import Body, at_rest, directions, window
 from orbisim_diffusion.solids import Solids, View
@@ -24,8 +28,8 @@ Floats = npt.NDArray[np.float64]
 EXTRA = 4
 """Numbers of a look: the logarithm of the scale, red, green, blue."""
 _SCALE, _COLOUR = 0.15, 0.25
-"""Priors about a first guess, as standard deviations: of a size's logarithm, of a colour. Wide: they
-keep what a frame does not show from running away."""
+"""Priors about a first guess, as standard deviations: of a size's logarithm, of a colour. They are
+wide: they keep what a frame does not show from running away."""
 _SHADE = 60.0
 """A change of colour by 0.05 is looked at as a motion of three pixels is."""
 _STEPS, _ROUNDS = 12, 2
@@ -98,9 +102,8 @@ class Dressed(Eye):
 class Wardrobe:
     """Finds looks of a scene's free bodies in frames, from what a network reads.
 
-    A body's proportions stay as they are declared; its scale and its colour are free. Which body is
-    which cannot be told by looks then: the surest object that the network sees is the first body,
-    and so on.
+    A body's proportions stay as they are declared; its scale and its colour are free. Where both
+    are, nothing tells which body is which: they are the objects that the network is surest of.
 
     Args:
       refiner: of the scene and the camera; its bodies get the looks. sizes, colours: what is free.
@@ -141,24 +144,29 @@ class Wardrobe:
         refiner.bodies = tuple(bodies)
 
     def first(
-        self, frame: npt.NDArray[np.uint8], read: Reading, t: int
+        self,
+        frame: npt.NDArray[np.uint8],
+        read: Reading,
+        t: int,
+        before: Sequence[Look] | None = None,
     ) -> tuple[Frame, tuple[Look, ...]]:
         """What frame t shows by itself, and the looks of its bodies.
 
         Args:
           frame: [H, W, 3]. read: what a network reads off frames. t: which of them this one is.
+          before: looks found in another frame, to start from and to tell bodies apart.
         """
-        order = np.argsort(-read.present[t])
-        places = []
-        for i, body in enumerate(self.declared):
-            slot = order[min(i, len(order) - 1)]
-            scale = float(np.exp(np.log(read.sizes[t, slot] / body.half).mean()))
-            self.wear(
-                i,
-                scale if self.sizes else 1.0,
-                read.colours[t, slot].clip(_DULL, 1.0) if self.colours else body.colour,
-            )
-            places.append([read.places[t, slot]] if i < len(order) else [])
+        places: list[list[Floats]] = [[] for _ in self.declared]
+        for i, slot in enumerate(self.slots(read, t, before)):
+            if slot is None:
+                continue
+            body = self.declared[i]
+            half, colour = read.sizes[t, slot], read.colours[t, slot]
+            if before is not None:
+                half, colour = before[i].half, before[i].colour
+            scale = float(np.exp(np.log(half / body.half).mean())) if self.sizes else 1.0
+            self.wear(i, scale, colour.clip(_DULL, 1.0) if self.colours else body.colour)
+            places[i] = [read.places[t, slot]]
         found = self.refiner.first(frame, read.joints[t], places)
         looks = [self._unseen(i) for i in range(len(self.declared))]
         for _ in range(_ROUNDS):
@@ -169,6 +177,33 @@ class Wardrobe:
         places = [[pose.qpos] for pose in found.objects]
         joints = found.qpos[self.refiner.scalar.qpos]
         return self.refiner.first(frame, joints, places), tuple(looks)
+
+    def slots(
+        self, read: Reading, t: int, before: Sequence[Look] | None = None
+    ) -> list[int | None]:
+        """Which of the objects that a network sees in frame t each body is.
+
+        By what is declared of sizes and colours or was found before, and by how sure it is.
+        """
+        known = [before[i].half if before else b.half for i, b in enumerate(self.declared)]
+        shades = [before[i].colour if before else b.colour for i, b in enumerate(self.declared)]
+        sizes, colours = read.sizes[t], read.colours[t]
+        told, count = before is not None, len(sizes)
+        cost = np.zeros((len(known), count))
+        for i in range(len(known)):
+            cost[i] = unlikeness(
+                read.places[t, :, :3],
+                sizes if told or not self.sizes else np.tile(known[i], (count, 1)),
+                colours if told or not self.colours else np.tile(shades[i], (count, 1)),
+                np.full((1, 3), np.nan),
+                known[i][None],
+                shades[i][None],
+            )[0]
+        cost -= np.minimum(read.present[t], SURE)
+        found: list[int | None] = [None] * len(known)
+        for i, slot in zip(*linear_sum_assignment(cost), strict=True):
+            found[int(i)] = int(slot)
+        return found
 
     def _unseen(self, number: int) -> Look:
         body, none = self.refiner.bodies[number], np.full(3, np.inf)
@@ -249,3 +284,23 @@ def together(looks: list[tuple[Look, ...]]) -> tuple[Look, ...]:
             values.append(((share * value).sum(0) / share.sum(0), std.min(0)))
         found.append(Look(values[0][0], values[1][0], values[0][1], values[1][1]))
     return tuple(found)
+
+
+def dress(
+    wardrobe: Wardrobe, frames: npt.NDArray[np.uint8], read: Reading, count: int = 5
+) -> tuple[Look, ...]:
+    """Looks of a video's bodies, from frames spread over it; the refiner's bodies wear them.
+
+    Args:
+      wardrobe: of the refiner that will follow the bodies. frames: [T, H, W, 3].
+      read: what a network reads off them. count: frames that are looked at.
+    """
+    looks: list[tuple[Look, ...]] = []
+    for t in np.unique(np.linspace(0, len(frames) - 1, count).round().astype(int)):
+        before = together(looks) if looks else None
+        looks.append(wardrobe.first(frames[t], read, int(t), before)[1])
+    found = together(looks)
+    for i, look in enumerate(found):
+        scale = float((look.half / wardrobe.declared[i].half).mean())
+        wardrobe.wear(i, scale, look.colour)
+    return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -76,11 +77,19 @@ def follow(refiner: Refiner, frames: npt.NDArray[np.uint8], read: Reading | None
     return found
 
 
-def recording_of(scene: Scene, refiner: Refiner, times: Floats, found: list[Frame]) -> Recording:
+def recording_of(
+    scene: Scene,
+    refiner: Refiner,
+    times: Floats,
+    found: list[Frame],
+    looks: Sequence[Any] | None = None,
+) -> Recording:
     """What frames show, as signals; joints and objects have NaN where they are not seen.
 
     `metadata` has `noise`, the median standard deviation of each signal, and `not_seen`, the
-    stretches in which the joints or an object are not seen.
+    stretches in which the joints or an object are not seen. With `looks` (one of
+    `orbisim_diffusion.looks.Look` for each free body) it has them, too, by the bodies' names;
+    standard deviations of what was not seen are null.
     """
     model = scene.model
     qpos = np.stack([one.qpos for one in found])
@@ -109,9 +118,25 @@ def recording_of(scene: Scene, refiner: Refiner, times: Floats, found: list[Fram
             noise[f"xpos/{name}"] = float(np.median(spread[:, :3].max(1)))
             noise[f"xquat/{name}"] = float(np.median(spread[:, 3:].max(1)))
         hidden += [{"body": name, **stretch} for stretch in _stretches(times, ~seen)]
-    return Recording(
-        times, signals, metadata={"noise": noise, "not_seen": hidden}, source=f"{scene.name} seen"
-    )
+    metadata: dict[str, Any] = {"noise": noise, "not_seen": hidden}
+    if looks is not None:
+        names = [str(name).split("/")[1] for name in signals if name.startswith("xpos/")]
+        metadata["looks"] = {n: _worn(look) for n, look in zip(names, looks, strict=True)}
+    return Recording(times, signals, metadata=metadata, source=f"{scene.name} seen")
+
+
+def _worn(look: Any) -> dict[str, list[float | None]]:
+    """A look as JSON has it: half sizes, m, colour, and their standard deviations."""
+    fields = {
+        "half_size": look.half,
+        "half_size_std": look.half_std,
+        "color": look.colour,
+        "color_std": look.colour_std,
+    }
+    return {
+        name: [round(float(v), 6) if np.isfinite(v) else None for v in values]
+        for name, values in fields.items()
+    }
 
 
 def _expected(found: list[Frame], columns: npt.NDArray[np.int64]) -> Floats:
