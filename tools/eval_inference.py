@@ -139,6 +139,7 @@ def opened(
                 "std_mm": round(1e3 * float(pose.std[:3].max()), 2),
                 "size_network": _off(read.sizes[i, slot] / body.half - 1.0, 100.0),
                 "size_fit": _off(look.half / body.half - 1.0, 100.0),
+                "size_fit_larger": round(100 * float((look.half / body.half - 1.0).mean()), 3),
                 "size_std": round(100 * float((look.half_std / look.half).mean()), 3),
                 "colour_network": _off(read.colours[i, slot] - body.colour),
                 "colour_fit": _off(look.colour - body.colour),
