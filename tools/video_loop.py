@@ -156,7 +156,7 @@ def see(seed: int, different: bool, out: Path, pixels: int, end: float) -> None:
             "p90": round(float(np.quantile(off, 0.9)), 2),
             "worst": round(float(off.max()), 2),
             "from_frame_to_frame": round(1e3 * float(np.mean(white)), 2),
-            "stated": round(1e3 * float(np.mean([n["xpos/block"] for n in noise])), 2),
+            "stated_noise": round(1e3 * float(np.mean([n["xpos/block"] for n in noise])), 2),
         },
     }
     (folder / "seen.json").write_text(json.dumps(line) + "\n")
@@ -195,7 +195,7 @@ def summary(out: Path) -> dict[str, Any]:
     lines = [json.loads(p.read_text()) for p in sorted(out.glob("*/diagnosis.json"))]
     seen = [json.loads(p.read_text()) for p in sorted(out.glob("*/seen.json"))]
     found: dict[str, Any] = {"seen": len(seen), "diagnosed": len(lines)}
-    for name in ("median", "p90", "worst", "from_frame_to_frame", "stated"):
+    for name in ("median", "p90", "worst", "from_frame_to_frame", "stated_noise"):
         values = [line["position_mm"][name] for line in seen]
         found[f"position_mm_{name}"] = round(float(np.median(values)), 2) if values else None
     for different in (True, False):

@@ -283,7 +283,7 @@ class Wardrobe:
         objects[number] = objects[number]._replace(qpos=qpos[body.qpos : body.qpos + 7].copy())
         std = float(np.sqrt(ALIKE * np.linalg.inv(result.precision[0])[count, count]))
         # outlines are drawn otherwise, as far as for a pose
-        spread = np.hypot(std * half, refiner._bias(body, qpos[body.qpos : body.qpos + 3])[0])
+        spread = np.hypot(std * half, refiner.outline(body, qpos[body.qpos : body.qpos + 3])[0])
         look = look._replace(half=half, half_std=spread)
         return found._replace(qpos=qpos, objects=tuple(objects)), look
 
