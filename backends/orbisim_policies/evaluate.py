@@ -40,6 +40,12 @@ def wilson(successes: int, count: int) -> tuple[float, float]:
     return (low if successes else 0.0), (high if successes < count else 1.0)
 
 
+def begun(act: Any, count: int) -> Act:
+    """What acts through so many episodes from their beginning: a policy may remember."""
+    found: Act = act.begin(count) if hasattr(act, "begin") else act
+    return found
+
+
 def in_mujoco(
     problem: Problem, act: Act, starts: Starts, nthread: int = 0
 ) -> tuple[Floats, Floats, int]:
@@ -54,9 +60,10 @@ def in_mujoco(
         worlds = TrueWorlds(problem, len(part), nthread)
         worlds.begin(np.arange(len(part)), part)
         alive, end = np.arange(len(part)), part.qpos.copy()
+        playing = begun(act, len(part))
         for _ in range(problem.steps):
             with torch.no_grad():
-                action = act(worlds.observation())
+                action = playing(worlds.observation())
             alive = alive[~worlds.step(action, alive)[alive]]
             end[alive] = worlds.coordinates[0][alive]
             if not len(alive):

@@ -16,6 +16,7 @@ from orbisim_policies.apg import ApgConfig
 from orbisim_policies.checkpoint import load_policy, read_manifest
 from orbisim_policies.cloning import CloneConfig
 from orbisim_policies.drawn import DrawnProblem
+from orbisim_policies.dreamer import DreamerConfig, train_dreamer
 from orbisim_policies.learned import LearnedWorlds
 from orbisim_policies.problem import Problem
 from orbisim_policies.problems import make_problem
@@ -47,12 +48,6 @@ def train(
     def report(line: dict[str, Any]) -> None:
         note(sentence(line))
 
-    if method == "dreamer":
-        raise InputError(
-            "--method dreamer: DreamerV3 is not part of OrbiSim (docs/policies.md says what was "
-            "tried); use ppo, ppo_rnd or sac, or give orbisim.vector.gym(...) to a package that "
-            "has it, as sheeprl or ray[rllib]"
-        )
     backend = options["backend"] or ("learned" if method == "apg" else "mujoco")
     kind, _, path = backend.partition(":")
     if kind != ("learned" if method == "apg" else "mujoco"):
@@ -71,6 +66,8 @@ def train(
         if not isinstance(problem, PushProblem):
             raise InputError(f"there is no script to imitate in {problem.name}; use task:push")
         return train_clone(problem, _changed(CloneConfig(), options), run, report)
+    if method == "dreamer":
+        return train_dreamer(problem, _changed(DreamerConfig(), options), run, report)
     from orbisim_policies.baselines import Baseline, train_baseline
 
     baseline = _changed(Baseline(method), options)
