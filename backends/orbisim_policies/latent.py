@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import one_hot, silu
+from torch.nn.functional import silu
 
 from orbisim.errors import InputError
 
@@ -138,8 +138,8 @@ def drawn(logs: Tensor, gumbel: Tensor | None = None) -> Tensor:
     Args:
       logs: [N, S, C]. gumbel: noise of the same shape; the likeliest class if None.
     """
-    index = (logs if gumbel is None else logs + gumbel).argmax(-1)
-    hard, shares = one_hot(index, logs.shape[-1]).to(logs.dtype), logs.exp()
+    index = (logs if gumbel is None else logs + gumbel).argmax(-1, keepdim=True)
+    hard, shares = torch.zeros_like(logs).scatter(-1, index, 1.0), logs.exp()
     return (hard + shares - shares.detach()).flatten(-2)
 
 
