@@ -230,6 +230,9 @@ def main() -> None:
     parser.add_argument("--tasks", nargs="*", default=["task:push"], help="or suite for its five")
     parser.add_argument("--methods", nargs="*", default=METHODS, choices=METHODS)
     parser.add_argument("--search", action="store_true", help="configurations, not policies")
+    parser.add_argument(
+        "--choices", nargs="*", default=[], help="configurations by number, as ppo=3 sac=1"
+    )
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--steps", type=int, default=250_000, help="true steps of what tries")
@@ -253,15 +256,16 @@ def main() -> None:
         for given in options.tasks
         for name in ([f"suite:{one}" for one in SUITE] if given == "suite" else [given])
     ]
-    rows = read_rows(options.out)
-    jobs = []
+    rows, jobs = read_rows(options.out), []
+    given = {name: int(number) for name, _, number in (c.partition("=") for c in options.choices)}
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     for seed in (SEARCH_SEED,) if options.search else seeds:
         for method in options.methods:
             for task in tasks:
                 if method in ("bc", "bc_apg") and task != PushProblem.name:
                     continue  # there is no script to imitate
-                choices = range(4) if options.search else [best(rows, task, method)]
+                choice = given.get(method, best(rows, task, method))
+                choices = range(len(SPACE[method])) if options.search else [choice]
                 for choice in choices:
                     jobs.append(
                         Job(

@@ -9,7 +9,8 @@ from typing import Any
 
 import torch
 
-from orbisim.errors import InputError
+from orbisim.errors import InputError, MissingDependencyError
+from orbisim.host.cpus import usable_cpus
 from orbisim.vector.randomization import intervals
 from orbisim_policies import evaluate as evaluation
 from orbisim_policies.apg import ApgConfig
@@ -84,6 +85,8 @@ def evaluate(
     model: str,
     threads: int,
     device: str,
+    observe: str = "state",
+    camera: str = "side",
 ) -> dict[str, Any]:
     """Evaluates a policy as the command line says."""
     folder = resolved(folder)
@@ -91,6 +94,10 @@ def evaluate(
     steps = int(manifest.get("steps", 0)) or None
     plain = make_problem(task or str(manifest.get("task")), steps)
     policy, problem = load_policy(folder, plain), _drawn(plain, randomize, min(seeds))
+    if observe != "state":
+        return _from_pixels(
+            folder, manifest, policy, problem, episodes, seeds, observe, camera, threads
+        )
     worlds = None if model == "none" else _model(model, problem, torch.device(device))
     result = evaluation.evaluate(
         problem, policy, episodes=episodes, seeds=seeds, worlds=worlds, nthread=threads
@@ -99,6 +106,44 @@ def evaluate(
         name: manifest[name] for name in ("method", "true_steps") if name in manifest
     }
     return {**result, **known, **problem.conditions, "policy": str(folder)}
+
+
+def _from_pixels(
+    folder: Path,
+    manifest: Mapping[str, Any],
+    policy: Any,
+    problem: Problem,
+    episodes: int,
+    seeds: Sequence[int],
+    observe: str,
+    camera: str,
+    threads: int,
+) -> dict[str, Any]:
+    """Evaluates a policy that sees frames alone."""
+    try:
+        from orbisim_policies.pixels import evaluate_pixels
+    except ImportError as error:
+        raise MissingDependencyError("--observe from frames", "vision", str(error)) from error
+    every = [number for seed in seeds for number in evaluation.seeds_of(problem, episodes, seed)]
+    found = evaluate_pixels(
+        problem,
+        policy,
+        every,
+        camera=camera,
+        refine=observe == "infer",
+        workers=threads or usable_cpus(),
+    )
+    return {
+        "schema": "orbisim.eval_policy/1",
+        "task": problem.name,
+        "seeds": list(seeds),
+        "episodes_per_seed": episodes,
+        "observe": observe,
+        "diverged": found.pop("diverged"),
+        "mujoco": found,
+        "method": manifest.get("method"),
+        "policy": str(folder),
+    }
 
 
 def _drawn(problem: Problem, report: Path | None, seed: int) -> Problem:
