@@ -48,8 +48,6 @@ ON_DEVICE = ("apg", "bc_apg", "dreamer")
 """What is trained on --device; the others, whose networks are small, are not faster there."""
 DYNAMICS = {"task:push": "push_contacts"}
 """Checkpoint of the zoo that a task is trained in; if not here, the one that fits best."""
-DEMONSTRATIONS = 1000
-"""Episodes of the script that `bc` and `bc_apg` imitate."""
 SEARCH_SEED = 100
 """Of trainings that are searched; none of the seeds that are reported."""
 CHECK = 48
@@ -87,6 +85,7 @@ class Job:
       worlds: of analytic gradients. length: of an episode; the task's if None.
       episodes: of the evaluation. device: of what is trained there. threads: of MuJoCo.
       compiled: the learned step, by torch. check_every: seconds.
+      demonstrations: episodes that are imitated. cloning: steps of it before analytic gradients.
     """
 
     kind: str
@@ -104,6 +103,8 @@ class Job:
     threads: int
     compiled: bool
     check_every: float
+    demonstrations: int
+    cloning: int
 
     @property
     def key(self) -> tuple[str, str, str, int, int]:
@@ -151,7 +152,7 @@ def learn(job: Job, problem: Problem, out: Path) -> None:
         check_every=job.check_every,
         resume=out.exists(),
         nthread=job.threads,
-        demonstrations=DEMONSTRATIONS,
+        demonstrations=job.demonstrations,
     )
     if job.method in ON_DEVICE:
         run = dataclasses.replace(run, device=job.device, compiled=job.compiled)
@@ -162,7 +163,9 @@ def learn(job: Job, problem: Problem, out: Path) -> None:
         if job.method == "bc_apg":
             assert isinstance(problem, PushProblem)
             clone = dataclasses.replace(run, out=out.with_name(f"{out.name}-clone"), check=0)
-            clone = dataclasses.replace(clone, limit=None, steps=4000, resume=clone.out.exists())
+            clone = dataclasses.replace(
+                clone, limit=None, steps=job.cloning, resume=clone.out.exists()
+            )
             train_clone(problem, CloneConfig(), clone)
             spent = time.monotonic() - began
             limit = None if run.limit is None else max(run.limit - spent, 1.0)
@@ -238,6 +241,8 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=250_000, help="true steps of what tries")
     parser.add_argument("--limit", type=float, default=400.0, help="of each training, s")
     parser.add_argument("--worlds", type=int, default=512, help="of analytic gradients")
+    parser.add_argument("--demonstrations", type=int, default=1000, help="that are imitated")
+    parser.add_argument("--cloning", type=int, default=4000, help="steps before bc_apg's own")
     parser.add_argument("--length", type=int, help="control steps of an episode")
     parser.add_argument("--episodes", type=int, default=200, help="of each evaluation")
     parser.add_argument("--device", default="cpu", help=f"of {', '.join(ON_DEVICE)}")
@@ -284,6 +289,8 @@ def main() -> None:
                             options.threads if method in ON_DEVICE else 1,
                             options.compiled,
                             options.check_every,
+                            options.demonstrations,
+                            options.cloning,
                         )
                     )
     fresh, failed = carry_out(
