@@ -39,7 +39,6 @@ from orbisim_policies.problems import make_problem  # noqa: E402
 from orbisim_policies.push import PushProblem  # noqa: E402
 from orbisim_policies.run import METRICS, Run, train_apg, train_clone  # noqa: E402
 from orbisim_policies.suite import SUITE  # noqa: E402
-from orbisim_world_model import zoo  # noqa: E402
 from plans import carry_out, left, read_rows  # noqa: E402
 from policy_table import curves, figure, table  # noqa: E402
 
@@ -124,8 +123,7 @@ class Job:
 
 def dynamics_of(problem: Problem, device: torch.device) -> LearnedWorlds:
     """The learned step that a task's policies are trained and tried in."""
-    name = DYNAMICS.get(problem.name)
-    return LearnedWorlds(problem.to(device), zoo.FOLDER / name if name else None, device)
+    return LearnedWorlds(problem.to(device), DYNAMICS.get(problem.name), device)
 
 
 def settings(job: Job, problem: Problem) -> dict[str, Any]:
@@ -170,8 +168,7 @@ def learn(job: Job, problem: Problem, out: Path) -> None:
             spent = time.monotonic() - began
             limit = None if run.limit is None else max(run.limit - spent, 1.0)
             run = dataclasses.replace(run, start=clone.out, limit=limit)
-        name = DYNAMICS.get(problem.name)
-        train_apg(problem, ApgConfig(**changes), run, zoo.FOLDER / name if name else None)
+        train_apg(problem, ApgConfig(**changes), run, DYNAMICS.get(problem.name))
     else:
         run = dataclasses.replace(run, steps=job.steps)
         if job.method == "dreamer":

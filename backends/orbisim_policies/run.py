@@ -109,14 +109,14 @@ def train_apg(
     problem: Problem,
     config: ApgConfig,
     run: Run,
-    checkpoint: Path | None = None,
+    checkpoint: str | Path | None = None,
     report: Report = lambda _: None,
 ) -> dict[str, Any]:
     """Trains a policy by analytic gradients through the learned step; returns its manifest.
 
     Args:
       problem: on the CPU. config: of the training. run: budgets and folders.
-      checkpoint: folder of the dynamics; the zoo's that fits if None.
+      checkpoint: folder of the dynamics, or its name in the zoo; the zoo's that fits if None.
       report: called with each line of metrics.
 
     Raises:

@@ -58,7 +58,7 @@ def train(
         )
     if method == "apg":
         config = _changed(ApgConfig(), options)
-        return train_apg(problem, config, run, Path(path) if path else None, report)
+        return train_apg(problem, config, run, path or None, report)
     if run.start is not None:
         raise InputError(f"--start is for --method apg; got {method}")
     if method == "bc":
