@@ -54,47 +54,54 @@ class Sight:
 
     Args:
       scene: with the objects that there are. camera: its number. dt: s between frames.
-      refine: whether the network's answers are fitted to the frames.
+      how: `stainf`, what the network says; `infer`, that fitted to the frames; `objects`, with
+        scalar joints that are measured, so that objects alone are fitted.
 
     Raises:
       UnsupportedSceneError: no checkpoint with StaInf was trained on such scenes.
     """
 
-    def __init__(self, scene: Scene, camera: int, dt: float, refine: bool = True) -> None:
+    def __init__(self, scene: Scene, camera: int, dt: float, how: str = "infer") -> None:
         self.point, self._network = _network(str(zoo.find(scene, visible.rows(scene.model))))
         self.size = int(self.point.config.size)
         self.refiner = Refiner(scene, camera, self.size)
-        self._model, self._dt, self._refine = scene.model, dt, refine
+        self._model, self._dt, self._how = scene.model, dt, how
         self._before: Frame | None = None
-        self._last: Floats | None = None
+        self._states: list[Floats] = []
 
-    def see(self, frame: npt.NDArray[np.uint8]) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
+    def see(
+        self, frame: npt.NDArray[np.uint8], measured: Floats
+    ) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
         """qpos [nq], qvel [nv] by the last two frames, and which free bodies are seen.
 
         Args:
-          frame: [size, size, 3], the next one.
+          frame: [size, size, 3], the next one. measured: scalar joints, for `objects` alone.
         """
-        refiner = self.refiner
+        refiner, last = self.refiner, self._states[-2:]
+        columns, known = refiner.scalar.qpos, measured if self._how == "objects" else None
         read = reading(read_frames(frame[None], self.point, self._network), self._joints)
         places = [places_of(read, 0, body) for body in refiner.bodies]
-        if not self._refine:
+        if self._how == "stainf":
             qpos = np.array(refiner.rest)
-            qpos[refiner.scalar.qpos] = read.joints[0]
+            qpos[columns] = read.joints[0]
             for body, found in zip(refiner.bodies, places, strict=True):
                 qpos[body.qpos : body.qpos + 7] = found[0]
             seen = np.ones(len(refiner.bodies), bool)
         else:
             if self._before is None:
-                self._before = refiner.first(frame, read.joints[0], places)
-            else:
-                joints = self._before.qpos[refiner.scalar.qpos]
-                self._before = refiner.following(frame, joints, places, self._before)
+                start = read.joints[0] if known is None else known
+                self._before = refiner.first(frame, start, places)
+            else:  # at the speed of the last two
+                ahead = 2.0 * last[-1] - last[0] if len(last) > 1 else last[-1]
+                self._before = refiner.following(frame, ahead[columns], places, self._before, known)
             qpos = np.array(self._before.qpos)
+            if known is not None:
+                qpos[columns] = known
             seen = np.array([pose.seen for pose in self._before.objects])
         qvel = np.zeros(self._model.nv)
-        if self._last is not None:
-            mujoco.mj_differentiatePos(self._model, qvel, self._dt, self._last, qpos)
-        self._last = qpos
+        if last:
+            mujoco.mj_differentiatePos(self._model, qvel, self._dt, last[-1], qpos)
+        self._states = [*last[-1:], qpos]
         return qpos, qvel, seen
 
     @property
@@ -108,16 +115,17 @@ def _network(folder: str) -> tuple[Any, Any]:
     return load_inference(folder)
 
 
-def play(problem: Problem, policy: Any, seed: int, camera: str, refine: bool) -> Played:
+def play(problem: Problem, policy: Any, seed: int, camera: str, how: str) -> Played:
     """One episode of a policy that sees `camera`'s frames, and of the scene what no frame shows.
 
     Args:
       problem: on the CPU. policy: from observations to actions. seed: of the episode.
-      camera: name or number; the first if empty. refine: see `Sight`.
+      camera: name or number; the first if empty. how: see `Sight`.
     """
     scene, starts = problem.trials(1, seed)
     number = camera_number(scene.model, int(camera) if camera.isdigit() else camera or 0)
-    sight = Sight(scene, number, problem.timestep, refine)
+    sight = Sight(scene, number, problem.timestep, how)
+    joints = sight.refiner.scalar.qpos
     worlds = TrueWorlds(problem, 1, 1)
     worlds.begin(np.arange(1), starts)
     renderer = make_renderer("mujoco", scene)
@@ -132,7 +140,7 @@ def play(problem: Problem, policy: Any, seed: int, camera: str, refine: bool) ->
             state = State(np.zeros(1), true, speed, np.zeros((1, scene.model.na)))
             size = sight.size
             image = renderer.render(state, camera=number, height=size, width=size)
-            qpos, qvel, seen = sight.see(np.asarray(image).reshape(size, size, 3))
+            qpos, qvel, seen = sight.see(np.asarray(image).reshape(size, size, 3), true[0, joints])
             q, v = as_float(qpos[None]), as_float(qvel[None])
             time = torch.full((1,), step / problem.steps)
             if score is None:
@@ -143,7 +151,6 @@ def play(problem: Problem, policy: Any, seed: int, camera: str, refine: bool) ->
                 action = act(problem.observe(Moment(q, v, command, params, score, time)))
             control, command = problem.control(command, action)
             off = [np.linalg.norm(qpos[b : b + 3] - true[0, b : b + 3]) for b in bodies]
-            joints = sight.refiner.scalar.qpos
             rows.append((off, np.abs(qpos[joints] - true[0, joints]).mean(), seen))
             if lost := bool(worlds.step(action)[0]):
                 break
@@ -164,16 +171,16 @@ def evaluate_pixels(
     seeds: Sequence[int],
     *,
     camera: str = "side",
-    refine: bool = True,
+    how: str = "infer",
     workers: int = 1,
 ) -> dict[str, Any]:
     """Success of a policy that sees images alone, over one episode for each seed.
 
     Args:
       problem: on the CPU. policy: from observations to actions. seeds: of the episodes.
-      camera: name or number. refine: see `Sight`. workers: processes.
+      camera: name or number. how: see `Sight`. workers: processes.
     """
-    jobs = [(problem, policy, seed, camera, refine) for seed in seeds]
+    jobs = [(problem, policy, seed, camera, how) for seed in seeds]
     if workers == 1:
         played = [play(*job) for job in track(jobs, "episodes from pixels", len(jobs))]
     else:

@@ -130,7 +130,7 @@ def _from_pixels(
         policy,
         every,
         camera=camera,
-        refine=observe == "infer",
+        how=observe,
         workers=threads or usable_cpus(),
     )
     return {

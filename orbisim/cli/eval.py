@@ -225,13 +225,14 @@ _POLICY = "Example: orbisim eval policy policies/push --episodes 200 --json"
 @randomize_option
 @click.option(
     "--observe",
-    type=click.Choice(["state", "infer", "stainf"]),
+    type=click.Choice(["state", "infer", "objects", "stainf"]),
     default="state",
     show_default=True,
     help="What the policy sees: the true state, or the one that is read off a camera's frames, by "
-    "a network and a fit (infer) or the network alone (stainf).",
+    "a network and a fit (infer), with joints as measured (objects), or by the network alone "
+    "(stainf).",
 )
-@click.option("--camera", default="side", show_default=True, help="Of --observe infer, stainf.")
+@click.option("--camera", default="side", show_default=True, help="Of --observe.")
 @click.option("--threads", default=0, help="Of MuJoCo; 0 for all cores.")
 @device_option
 @json_option
