@@ -59,6 +59,9 @@ class Cloning:
         self.done += 1
         return loss.detach()
 
+    true_steps = 0
+    """Of C MuJoCo that it makes itself."""
+
     @property
     def chosen(self) -> Policy:
         """The policy to keep."""
