@@ -4,11 +4,11 @@
     python tools/clone_stack.py train --data stack_train.h5 --out clone --noise 0
     python tools/clone_stack.py eval --policy clone --episodes 200 --workers 4 --json clone.json
 
-The policy is a network of the present state alone: the tool's pose and its commanded one, the
-fingers, and the cubes' poses, also as seen from the tool and from each other. With `--noise S` each
-measured position has a normal error of S m, and each measured angle one of 2 S / 0.01 degrees,
-drawn anew at every step, in training or, given to `eval`, when it acts. `eval` plays episodes of
-300 control steps that no demonstration has seen, in distribution and out of it (OUTSIDE).
+The policy sees where the tool is told to be, the fingers, the cubes' poses, also as seen from the
+tool and from each other, and since when its grip is as it is; it tells ten actions at once. With `--noise S` each position of
+a cube is measured with a normal error of S m, and each angle with one of 2 S / 0.01 degrees, drawn
+anew at every step, in training or, given to `eval`, when it acts. `eval` plays episodes of 300
+control steps that no demonstration has seen, in distribution and out of it (OUTSIDE).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "backends")]
 from orbisim_policies.evaluate import wilson  # noqa: E402  (needs the path above)
 
 from orbisim.tasks import EpisodeFile  # noqa: E402
-from orbisim.tasks.arm import PANDA, ArmController, rotation_matrix  # noqa: E402
+from orbisim.tasks.arm import PANDA, ArmController  # noqa: E402
 from orbisim.tasks.sampling import episode_seed, stream  # noqa: E402
 from orbisim.tasks.stack import Stack  # noqa: E402
 from orbisim.tasks.staging import opening_pose  # noqa: E402
@@ -44,6 +44,13 @@ Floats = npt.NDArray[np.float64]
 STEPS = 300
 """Of an episode that a policy plays; demonstrations have 250."""
 WIDTH = 512
+CHUNK = 10
+"""Actions that are told at once and carried out before the next look (Zhao et al. 2023): a clone of
+single actions stays where demonstrations pause, before and after the fingers close."""
+CHANGES = 4
+"""Of the grip in an episode that succeeds: two cubes are taken and let go."""
+LARGEST = np.array([PANDA.reach] * 3 + [PANDA.turn])
+"""Of a control step: m, m, m, rad."""
 BATCH, RATE = 512, 1e-3
 TURN = np.deg2rad(2.0) / 0.01
 """rad of noise for each metre of it: 2 degrees with 1 cm, as `tools/eval_dynamics.py` has it."""
@@ -63,18 +70,21 @@ class Seen:
     """What is measured, over N states.
 
     Attributes:
-      tool, command: [N, 3] where the tool is, and where it is told to be, m.
-      turned, told: [N, 3, 3] its rotation, and the one that it is told to have.
+      command: [N, 3] where the tool is told to be, m; how far it is behind would tell how fast it
+        goes, and a clone that sees its own speed goes on as it went.
+      told: [N] the turn about the vertical that it is told to have, rad; it points down.
       fingers: [N, 2], m. grip: [N] the command before, -1 open to 1 closed.
+      changes, age: [N] how often the grip's command has changed, and for how many steps it has been
+        as it is: the policy's only memory, without which it stays where demonstrations pass twice.
       cubes: [N, 3, 3], m. yaw: [N, 3] of an axis of each that lies flat, rad.
     """
 
-    tool: Floats
     command: Floats
-    turned: Floats
     told: Floats
     fingers: Floats
     grip: Floats
+    changes: Floats
+    age: Floats
     cubes: Floats
     yaw: Floats
 
@@ -83,36 +93,33 @@ class Seen:
         if not noise:
             return self
         n = rng.standard_normal
-        turns = rotation_matrix(TURN * noise * n((len(self.tool), 3)))
         return dataclasses.replace(
             self,
-            tool=self.tool + noise * n(self.tool.shape),
-            turned=turns @ self.turned,
             cubes=self.cubes + noise * n(self.cubes.shape),
             yaw=self.yaw + TURN * noise * n(self.yaw.shape),
         )
 
     def features(self) -> npt.NDArray[np.float32]:
         """[N, F], of order one. Cubes look the same after a quarter turn."""
-        hand = np.arctan2(self.told[:, 1, 0], self.told[:, 0, 0])
         away = self.cubes - self.command[:, None]
         between = np.stack(
             [self.cubes[:, 1] - self.cubes[:, 0], self.cubes[:, 2] - self.cubes[:, 1]], axis=1
         )
-        count = len(self.tool)
+        count = len(self.command)
         rows = [
-            10 * (self.tool - [0.5, 0.0, 0.15]),
-            50 * (self.tool - self.command),
-            self.turned[:, :, :2].reshape(count, 6),
-            self.told[:, :, :2].reshape(count, 6),
+            10 * (self.command - [0.5, 0.0, 0.15]),
+            np.sin(self.told)[:, None],
+            np.cos(self.told)[:, None],
             50 * self.fingers,
             self.grip[:, None],
+            *((self.changes == count)[:, None] for count in range(CHANGES)),
+            self.age[:, None] / 30,
+            np.exp(-self.age / 5)[:, None],
             10 * away.reshape(count, 9),
             np.tanh(100 * away).reshape(count, 9),
             10 * between.reshape(count, 6),
             np.tanh(100 * between).reshape(count, 6),
-            20 * self.cubes[..., 2],
-            *(wave(4 * (self.yaw - hand[:, None])) for wave in (np.sin, np.cos)),
+            *(wave(4 * (self.yaw - self.told[:, None])) for wave in (np.sin, np.cos)),
             *(wave(4 * (self.yaw[:, 1:] - self.yaw[:, :1])) for wave in (np.sin, np.cos)),
         ]
         return np.concatenate(rows, axis=1).astype(np.float32)
@@ -135,31 +142,33 @@ def flat_yaw(quat: Floats) -> Floats:
 
 
 class Policy(nn.Module):
-    """Features [N, F] to actions [N, 7]: six in units of the largest step, and the grip's logit."""
+    """Features [N, F] to the next actions [N, CHUNK, 5]: translation and turn about the vertical, in
+    units of the largest step, and the grip's logit."""
 
     def __init__(self, features: int) -> None:
         super().__init__()
         self.net = nn.Sequential(
             nn.Linear(features, WIDTH), nn.ELU(),
             nn.Linear(WIDTH, WIDTH), nn.ELU(),
-            nn.Linear(WIDTH, 7),
+            nn.Linear(WIDTH, 5 * CHUNK),
         )  # fmt: skip
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
         """See the class."""
         found: torch.Tensor = self.net(features)
-        return found
+        return found.unflatten(-1, (CHUNK, 5))
 
 
 # -- demonstrations ----------------------------------------------------------------------------
 
 
 def demonstrations(path: Path, most: int | None) -> tuple[Seen, Floats, int]:
-    """What was seen before each action, and the actions [N, 7], of episodes that succeed."""
+    """What was seen at each step, and the actions that followed [N, CHUNK, 7], of episodes that
+    succeed."""
     task, seen, actions = Stack(), [], []
     with EpisodeFile(path) as file:
         good = [i for i in range(len(file)) if file.attributes(i)["success"]][:most]
-        names = ("qpos", "action", "robot/pos", "robot/quat", "objects/pos", "objects/quat")
+        names = ("qpos", "action", "objects/pos", "objects/quat")
         arm = ArmController(task.arm)
         for index in good:
             data = file.episode(index, names)
@@ -169,29 +178,31 @@ def demonstrations(path: Path, most: int | None) -> tuple[Seen, Floats, int]:
             for row in action:
                 poses.append((arm.pos, arm.rot))
                 arm.step(row)
-            quat = data["robot/quat"][:steps, [1, 2, 3, 0]]
             grip = np.concatenate([[-1.0], action[:-1, 6]])
+            changed = np.concatenate([[0.0], np.diff(grip) != 0])
+            last = np.maximum.accumulate(np.arange(steps) * changed)
             seen.append(
                 Seen(
-                    tool=data["robot/pos"][:steps],
                     command=np.array([pos for pos, _ in poses]),
-                    turned=rotations(quat),
-                    told=np.array([rot for _, rot in poses]),
+                    told=np.array([yaw_of(rot) for _, rot in poses]),
                     fingers=data["qpos"][:steps, PANDA.joints : PANDA.joints + 2],
                     grip=grip,
+                    changes=changed.cumsum(),
+                    age=np.arange(steps) - last,
                     cubes=data["objects/pos"][:steps],
                     yaw=flat_yaw(data["objects/quat"][:steps]),
                 )
             )
-            actions.append(action)
+            still = np.concatenate([np.zeros(6), action[-1, 6:]])
+            after = np.concatenate([action, np.broadcast_to(still, (CHUNK - 1, 7))])
+            windows = np.lib.stride_tricks.sliding_window_view(after, CHUNK, axis=0)
+            actions.append(windows.transpose(0, 2, 1))
     return joined(seen), np.concatenate(actions), len(good)
 
 
-def rotations(quat: Floats) -> Floats:
-    """[N, 3, 3] of quaternions with the real part last."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_quat(quat).as_matrix())
+def yaw_of(rot: Floats) -> float:
+    """Turn of a tool [3, 3] that points down, rad."""
+    return float(np.arctan2(rot[1, 0], rot[0, 0]))
 
 
 def joined(seen: list[Seen]) -> Seen:
@@ -205,8 +216,8 @@ def train(options: Any) -> dict[str, Any]:
     torch.manual_seed(options.seed)
     rng = np.random.default_rng(options.seed)
     seen, action, episodes = demonstrations(options.data, options.demonstrations)
-    wanted = np.concatenate([action[:, :3] / PANDA.reach, action[:, 3:6] / PANDA.turn], axis=1)
-    target = torch.as_tensor(np.concatenate([wanted, action[:, 6:] > 0], axis=1)).float()
+    wanted = action[..., [0, 1, 2, 5]] / LARGEST
+    target = torch.as_tensor(np.concatenate([wanted, action[..., 6:] > 0], axis=-1)).float()
     device = torch.device(options.device)
     features = torch.as_tensor(seen.blurred(options.noise, rng).features())
     mean, spread = features.mean(0), features.std(0).clamp_min(1e-3)
@@ -224,8 +235,8 @@ def train(options: Any) -> dict[str, Any]:
             group["lr"] = rate
         pick = torch.randint(len(x), (BATCH,), device=device)
         told, truth = policy(x[pick]), target[pick]
-        motion = nn.functional.smooth_l1_loss(told[:, :6], truth[:, :6], beta=0.05)
-        grip = nn.functional.binary_cross_entropy_with_logits(told[:, 6], truth[:, 6])
+        motion = nn.functional.smooth_l1_loss(told[..., :4], truth[..., :4], beta=0.05)
+        grip = nn.functional.binary_cross_entropy_with_logits(told[..., 4], truth[..., 4])
         optimizer.zero_grad()
         (motion + 0.1 * grip).backward()
         optimizer.step()
@@ -260,7 +271,7 @@ class Episode:
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:], self.data.ctrl[:] = qpos, ctrl
         mujoco.mj_forward(self.model, self.data)
-        self.grip = -1.0
+        self.grip, self.changes, self.age = -1.0, 0, 0
         names = [f"cube{i + 1}" for i in range(len(self.setting.cubes))]
         self.addresses = [int(self.model.joint(name).qposadr[0]) for name in names]
         self.substeps = round(task.control_timestep / self.model.opt.timestep)
@@ -272,22 +283,23 @@ class Episode:
 
     def seen(self) -> Seen:
         """The present state, N = 1."""
-        site = self.data.site(PANDA.site)
         quat = np.stack([self.data.qpos[a + 3 : a + 7] for a in self.addresses])
         return Seen(
-            tool=site.xpos[None].copy(),
             command=self.arm.pos[None].copy(),
-            turned=site.xmat.reshape(1, 3, 3).copy(),
-            told=self.arm.rot[None].copy(),
+            told=np.array([yaw_of(self.arm.rot)]),
             fingers=self.data.qpos[None, PANDA.joints : PANDA.joints + 2].copy(),
             grip=np.array([self.grip]),
+            changes=np.array([self.changes]),
+            age=np.array([self.age]),
             cubes=self.cubes()[None],
             yaw=flat_yaw(quat)[None],
         )
 
     def act(self, action: Floats) -> None:
         """One control step."""
-        self.grip = float(action[6])
+        changed = self.grip != float(action[6])
+        self.grip, self.changes = float(action[6]), self.changes + changed
+        self.age = 0 if changed else self.age + 1
         self.data.ctrl[:] = self.arm.step(action)
         mujoco.mj_step(self.model, self.data, self.substeps)
         self.path.append(self.cubes())
@@ -315,14 +327,16 @@ def play(folder: Path, changes: dict[str, Any], seeds: list[int], noise: float) 
     task, found = Stack(**changes), []
     worlds = [Episode(task, seed) for seed in seeds]
     rng = np.random.default_rng(seeds[0] % 2**32)
-    for _ in range(STEPS):
+    for _ in range(0, STEPS, CHUNK):
         seen = joined([world.seen() for world in worlds]).blurred(noise, rng)
         with torch.no_grad():
             told = policy((torch.as_tensor(seen.features()) - mean) / spread).double().numpy()
-        move = told[:, :6].clip(-1, 1) * ([PANDA.reach] * 3 + [PANDA.turn] * 3)
-        grip = np.where(told[:, 6:] > 0, 1.0, -1.0)
-        for world, action in zip(worlds, np.concatenate([move, grip], axis=1), strict=True):
-            world.act(action)
+        actions = np.zeros((len(worlds), CHUNK, 7))
+        actions[..., [0, 1, 2, 5]] = told[..., :4].clip(-1, 1) * LARGEST
+        actions[..., 6] = np.where(told[..., 4] > 0, 1.0, -1.0)
+        for world, rows in zip(worlds, actions, strict=True):
+            for action in rows:
+                world.act(action)
     for world in worlds:
         good = task.success("scripted", world.setting, np.array(world.path))
         found.append((bool(good), world.stacked))

@@ -29,14 +29,13 @@ def test_the_turn_of_a_cube_that_lies_on_any_face() -> None:
 
 def seen(count: int = 2) -> clone_stack.Seen:
     rng = np.random.default_rng(0)
-    eye = np.broadcast_to(np.diag([1.0, -1.0, -1.0]), (count, 3, 3))
     return clone_stack.Seen(
-        tool=rng.normal(size=(count, 3)),
         command=rng.normal(size=(count, 3)),
-        turned=eye,
-        told=eye,
+        told=rng.normal(size=count),
         fingers=np.zeros((count, 2)),
         grip=-np.ones(count),
+        changes=np.zeros(count),
+        age=np.arange(count),
         cubes=rng.normal(size=(count, 3, 3)),
         yaw=rng.normal(size=(count, 3)),
     )
