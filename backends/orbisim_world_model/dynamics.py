@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import torch
@@ -171,6 +172,12 @@ class Dynamics(nn.Module):
         if self.layout.parts:
             raise InputError("how far off parts of mechanisms may be is not predicted yet")
         self.spread = Spread(self.sizes, width)
+        return self
+
+    def with_rest(self) -> Dynamics:
+        """Also keeps boxes at rest (see `rest`), which needs no weights."""
+        self.config = dataclasses.replace(self.config, rest=True)
+        self.rest = Rest(self.layout) if Rest.suits(self.layout) else None
         return self
 
     # -- one step ------------------------------------------------------------------------------
