@@ -2,9 +2,9 @@
 
     python tools/profile_learned.py OUT [--jobs tiles step environment rollout gradient]
 
-Each measurement is a process of its own. All compile at the same time; then, while the others
-wait, one after the other measures: milliseconds by CUDA events, and the kernels of one call by
-torch's profiler. OUT/profile.json has what is finished, early and often; what fails has its error.
+Each measurement is a process of its own. All compile at the same time; when all are ready, or
+after `--patience`, one after the other measures: milliseconds by CUDA events, and the kernels of
+one call by torch's profiler; how many others were still compiling then stands beside. OUT/profile.json has what is finished, early and often; what fails has its error.
 
 - tiles: `network.fused` alone, in several ways to cut it, by number of worlds, and its relative
   error against the same network in float32.
@@ -23,6 +23,7 @@ import os
 import statistics
 import subprocess
 import sys
+import threading
 import time
 import traceback
 import warnings
@@ -40,16 +41,16 @@ FEW, MANY, HALF = "16,64,128,128,4,3", "128,64,64,2048,8,3", "64,64,64,2048,4,3"
 """Of `network.fused.Tile`."""
 SIZES = (1, 4096, 65536)
 JOBS = {
-    "tiles": [f"tile:{tile}" for tile in (MANY, HALF, FEW)],
     "step": [
         *(f"step:kernels/{more}:65536" for more in (MANY, HALF, f"{MANY}/shared", "joined")),
-        *(f"step:kernels/{tile}:65536" for tile in ("128,64,32,2048,8,3", "128,32,64,2048,8,3")),
+        "step:kernels/128,32,64,2048,8,3:65536",
         "step:compiled:65536",
-        *(f"step:kernels:{n}" for n in (8192, 4096, 256)),
+        *(f"step:kernels:{n}" for n in (8192, 4096)),
         *(f"step:kernels{more}:1" for more in ("", "/joined", "/joined/16,128,128,128,8,3")),
-        *(f"step:compiled{more}:1" for more in ("", "/joined")),
+        "step:compiled:1",
     ],
-    "environment": [f"environment:{n}" for n in (4096, 16384, 65536)],
+    "tiles": [f"tile:{tile}" for tile in (MANY, FEW)],
+    "environment": [f"environment:{n}" for n in (65536, 16384, 4096)],
     "rollout": ["rollout:65536"],
     "gradient": [f"gradient:{kind}:{n}" for n in (1, 1024) for kind in ("fused", "joined")],
 }
@@ -65,6 +66,8 @@ def main() -> int:
     parser.add_argument("out", type=Path)
     parser.add_argument("--jobs", nargs="*", default=list(JOBS))
     parser.add_argument("--job", help="one, by its own name; used by this tool itself")
+    parser.add_argument("--patience", type=float, default=75.0, help="s that all may compile")
+    parser.add_argument("--limit", type=float, default=150.0, help="s that one may compile")
     parser.add_argument("--largest", type=int, default=SIZES[-1], help="number of worlds")
     options = parser.parse_args()
     if options.job:
@@ -83,20 +86,35 @@ def main() -> int:
         )
         for name in names
     }
+    began = time.monotonic()
+    ready = {name: threading.Event() for name in names}
+    for name, process in running.items():
+        threading.Thread(target=_await, args=(process, ready[name]), daemon=True).start()
+    for event in ready.values():  # measured undisturbed, if it does not take too long
+        event.wait(max(0.0, options.patience - (time.monotonic() - began)))
     found: dict[str, Any] = {}
-    for name, process in running.items():
-        assert process.stdout is not None
-        process.stdout.readline()  # ready, or ended
-    for name, process in running.items():
+    for name in sorted(names, key=lambda n: not ready[n].is_set()):  # in order, the ready first
+        process = running[name]
+        still = sum(not event.is_set() for event in ready.values())
         try:
+            if not ready[name].wait(max(0.0, options.limit - (time.monotonic() - began))):
+                raise TimeoutError(f"not compiled within {options.limit:g} s")
             answer, _ = process.communicate("go\n", timeout=60)
             found[name] = json.loads(answer.strip().splitlines()[-1])
         except Exception as error:  # one that failed must not lose the others
             process.kill()
             found[name] = {"failed": repr(error)[:300]}
+        found[name]["others_still_compiling"] = still
         (options.out / "profile.json").write_text(json.dumps(found, indent=1))
-        print(name, json.dumps({k: v for k, v in found[name].items() if k != "kernels"})[:400])
+        said = {k: v for k, v in found[name].items() if k != "kernels"}
+        print(name, json.dumps(said)[:400], flush=True)
     return 0
+
+
+def _await(process: Any, ready: threading.Event) -> None:
+    """Until a job says that it is ready, or has ended."""
+    process.stdout.readline()
+    ready.set()
 
 
 def job(options: Any) -> int:
@@ -203,24 +221,19 @@ def step(rest: str, options: Any) -> Measure:
 
 
 def environment(rest: str, options: Any) -> Measure:
-    """Push with rewards and a policy of two hidden layers."""
-    from orbisim_policies.environment import DeviceEnvironment
-    from orbisim_policies.problems import make_problem
+    """Push with rewards: random actions, and a policy."""
+    from bench_policies import runs
 
-    worlds, device = int(rest), _device()
-    problem = make_problem("push")
-    made = DeviceEnvironment(problem, worlds, device=str(device), starts=64)
-    made.reset()
-    action = torch.rand((worlds, problem.actions), device=device) * 2 - 1
-    made.step(action)
+    worlds = int(rest)
+    random, policy = runs(worlds, str(_device()))
+    random()
+    policy()
 
     def measure() -> dict[str, Any]:
-        ms = _milliseconds(lambda: made.step(action))
-        assert made._run is not None
-        graph = _milliseconds(made._run)
-        found = {"ms": ms, "graph_ms": graph, "environment_steps_per_s": worlds / ms * 1e3}
-        found["diverged"] = int(made.diverged.sum())
-        return {**found, "kernels": _kernels(made._run)}
+        ms, both = _milliseconds(random), _milliseconds(policy)
+        found = {"ms": ms, "environment_steps_per_s": worlds / ms * 1e3}
+        found["with_policy_per_s"] = worlds / both * 1e3
+        return {**found, "kernels": _kernels(random)}
 
     return measure
 
