@@ -6,7 +6,9 @@
 A line of JSON for each frame, with objects' errors before and after, and a summary at the end. The
 scene of each episode is drawn again: sizes and colours are declared, poses are not. With `--open`
 sizes and colours are not known either: the fit starts from the network's, and which found object is
-which is decided by where they are.
+which is decided by where they are. `--network` measures the network alone, on frames spread over
+all episodes, and its loss: on data that it was trained on and on others, this tells what it has
+learned by heart.
 """
 
 from __future__ import annotations
@@ -22,10 +24,14 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from orbisim_diffusion.estimate import load_inference, read_frames
+from orbisim_diffusion.inference import inference_loss, robots, truth
 from orbisim_diffusion.looks import Wardrobe
 from orbisim_diffusion.refine import Refiner
+from orbisim_diffusion.store import load
 from orbisim_diffusion.symmetry import angle, rotation_error
 from orbisim_diffusion.tracking import Reading, places_of, reading
+from orbisim_diffusion.train_inference import inference_errors
+from orbisim_diffusion.training import encoded
 from orbisim_diffusion.zoo import FOLDER
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
@@ -35,6 +41,9 @@ from orbisim.tasks.dataset import EpisodeFile
 from orbisim.tasks.registry import make
 
 Floats = npt.NDArray[np.float64]
+
+_FRAMES = 1024
+"""That the network alone is measured on, at most."""
 
 
 def main() -> None:
@@ -46,13 +55,33 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--open", action="store_true", help="sizes and colours are fitted, too")
     parser.add_argument("--out", type=Path, help="a file for the lines, too")
+    parser.add_argument("--network", action="store_true", help="the network alone")
+    parser.add_argument("--episodes", type=int, help="`--network`: at most so many")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
+    if arguments.network:
+        _say(alone(arguments), arguments.out)
+        return
     lines: list[dict[str, Any]] = []
     for line in trials(arguments):
         lines.append(line)
         _say(line, arguments.out)
     _say(summary(lines), arguments.out)
+
+
+def alone(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Errors and loss of the network on frames spread over the episodes."""
+    point, model = load_inference(arguments.checkpoint)
+    store = load([arguments.data], torch.device("cpu"), limit=arguments.episodes)
+    store = encoded(point.autoencoder, store)
+    assert store.latents is not None
+    found: dict[str, Any] = {"frames": len(store), **inference_errors(model, store, _FRAMES)}
+    index = torch.arange(0, len(store), max(1, len(store) // _FRAMES))
+    with torch.no_grad():
+        answer = model.dense(store.latents[index].float())
+        true = truth(store, robots(store), index)
+        found["loss"] = round(float(inference_loss(model, answer, true, store.view(index))), 4)
+    return found
 
 
 def trials(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
