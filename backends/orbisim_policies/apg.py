@@ -183,6 +183,11 @@ class Apg:
     """Of C MuJoCo that it makes itself."""
 
     @property
+    def current(self) -> Policy:
+        """The policy as it is now."""
+        return self.policy
+
+    @property
     def chosen(self) -> Policy:
         """The policy to keep: over whole episodes the best by its objective, else the last."""
         kept = copy.deepcopy(self.policy)

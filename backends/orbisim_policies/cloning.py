@@ -63,6 +63,11 @@ class Cloning:
     """Of C MuJoCo that it makes itself."""
 
     @property
+    def current(self) -> Policy:
+        """The policy as it is now."""
+        return self.policy
+
+    @property
     def chosen(self) -> Policy:
         """The policy to keep."""
         return self.policy

@@ -350,6 +350,11 @@ class Dreamer:
         return self.episodes.worlds.steps
 
     @property
+    def current(self) -> LatentPolicy:
+        """The policy as it is now."""
+        return self.model.policy
+
+    @property
     def chosen(self) -> LatentPolicy:
         """The policy to keep."""
         return self.model.policy

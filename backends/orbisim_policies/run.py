@@ -88,8 +88,12 @@ class Trainer(Protocol):
     done: int
 
     @property
+    def current(self) -> AnyPolicy:
+        """The policy as it is now: live estimates choose among these."""
+
+    @property
     def chosen(self) -> AnyPolicy:
-        """The policy to keep."""
+        """The policy to keep where nothing is known of it in MuJoCo."""
 
     @property
     def true_steps(self) -> int:
@@ -225,12 +229,16 @@ def train_with(
             if clock.done % run.log_every == 0:
                 checks = {}
                 if run.check and now - checked > run.check_every:
-                    checks, checked = keeper.check(trainer.chosen, clock), time.monotonic()
+                    checks, checked = keeper.check(trainer.current, clock), time.monotonic()
                 _log(rows, names, clock, keeper, checks, report)
             if now - saved > run.save_every:
                 _save(trainer, clock, keeper, False)
                 saved = time.monotonic()
-        checks = keeper.check(trainer.chosen, clock) if run.check else {}
+        checks, last = {}, trainer.current
+        if run.check and (best := trainer.chosen) is not last:
+            checks = keeper.check(best, clock)
+        if run.check:
+            checks = keeper.check(last, clock)
         _log(rows, names, clock, keeper, checks, report)
         manifest = _save(trainer, clock, keeper, True)
         draw_curves(run.out)
