@@ -5,10 +5,11 @@
     python tools/clone_stack.py eval --policy clone --episodes 200 --workers 4 --json clone.json
 
 The policy sees where the tool is told to be, the fingers, the cubes' poses, also as seen from the
-tool and from each other, and since when its grip is as it is; it tells ten actions at once. With `--noise S` each position of
-a cube is measured with a normal error of S m, and each angle with one of 2 S / 0.01 degrees, drawn
-anew at every step, in training or, given to `eval`, when it acts. `eval` plays episodes of 300
-control steps that no demonstration has seen, in distribution and out of it (OUTSIDE).
+tool and from each other, and since when its grip is as it is; it tells ten actions at once. With
+`--noise S` each position of a cube is measured with a normal error of S m, and each angle with one
+of 2 S / 0.01 degrees, drawn anew at every look, in training or, given to `eval`, when it acts.
+`eval` plays episodes of 300 control steps that no demonstration has seen, in distribution and out
+of it (OUTSIDE).
 """
 
 from __future__ import annotations
@@ -107,20 +108,27 @@ class Seen:
         )
         count = len(self.command)
         rows = [
-            10 * (self.command - [0.5, 0.0, 0.15]),
-            np.sin(self.told)[:, None],
-            np.cos(self.told)[:, None],
-            50 * self.fingers,
-            self.grip[:, None],
-            *((self.changes == count)[:, None] for count in range(CHANGES)),
-            self.age[:, None] / 30,
-            np.exp(-self.age / 5)[:, None],
+            self.own(),
             10 * away.reshape(count, 9),
             np.tanh(100 * away).reshape(count, 9),
             10 * between.reshape(count, 6),
             np.tanh(100 * between).reshape(count, 6),
             *(wave(4 * (self.yaw - self.told[:, None])) for wave in (np.sin, np.cos)),
             *(wave(4 * (self.yaw[:, 1:] - self.yaw[:, :1])) for wave in (np.sin, np.cos)),
+        ]
+        return np.concatenate(rows, axis=1).astype(np.float32)
+
+    def own(self) -> npt.NDArray[np.float32]:
+        """[N, 14] what the robot knows without seeing any cube."""
+        rows: list[Any] = [
+            10 * (self.command - [0.5, 0.0, 0.15]),
+            np.sin(self.told)[:, None],
+            np.cos(self.told)[:, None],
+            50 * self.fingers,
+            self.grip[:, None],
+            *((self.changes == number)[:, None] for number in range(CHANGES)),
+            self.age[:, None] / 30,
+            np.exp(-self.age / 5)[:, None],
         ]
         return np.concatenate(rows, axis=1).astype(np.float32)
 
@@ -142,8 +150,8 @@ def flat_yaw(quat: Floats) -> Floats:
 
 
 class Policy(nn.Module):
-    """Features [N, F] to the next actions [N, CHUNK, 5]: translation and turn about the vertical, in
-    units of the largest step, and the grip's logit."""
+    """Features [N, F] to the next actions [N, CHUNK, 5]: translation, turn about the vertical, both
+    in units of the largest step, and the grip's logit."""
 
     def __init__(self, features: int) -> None:
         super().__init__()
@@ -188,7 +196,7 @@ def demonstrations(path: Path, most: int | None) -> tuple[Seen, Floats, int]:
                     fingers=data["qpos"][:steps, PANDA.joints : PANDA.joints + 2],
                     grip=grip,
                     changes=changed.cumsum(),
-                    age=np.arange(steps) - last,
+                    age=(np.arange(steps) - last).astype(float),
                     cubes=data["objects/pos"][:steps],
                     yaw=flat_yaw(data["objects/quat"][:steps]),
                 )
@@ -289,8 +297,8 @@ class Episode:
             told=np.array([yaw_of(self.arm.rot)]),
             fingers=self.data.qpos[None, PANDA.joints : PANDA.joints + 2].copy(),
             grip=np.array([self.grip]),
-            changes=np.array([self.changes]),
-            age=np.array([self.age]),
+            changes=np.array([self.changes], float),
+            age=np.array([self.age], float),
             cubes=self.cubes()[None],
             yaw=flat_yaw(quat)[None],
         )
