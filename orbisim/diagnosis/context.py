@@ -63,7 +63,9 @@ class Context:
         hypothesis = judged.hypothesis
         intervals = linearize(self.bench.flow(hypothesis))
         bench = self.bench.with_noise_of(hypothesis, intervals)
-        return self._with(bench, intervals, judged.ratio > NEAR, _chance(bench, intervals, hypothesis))
+        return self._with(
+            bench, intervals, judged.ratio > NEAR, _chance(bench, intervals, hypothesis)
+        )
 
     def on(self, bench: Bench) -> Context:
         """With the same data along another form of the declared scene."""
@@ -89,9 +91,8 @@ class Context:
         most: int | None = None,
     ) -> Context:
         """With other data, and a judge on them."""
-        judge = Judge(
-            bench, intervals, self.tunables, self.columns, most or self.settings.windows, heavy, chance
-        )
+        most = most or self.settings.windows
+        judge = Judge(bench, intervals, self.tunables, self.columns, most, heavy, chance)
         return dataclasses.replace(
             self, bench=bench, intervals=intervals, judge=judge, chance=chance
         )

@@ -176,9 +176,7 @@ def normals(data: ForceData, columns: Floats, sigma: Floats) -> list[Normal]:
     return found
 
 
-def counts(
-    data: ForceData, left: Floats, sigma: Floats, columns: Floats | None = None
-) -> Blocks:
+def counts(data: ForceData, left: Floats, sigma: Floats, columns: Floats | None = None) -> Blocks:
     """How the data of each joint in each stretch count.
 
     Args:

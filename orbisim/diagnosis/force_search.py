@@ -25,9 +25,9 @@ from orbisim.diagnosis.force_data import (
     spread,
 )
 from orbisim.diagnosis.selection import BEGINNINGS, Group, Selected
-from orbisim.diagnosis.worth import told_of
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.together import instances, left_of, select_in_rounds
+from orbisim.diagnosis.worth import told_of
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.base import Extent
 from orbisim.effects.screening import Candidate
@@ -242,7 +242,8 @@ def fit_forces(
 ) -> tuple[Hypothesis, Fit]:
     """Fits the effects' parameters to the inverse dynamics of the scene that has them.
 
-    Gauss-Newton with differences; a step that does not help is halved. At the deadline it ends with what it has.
+    Gauss-Newton with differences; a step that does not help is halved. At the deadline it ends with
+    what it has.
     """
     scene = data.scene
     unknowns = hypothesis.unknowns(scene)

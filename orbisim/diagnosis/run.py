@@ -34,7 +34,6 @@ from orbisim.diagnosis.findings import (
 )
 from orbisim.diagnosis.force_result import diagnose_forces
 from orbisim.diagnosis.force_search import ForceAttribution
-from orbisim.diagnosis.horizon import telling_window
 from orbisim.diagnosis.rest import learn_rest as learn
 from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.scoring import score
@@ -58,6 +57,7 @@ from orbisim.scene import Scene, load_scene
 from orbisim.sensing.faults import Sensed
 from orbisim.shooting.bench import Bench, Noise, make_bench
 from orbisim.shooting.cutting import touches, windows_enough
+from orbisim.shooting.horizon import telling_window
 
 Source = Recording | str | Path
 
@@ -85,7 +85,7 @@ def diagnose(
       held_out: measurements that no choice and no fit may see; kept back from `recordings` if None.
       window: duration of the windows of free-running simulation, s. If None, 0.5 s or, where that
         has fewer than 30 samples, as long as 60 samples take; longer where forces do not yet
-        outweigh what sensors do (`orbisim.diagnosis.horizon`).
+        outweigh what sensors do (`orbisim.shooting.horizon`).
       residual: what is explained: `motion`, the error of free runs over windows; or `force`, the
         generalized force that is missing along the measured motion by inverse dynamics. If None,
         the motion. Where all forces are known (torques, or controls of actuators without dynamics)

@@ -148,9 +148,9 @@ def told_of(
     if effect.stated or effect.structural or not own:
         return True
     neutral = {p.name: p.neutral for p in effect.parameters(model, instance.target)}
-    intervals = list(confidence(fit, list(map(str, range(len(fit.values)))), 0, independent).values())
+    intervals = confidence(fit, [str(k) for k in range(len(fit.values))], 0, independent)
     away = [neutral.get(free[k][1], 0.0) for k in own]
-    return told(fit, own, away, [intervals[k] for k in own])
+    return told(fit, own, away, [intervals[str(k)] for k in own])
 
 
 def independent_data(judged: Judged) -> float:

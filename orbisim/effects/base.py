@@ -291,8 +291,8 @@ class Effect(abc.ABC):
         return tuple(p.name for p in self.parameters(model, target))
 
     def sizes(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
-        """Of these, what says how much of the effect there is, instead of where or how: what has the
-        unit of the first parameter, or no parameter's; all if there is none."""
+        """Of these, what says how much of the effect there is, instead of where or how: what has
+        the unit of the first parameter, or no parameter's; all if there is none."""
         free = self.free_parameters(model, target)
         known = {p.name: p.unit for p in self.parameters(model, target)}
         first = next(iter(known.values()))

@@ -85,9 +85,9 @@ def _one(one: Samples, spread: Floats, scene: Scene, every: int) -> ForceResidua
 
 def _sharpened(one: Samples, model: mujoco.MjModel, place: Layout) -> None:
     """Has dry friction as large as a joint's forces reach its level at a slow speed where it would
-    not at the usual one: MuJoCo's inverse dynamics regularises it by the constraint's inverse weight
-    (mj_inverse: force = clip(D (b v + a)), D = d / ((1 - d) w)), so that a joint of next to no
-    declared inertia would show none.
+    not at the usual one: MuJoCo's inverse dynamics regularises it by the constraint's inverse
+    weight (mj_inverse: force = clip(D (b v + a)), D = d / ((1 - d) w)), so that a joint of next to
+    no declared inertia would show none.
     """
     usual, pushed = np.zeros(model.nv), np.zeros(model.nv)
     usual[place.v] = np.sqrt(np.nanmean(one.qvel[one.usable] ** 2, axis=0))

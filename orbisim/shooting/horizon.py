@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from orbisim.errors import InputError
 from orbisim.motion.samples import prepare_all
@@ -21,10 +22,13 @@ from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench, Noise, make_bench
 from orbisim.shooting.regress import normal_equations
 
+Floats = npt.NDArray[np.float64]
+
 
 def telling_window(scene: Scene, recordings: Sequence[Recording]) -> float:
-    """Duration of windows, s: the usual one, doubled as long as what the declared scene leaves of
-    it is less than `_OUTWEIGHS` times the noise and grows as only a force makes it grow."""
+    """Duration of windows, s: the usual one, doubled as long as what the declared scene leaves is
+    less than `_OUTWEIGHS` times the noise (root mean square of all windows), and grows in most as
+    only a force makes it grow."""
     window = usual_window(recordings)
     longest = max((float(one.time[-1] - one.time[0]) for one in recordings), default=0.0)
     if 2 * window > longest / _PARTS:
@@ -33,9 +37,9 @@ def telling_window(scene: Scene, recordings: Sequence[Recording]) -> float:
     if bench is None or bench.contacts:
         return window
     left, noise = _left(bench), bench.noise
-    while left < _OUTWEIGHS and 2 * window <= longest / _PARTS:
+    while np.sqrt(left.mean()) < _OUTWEIGHS and 2 * window <= longest / _PARTS:
         longer = _bench(scene, recordings, 2 * window, noise)
-        if longer is None or not _left(longer) > _GROWS * left:
+        if longer is None or not np.median(_left(longer)) > _GROWS**2 * np.median(left):
             break
         window, left = 2 * window, _left(longer)
     return window
@@ -46,7 +50,7 @@ _OUTWEIGHS = 10.0
 _GROWS = 2.0
 """Growth of what is left as a window doubles: that of a force is 4, less where it changes its sign;
 that of a wrong start or clock 2 at most."""
-_PARTS = 3
+_PARTS = 2
 """Windows that the longest recording has at least."""
 
 
@@ -60,7 +64,7 @@ def _bench(
         return None
 
 
-def _left(bench: Bench) -> float:
-    """What the declared scene leaves of windows, over the noise: median, starts fitted."""
+def _left(bench: Bench) -> Floats:
+    """[W]: mean squares of what the declared scene leaves, over the noise, starts fitted."""
     normals = normal_equations(bench.samples, bench.intervals, bench.windows, (), bench.noise)
-    return float(np.sqrt(np.median([one.square / max(one.count, 1) for one in normals])))
+    return np.array([one.square / max(one.count, 1) for one in normals])
