@@ -4,7 +4,8 @@
 
 Each measurement is a process of its own. All compile at the same time; when all are ready, or
 after `--patience`, one after the other measures: milliseconds by CUDA events, and the kernels of
-one call by torch's profiler; how many others were still compiling then stands beside. OUT/profile.json has what is finished, early and often; what fails has its error.
+one call by torch's profiler; how many others were still compiling then stands beside.
+OUT/profile.json has what is finished, early and often; what fails has its error.
 
 - tiles: `network.fused` alone, in several ways to cut it, by number of worlds, and its relative
   error against the same network in float32.

@@ -17,7 +17,7 @@ from orbisim_world_model.network.fused_kernels import layers_kernel, spread_kern
 from orbisim_world_model.network.inputs import Inputs, Outputs, Sizes
 from orbisim_world_model.network.objects import ObjectCentricNetwork
 from orbisim_world_model.network.tokens import TokenNetwork
-from orbisim_world_model.spread import MOST, MOST_GAIN, Spread
+from orbisim_world_model.spread import MOST, MOST_GAIN
 
 _MOST_TOKENS = 16
 """Of a world: as many rows as the smallest tile has."""
@@ -117,7 +117,6 @@ class FusedNetwork(TokenNetwork):
         )
         return found
 
-
     def _tile(self, worlds: int) -> Tile:
         """No larger than the network is."""
         layers, heads, width = self.sizes[:3]
@@ -135,7 +134,7 @@ class FusedSpread(nn.Module):
       sizes: of the features.
     """
 
-    def __init__(self, spread: Spread, sizes: Sizes) -> None:
+    def __init__(self, spread: Any, sizes: Sizes) -> None:
         super().__init__()
         weights, biases = _Packed(), _Packed()
         more = sizes.control + sizes.world, sizes.attributes + sizes.world
@@ -186,7 +185,7 @@ class FusedSpread(nn.Module):
         return found
 
 
-@torch.library.custom_op("orbisim::token_spread", mutates_args=())
+@torch.library.custom_op("orbisim::token_spread", mutates_args=())  # type: ignore[untyped-decorator]
 def _spread(
     robot: Tensor,
     objects: Tensor,
@@ -222,7 +221,7 @@ def _spread(
     return found
 
 
-@_spread.register_fake
+@_spread.register_fake  # type: ignore[untyped-decorator]
 def _(*given: Any) -> Tensor:
     return torch.empty_like(given[6])
 
@@ -237,6 +236,7 @@ class Exact(nn.Module):
 
     def __init__(self, values: Tensor) -> None:
         super().__init__()
+        self.values: Tensor
         self.register_buffer("values", values, persistent=False)
 
     def _apply(self, function: Any, recurse: bool = True) -> Exact:
@@ -244,7 +244,7 @@ class Exact(nn.Module):
         return self
 
 
-@torch.library.custom_op("orbisim::token_scales", mutates_args=())
+@torch.library.custom_op("orbisim::token_scales", mutates_args=())  # type: ignore[untyped-decorator]
 def _scales(
     attributes: Tensor,
     setting: Tensor,
@@ -274,14 +274,14 @@ def _scales(
     return found
 
 
-@_scales.register_fake
+@_scales.register_fake  # type: ignore[untyped-decorator]
 def _(attributes: Tensor, *rest: Any) -> Tensor:
     layers, _, width = rest[3][:3]
     shape = (*attributes.shape[:2], layers * 4 * width)
     return attributes.new_empty(shape, dtype=torch.float16)
 
 
-@torch.library.custom_op("orbisim::token_network", mutates_args=())
+@torch.library.custom_op("orbisim::token_network", mutates_args=())  # type: ignore[untyped-decorator]
 def _network(
     robot: Tensor,
     objects: Tensor,
@@ -342,7 +342,7 @@ def _network(
     return found, moved
 
 
-@_network.register_fake
+@_network.register_fake  # type: ignore[untyped-decorator]
 def _(robot: Tensor, objects: Tensor, *rest: Any) -> tuple[Tensor, Tensor]:
     robot_out, object_out = rest[6][3:]
     single = {"dtype": torch.float32}
@@ -370,14 +370,12 @@ class _Packed:
         return torch.cat(self.parts)
 
 
-def _pack(
-    network: ObjectCentricNetwork, blocks: list[Block], weights: _Packed, biases: _Packed
-) -> tuple[int, int]:
+def _pack(network: Any, blocks: list[Any], weights: _Packed, biases: _Packed) -> tuple[int, int]:
     """Everything in the order in which the kernels read it; gives the numbers of outputs.
 
-    Groups: features of pairs, encoder of the robot, of objects, condition of the robot, of
-    objects, AdaLN of all layers, each layer, transition, decoder of the robot, of objects. Matrices have a row for each input; sides are filled up with zeros to
-    powers of two, of at least 16.
+    Groups: features of pairs, encoder of the robot, of objects, condition of the robot, of objects,
+    AdaLN of all layers, each layer, transition, decoder of the robot, of objects. Matrices have a
+    row for each input; sides are filled up with zeros to powers of two, of at least 16.
     """
 
     def perceptron(first: nn.Linear, second: nn.Linear) -> None:
@@ -401,7 +399,8 @@ def _pack(
     edge = network.f_cp.edge
     begin()
     perceptron(edge[0], edge[2])
-    for encoder, start in zip((network.f_enc.robot, network.f_enc.objects), network.start):
+    encoders = network.f_enc.robot, network.f_enc.objects
+    for encoder, start in zip(encoders, network.start[:2], strict=True):
         begin()
         layers = encoder_of(encoder, start)
         perceptron(layers[0], layers[2])
@@ -427,7 +426,7 @@ def _pack(
     return network.f_dec.robot[2].out_features, network.f_dec.objects[2].out_features
 
 
-def _pack_block(block: Block, weights: _Packed, biases: _Packed) -> None:
+def _pack_block(block: Any, weights: _Packed, biases: _Packed) -> None:
     width = block.qkv.in_features
     scale = torch.ones(3 * width)
     scale[:width] = (width // block.heads) ** -0.5  # of scores
