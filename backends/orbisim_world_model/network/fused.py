@@ -6,11 +6,13 @@ and reads them some ten times. Here they stay in registers (see `fused_kernels`)
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
+from orbisim_world_model.graphs import Graphed
 from orbisim_world_model.network.coupling import PAIR, Block
 from orbisim_world_model.network.folded import encoder_of, stacked, transition_of
 from orbisim_world_model.network.fused_kernels import layers_kernel, spread_kernel, tokens_kernel
@@ -21,6 +23,8 @@ from orbisim_world_model.spread import MOST, MOST_GAIN
 
 _MOST_TOKENS = 16
 """Of a world: as many rows as the smallest tile has."""
+_SMALL = 512
+"""Worlds up to which small tiles keep more of the GPU busy."""
 _ROWS, _CHUNK = 64, 64
 """Of the kernel that makes tokens."""
 _SPREAD_ROWS = 64
@@ -46,12 +50,25 @@ class Tile(NamedTuple):
     stages: int
 
 
+_FEW = (
+    Tile(16, 64, 128, 128, 4, 3),
+    Tile(16, 128, 128, 128, 8, 3),
+    Tile(16, 128, 128, 128, 4, 2),
+)
+_MANY = (
+    Tile(128, 64, 64, 2048, 8, 3),
+    Tile(64, 64, 64, 2048, 4, 3),
+    Tile(64, 32, 64, 2048, 4, 3),
+    Tile(128, 32, 64, 2048, 8, 3),
+)
+
+
 class FusedNetwork(TokenNetwork):
     """Equation RSSM with the weights of a trained network.
 
     Args:
       network: one that `suits`; it is not changed.
-      tile: None for the one that suits the number of worlds.
+      tile: None for the one that is fastest (see `tune`).
     """
 
     def __init__(self, network: ObjectCentricNetwork, tile: Tile | None = None) -> None:
@@ -62,6 +79,7 @@ class FusedNetwork(TokenNetwork):
         self.part_condition = None
         blocks = [block for block in network.f_cp.blocks if isinstance(block, Block)]
         self.tile = tile
+        self.tiles: dict[int, Tile] = {}  # by number of worlds, what `tune` chose
         weights, biases = _Packed(), _Packed()
         outputs = _pack(network, blocks, weights, biases)
         self.sizes = [len(blocks), blocks[0].heads, self.start.shape[1], *outputs]
@@ -117,13 +135,44 @@ class FusedNetwork(TokenNetwork):
         )
         return found
 
+    @torch.no_grad()  # type: ignore[untyped-decorator]
+    def tune(self, inputs: Inputs, memory: Tensor) -> None:
+        """Measures which tile is fastest for these inputs' number of worlds, once, on a GPU."""
+        worlds = len(inputs.robot)
+        if self.tile is not None or worlds in self.tiles or not inputs.robot.is_cuda:
+            return
+        times = {}
+        for tile in candidates(worlds):
+            self.tiles[worlds] = tile
+            try:
+                # as a graph: alone, launching takes longer than a few worlds' step
+                run = Graphed(lambda: self(inputs, memory), lambda: None, True)
+                times[tile] = _milliseconds(run)
+            except Exception:  # too large for this GPU
+                torch.cuda.synchronize()
+        self.tiles.pop(worlds)
+        if times:
+            self.tiles[worlds] = min(times, key=lambda tile: times[tile])
+
     def _tile(self, worlds: int) -> Tile:
         """No larger than the network is."""
         layers, heads, width = self.sizes[:3]
-        tile = self.tile or chosen_tile(worlds)
+        tile = self.tile or self.tiles.get(worlds) or candidates(worlds)[0]
         part = max(min(tile.part, width), width // heads)
         columns = min(tile.columns, layers * 4 * width)
         return tile._replace(chunk=min(tile.chunk, width), part=part, columns=columns)
+
+
+def _milliseconds(run: Callable[[], Any], repeats: int = 10) -> float:
+    """Of a call on the GPU, after two that compile and warm up."""
+    begin, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
+    for number in range(repeats + 2):
+        if number == 2:
+            begin.record()
+        run()
+    end.record()
+    torch.cuda.synchronize()
+    return float(begin.elapsed_time(end)) / repeats
 
 
 class FusedSpread(nn.Module):
@@ -226,9 +275,9 @@ def _(*given: Any) -> Tensor:
     return torch.empty_like(given[6])
 
 
-def chosen_tile(worlds: int) -> Tile:
-    """What was fastest for a number of worlds."""
-    return Tile(16, 64, 128, 128, 4, 3) if worlds <= 512 else Tile(128, 64, 64, 2048, 8, 3)
+def candidates(worlds: int) -> tuple[Tile, ...]:
+    """Tiles to choose from for a number of worlds; the first, where nothing is measured."""
+    return _FEW if worlds <= _SMALL else _MANY
 
 
 class Exact(nn.Module):
