@@ -4,7 +4,8 @@
 
 Each measurement is a process of its own. All compile at the same time; when all are ready, or
 after `--patience`, one after the other measures: milliseconds by CUDA events, and the kernels of
-one call by torch's profiler; how many others were still compiling then stands beside. OUT/profile.json has what is finished, early and often; what fails has its error.
+one call by torch's profiler; how many others were still compiling then stands beside.
+OUT/profile.json has what is finished, early and often; what fails has its error.
 
 - tiles: `network.fused` alone, in several ways to cut it, by number of worlds, and its relative
   error against the same network in float32.
@@ -42,14 +43,14 @@ FEW, MANY, HALF = "16,64,128,128,4,3", "128,64,64,2048,8,3", "64,64,64,2048,4,3"
 SIZES = (1, 4096, 65536)
 JOBS = {
     "step": [
-        *(f"step:kernels/{more}:65536" for more in (MANY, HALF, f"{MANY}/shared", "joined")),
-        "step:kernels/128,32,64,2048,8,3:65536",
+        *(f"step:kernels{more}:65536" for more in ("/shared", "", "/joined/shared")),
+        *(f"step:kernels{more}:1" for more in ("", "/joined")),
+        "step:kernels/shared:8192",
+        "step:kernels/shared:4096",
         "step:compiled:65536",
-        *(f"step:kernels:{n}" for n in (8192, 4096)),
-        *(f"step:kernels{more}:1" for more in ("", "/joined", "/joined/16,128,128,128,8,3")),
         "step:compiled:1",
     ],
-    "tiles": [f"tile:{tile}" for tile in (MANY, FEW)],
+    "tiles": [f"tile:{tile}" for tile in (MANY, HALF, FEW)],
     "environment": [f"environment:{n}" for n in (65536, 16384, 4096)],
     "rollout": ["rollout:65536"],
     "gradient": [f"gradient:{kind}:{n}" for n in (1, 1024) for kind in ("fused", "joined")],
@@ -214,7 +215,8 @@ def step(rest: str, options: Any) -> Measure:
         whole = _milliseconds(functools.partial(stepper, *inputs))
         rate = int(worlds) / ms * 1e3
         found = {"ms": ms, "with_copies_ms": whole, "control_steps_per_s": rate, "apart": apart}
-        found["kernels_used"] = stepper._kernels is not None
+        network = getattr(stepper._kernels, "network", None)
+        found["tiles"] = {n: list(t) for n, t in network.tiles.items()} if network else None
         return {**found, "compiled": slot.compiled, "kernels": _kernels(slot.run)}
 
     return measure

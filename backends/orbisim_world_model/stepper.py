@@ -169,6 +169,7 @@ class Stepper:
                 model = self._many
             step = plain_step(model) if compiler is None else compiled_step(model, compiler)
             try:
+                model.tune(*given)
                 with torch._dynamo.config.patch(recompile_limit=_RECOMPILATIONS):
                     step(*given)
                 if self.device.type == "cuda":  # what fails on the device fails here

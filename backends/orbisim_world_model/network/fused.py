@@ -6,21 +6,25 @@ and reads them some ten times. Here they stay in registers (see `fused_kernels`)
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
+from orbisim_world_model.graphs import Graphed
 from orbisim_world_model.network.coupling import PAIR, Block
 from orbisim_world_model.network.folded import encoder_of, stacked, transition_of
 from orbisim_world_model.network.fused_kernels import layers_kernel, spread_kernel, tokens_kernel
 from orbisim_world_model.network.inputs import Inputs, Outputs, Sizes
 from orbisim_world_model.network.objects import ObjectCentricNetwork
 from orbisim_world_model.network.tokens import TokenNetwork
-from orbisim_world_model.spread import MOST, MOST_GAIN, Spread
+from orbisim_world_model.spread import MOST, MOST_GAIN
 
 _MOST_TOKENS = 16
 """Of a world: as many rows as the smallest tile has."""
+_SMALL = 512
+"""Worlds up to which small tiles keep more of the GPU busy."""
 _ROWS, _CHUNK = 64, 64
 """Of the kernel that makes tokens."""
 _SPREAD_ROWS = 64
@@ -46,12 +50,25 @@ class Tile(NamedTuple):
     stages: int
 
 
+_FEW = (
+    Tile(16, 64, 128, 128, 4, 3),
+    Tile(16, 128, 128, 128, 8, 3),
+    Tile(16, 128, 128, 128, 4, 2),
+)
+_MANY = (
+    Tile(128, 64, 64, 2048, 8, 3),
+    Tile(64, 64, 64, 2048, 4, 3),
+    Tile(64, 32, 64, 2048, 4, 3),
+    Tile(128, 32, 64, 2048, 8, 3),
+)
+
+
 class FusedNetwork(TokenNetwork):
     """Equation RSSM with the weights of a trained network.
 
     Args:
       network: one that `suits`; it is not changed.
-      tile: None for the one that suits the number of worlds.
+      tile: None for the one that is fastest (see `tune`).
     """
 
     def __init__(self, network: ObjectCentricNetwork, tile: Tile | None = None) -> None:
@@ -62,6 +79,7 @@ class FusedNetwork(TokenNetwork):
         self.part_condition = None
         blocks = [block for block in network.f_cp.blocks if isinstance(block, Block)]
         self.tile = tile
+        self.tiles: dict[int, Tile] = {}  # by number of worlds, what `tune` chose
         weights, biases = _Packed(), _Packed()
         outputs = _pack(network, blocks, weights, biases)
         self.sizes = [len(blocks), blocks[0].heads, self.start.shape[1], *outputs]
@@ -117,14 +135,44 @@ class FusedNetwork(TokenNetwork):
         )
         return found
 
+    @torch.no_grad()  # type: ignore[untyped-decorator]
+    def tune(self, inputs: Inputs, memory: Tensor) -> None:
+        """Measures which tile is fastest for these inputs' number of worlds, once, on a GPU."""
+        worlds = len(inputs.robot)
+        if self.tile is not None or worlds in self.tiles or not inputs.robot.is_cuda:
+            return
+        times = {}
+        for tile in candidates(worlds):
+            self.tiles[worlds] = tile
+            try:
+                # as a graph: alone, launching takes longer than a few worlds' step
+                run = Graphed(lambda: self(inputs, memory), lambda: None, True)
+                times[tile] = _milliseconds(run)
+            except Exception:  # too large for this GPU
+                torch.cuda.synchronize()
+        self.tiles.pop(worlds)
+        if times:
+            self.tiles[worlds] = min(times, key=lambda tile: times[tile])
 
     def _tile(self, worlds: int) -> Tile:
         """No larger than the network is."""
         layers, heads, width = self.sizes[:3]
-        tile = self.tile or chosen_tile(worlds)
+        tile = self.tile or self.tiles.get(worlds) or candidates(worlds)[0]
         part = max(min(tile.part, width), width // heads)
         columns = min(tile.columns, layers * 4 * width)
         return tile._replace(chunk=min(tile.chunk, width), part=part, columns=columns)
+
+
+def _milliseconds(run: Callable[[], Any], repeats: int = 10) -> float:
+    """Of a call on the GPU, after two that compile and warm up."""
+    begin, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
+    for number in range(repeats + 2):
+        if number == 2:
+            begin.record()
+        run()
+    end.record()
+    torch.cuda.synchronize()
+    return float(begin.elapsed_time(end)) / repeats
 
 
 class FusedSpread(nn.Module):
@@ -135,7 +183,7 @@ class FusedSpread(nn.Module):
       sizes: of the features.
     """
 
-    def __init__(self, spread: Spread, sizes: Sizes) -> None:
+    def __init__(self, spread: Any, sizes: Sizes) -> None:
         super().__init__()
         weights, biases = _Packed(), _Packed()
         more = sizes.control + sizes.world, sizes.attributes + sizes.world
@@ -186,7 +234,7 @@ class FusedSpread(nn.Module):
         return found
 
 
-@torch.library.custom_op("orbisim::token_spread", mutates_args=())
+@torch.library.custom_op("orbisim::token_spread", mutates_args=())  # type: ignore[untyped-decorator]
 def _spread(
     robot: Tensor,
     objects: Tensor,
@@ -222,14 +270,14 @@ def _spread(
     return found
 
 
-@_spread.register_fake
+@_spread.register_fake  # type: ignore[untyped-decorator]
 def _(*given: Any) -> Tensor:
     return torch.empty_like(given[6])
 
 
-def chosen_tile(worlds: int) -> Tile:
-    """What was fastest for a number of worlds."""
-    return Tile(16, 64, 128, 128, 4, 3) if worlds <= 512 else Tile(128, 64, 64, 2048, 8, 3)
+def candidates(worlds: int) -> tuple[Tile, ...]:
+    """Tiles to choose from for a number of worlds; the first, where nothing is measured."""
+    return _FEW if worlds <= _SMALL else _MANY
 
 
 class Exact(nn.Module):
@@ -237,6 +285,7 @@ class Exact(nn.Module):
 
     def __init__(self, values: Tensor) -> None:
         super().__init__()
+        self.values: Tensor
         self.register_buffer("values", values, persistent=False)
 
     def _apply(self, function: Any, recurse: bool = True) -> Exact:
@@ -244,7 +293,7 @@ class Exact(nn.Module):
         return self
 
 
-@torch.library.custom_op("orbisim::token_scales", mutates_args=())
+@torch.library.custom_op("orbisim::token_scales", mutates_args=())  # type: ignore[untyped-decorator]
 def _scales(
     attributes: Tensor,
     setting: Tensor,
@@ -274,14 +323,14 @@ def _scales(
     return found
 
 
-@_scales.register_fake
+@_scales.register_fake  # type: ignore[untyped-decorator]
 def _(attributes: Tensor, *rest: Any) -> Tensor:
     layers, _, width = rest[3][:3]
     shape = (*attributes.shape[:2], layers * 4 * width)
     return attributes.new_empty(shape, dtype=torch.float16)
 
 
-@torch.library.custom_op("orbisim::token_network", mutates_args=())
+@torch.library.custom_op("orbisim::token_network", mutates_args=())  # type: ignore[untyped-decorator]
 def _network(
     robot: Tensor,
     objects: Tensor,
@@ -342,7 +391,7 @@ def _network(
     return found, moved
 
 
-@_network.register_fake
+@_network.register_fake  # type: ignore[untyped-decorator]
 def _(robot: Tensor, objects: Tensor, *rest: Any) -> tuple[Tensor, Tensor]:
     robot_out, object_out = rest[6][3:]
     single = {"dtype": torch.float32}
@@ -370,14 +419,12 @@ class _Packed:
         return torch.cat(self.parts)
 
 
-def _pack(
-    network: ObjectCentricNetwork, blocks: list[Block], weights: _Packed, biases: _Packed
-) -> tuple[int, int]:
+def _pack(network: Any, blocks: list[Any], weights: _Packed, biases: _Packed) -> tuple[int, int]:
     """Everything in the order in which the kernels read it; gives the numbers of outputs.
 
-    Groups: features of pairs, encoder of the robot, of objects, condition of the robot, of
-    objects, AdaLN of all layers, each layer, transition, decoder of the robot, of objects. Matrices have a row for each input; sides are filled up with zeros to
-    powers of two, of at least 16.
+    Groups: features of pairs, encoder of the robot, of objects, condition of the robot, of objects,
+    AdaLN of all layers, each layer, transition, decoder of the robot, of objects. Matrices have a
+    row for each input; sides are filled up with zeros to powers of two, of at least 16.
     """
 
     def perceptron(first: nn.Linear, second: nn.Linear) -> None:
@@ -401,7 +448,8 @@ def _pack(
     edge = network.f_cp.edge
     begin()
     perceptron(edge[0], edge[2])
-    for encoder, start in zip((network.f_enc.robot, network.f_enc.objects), network.start):
+    encoders = network.f_enc.robot, network.f_enc.objects
+    for encoder, start in zip(encoders, network.start[:2], strict=True):
         begin()
         layers = encoder_of(encoder, start)
         perceptron(layers[0], layers[2])
@@ -427,7 +475,7 @@ def _pack(
     return network.f_dec.robot[2].out_features, network.f_dec.objects[2].out_features
 
 
-def _pack_block(block: Block, weights: _Packed, biases: _Packed) -> None:
+def _pack_block(block: Any, weights: _Packed, biases: _Packed) -> None:
     width = block.qkv.in_features
     scale = torch.ones(3 * width)
     scale[:width] = (width // block.heads) ** -0.5  # of scores

@@ -1,3 +1,5 @@
+# mypy: ignore-errors
+# Triton compiles kernels from their source; their annotations are not types.
 """The kernels of `network.fused`, in Triton: needs a GPU with tensor cores, or TRITON_INTERPRET=1.
 
 A row is a token of a world; a program of `layers_kernel` has M rows, whole worlds, and keeps them
@@ -15,19 +17,19 @@ _EPSILON = tl.constexpr(1e-5)  # of torch's layer_norm
 
 
 @triton.jit
-def _normed(z, W: tl.constexpr):  # type: ignore[no-untyped-def]
+def _normed(z, W: tl.constexpr):
     """Layer norm of rows [M, W] without scale and shift."""
     off = z - (tl.sum(z, 1) / W)[:, None]
     return off * tl.rsqrt(tl.sum(off * off, 1) / W + _EPSILON)[:, None]
 
 
 @triton.jit
-def _silu(x):  # type: ignore[no-untyped-def]
+def _silu(x):
     return x * tl.sigmoid(x)
 
 
 @triton.jit
-def _rows(base, rows, ok, stride, size, SPACE: tl.constexpr):  # type: ignore[no-untyped-def]
+def _rows(base, rows, ok, stride, size, SPACE: tl.constexpr):
     """[M, SPACE] of rows of `size` numbers, zeros beyond them."""
     at = tl.arange(0, SPACE)
     mask = ok[:, None] & (at < size)[None, :]
@@ -36,7 +38,7 @@ def _rows(base, rows, ok, stride, size, SPACE: tl.constexpr):  # type: ignore[no
 
 @triton.jit
 def _beside(own, row, world, ok, OWN: tl.constexpr, setting, SETTING: tl.constexpr,
-            SPACE: tl.constexpr):  # type: ignore[no-untyped-def]  # fmt: skip
+            SPACE: tl.constexpr):  # fmt: skip
     """[M, SPACE]: a row's own numbers and then its world's, zeros beyond them."""
     at = tl.arange(0, SPACE)[None, :]
     mine = ok[:, None] & (at < OWN)
@@ -47,21 +49,21 @@ def _beside(own, row, world, ok, OWN: tl.constexpr, setting, SETTING: tl.constex
 
 
 @triton.jit
-def _weight(base, first, step, ROWS: tl.constexpr, COLUMNS: tl.constexpr):  # type: ignore[no-untyped-def]
+def _weight(base, first, step, ROWS: tl.constexpr, COLUMNS: tl.constexpr):
     """[ROWS, COLUMNS] of a matrix with `step` numbers a row, from element `first` on."""
     at = tl.arange(0, ROWS)[:, None] * step + tl.arange(0, COLUMNS)[None, :]
     return tl.load(base + first + at)
 
 
 @triton.jit
-def _vector(base, first, SIZE: tl.constexpr):  # type: ignore[no-untyped-def]
+def _vector(base, first, SIZE: tl.constexpr):
     """[1, SIZE]."""
     return tl.load(base + first + tl.arange(0, SIZE))[None, :]
 
 
 @triton.jit
 def _hidden(x, acc, weights, biases, IN: tl.constexpr, OUT: tl.constexpr, HIDDEN: tl.constexpr,
-            CHUNK: tl.constexpr, AT: tl.constexpr, AT_BIAS: tl.constexpr):  # type: ignore[no-untyped-def]  # fmt: skip
+            CHUNK: tl.constexpr, AT: tl.constexpr, AT_BIAS: tl.constexpr):  # fmt: skip
     """acc + W2 silu(W1 x + b1) + b2, hidden numbers in chunks."""
     for c in tl.range(0, HIDDEN, CHUNK):
         first = _weight(weights, AT + c, HIDDEN, IN, CHUNK)
@@ -74,7 +76,8 @@ def _hidden(x, acc, weights, biases, IN: tl.constexpr, OUT: tl.constexpr, HIDDEN
 @triton.jit
 def _scales(x, to, row, ok, first, weights, biases, SPACE: tl.constexpr, W: tl.constexpr,
             ALL: tl.constexpr, COLUMNS: tl.constexpr, CHUNK: tl.constexpr, AT: tl.constexpr,
-            AT_BIAS: tl.constexpr, AT_ALL: tl.constexpr, AT_ALL_BIAS: tl.constexpr, M: tl.constexpr):  # type: ignore[no-untyped-def]  # fmt: skip
+            AT_BIAS: tl.constexpr, AT_ALL: tl.constexpr, AT_ALL_BIAS: tl.constexpr,
+            M: tl.constexpr):  # fmt: skip
     """Scales and shifts of AdaLN, columns from `first` on, of tokens with the descriptors x."""
     c = tl.zeros((M, W), tl.float32)
     c = _silu(_hidden(x, c, weights, biases, SPACE, W, W, CHUNK, AT, AT_BIAS)).to(tl.float16)
@@ -94,7 +97,7 @@ def tokens_kernel(robot, objects, edges, control, attributes, setting, tokens, p
                   EDGE_SPACE: tl.constexpr, EDGE_HIDDEN: tl.constexpr, CONTROL: tl.constexpr,
                   ATTRIBUTES: tl.constexpr, SETTING: tl.constexpr, COMMAND_SPACE: tl.constexpr,
                   DESCRIBED_SPACE: tl.constexpr, AT: tl.constexpr, AT_BIAS: tl.constexpr,
-                  COLUMNS: tl.constexpr, CHUNK: tl.constexpr, FIRST: tl.constexpr, M: tl.constexpr):  # type: ignore[no-untyped-def]  # fmt: skip
+                  COLUMNS: tl.constexpr, CHUNK: tl.constexpr, FIRST: tl.constexpr, M: tl.constexpr):  # fmt: skip
     """z_t = f_enc and the AdaLN of robots and objects, and the features of pairs.
 
     Axis 1 of the grid, counted from `FIRST`: 0 pairs, 1 robots, 2 objects, then as many programs
@@ -119,9 +122,7 @@ def tokens_kernel(robot, objects, edges, control, attributes, setting, tokens, p
         ok = at < worlds * (K * K)
         x = _rows(edges, at, ok, EDGE, EDGE, EDGE_SPACE).to(tl.float16)
         z = tl.zeros((M, PAIR), tl.float32)
-        z = _hidden(
-            x, z, weights, biases, EDGE_SPACE, PAIR, EDGE_HIDDEN, CHUNK, AT[0], AT_BIAS[0]
-        )
+        z = _hidden(x, z, weights, biases, EDGE_SPACE, PAIR, EDGE_HIDDEN, CHUNK, AT[0], AT_BIAS[0])
         where = pairs + at[:, None] * PAIR + tl.arange(0, PAIR)[None, :]
         tl.store(where, _silu(z).to(tl.float16), mask=ok[:, None])
     elif (kind == 1) & (first < worlds * HAS_ROBOT):
@@ -150,7 +151,8 @@ def tokens_kernel(robot, objects, edges, control, attributes, setting, tokens, p
         ok = at < worlds * N
         x = _beside(attributes, at, at // N, ok, ATTRIBUTES, setting, SETTING, DESCRIBED_SPACE)
         _scales(x, object_scales, at, ok, (kind - 3 - SPLIT) * COLUMNS, weights, biases,
-                DESCRIBED_SPACE, W, ALL, COLUMNS, CHUNK, AT[4], AT_BIAS[4], AT[5], AT_BIAS[5], M)  # fmt: skip
+                DESCRIBED_SPACE, W, ALL, COLUMNS, CHUNK, AT[4], AT_BIAS[4], AT[5], AT_BIAS[5],
+                M)  # fmt: skip
 
 
 @triton.jit(do_not_specialize=["worlds", "scales_step"])
@@ -160,7 +162,7 @@ def layers_kernel(tokens, pairs, robot_scales, object_scales, scales_step, weigh
                   HEADS: tl.constexpr, MIX: tl.constexpr, PAIR: tl.constexpr,
                   ROBOT_OUT: tl.constexpr, ROBOT_SPACE: tl.constexpr, OBJECT_OUT: tl.constexpr,
                   OBJECT_SPACE: tl.constexpr, AT: tl.constexpr, AT_BIAS: tl.constexpr,
-                  CHUNK: tl.constexpr, PART: tl.constexpr, M: tl.constexpr):  # type: ignore[no-untyped-def]  # fmt: skip
+                  CHUNK: tl.constexpr, PART: tl.constexpr, M: tl.constexpr):  # fmt: skip
     """f_cp, f_tra and f_dec of M // K worlds.
 
     Args:
@@ -270,7 +272,7 @@ def spread_kernel(robot, objects, edges, control, attributes, setting, variance,
                   EDGE: tl.constexpr, EDGE_SPACE: tl.constexpr, CONTROL: tl.constexpr,
                   ATTRIBUTES: tl.constexpr, SETTING: tl.constexpr, COMMAND_SPACE: tl.constexpr,
                   DESCRIBED_SPACE: tl.constexpr, MOST_GAIN: tl.constexpr, MOST: tl.constexpr,
-                  AT: tl.constexpr, AT_BIAS: tl.constexpr, NARROW: tl.constexpr, M: tl.constexpr):  # type: ignore[no-untyped-def]  # fmt: skip
+                  AT: tl.constexpr, AT_BIAS: tl.constexpr, NARROW: tl.constexpr, M: tl.constexpr):  # fmt: skip
     """`spread.Spread` for M // K worlds: a row is a token.
 
     Args:

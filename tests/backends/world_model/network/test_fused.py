@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 import torch
-
 from orbisim_world_model.dynamics import Dynamics, example
 from orbisim_world_model.entities import Context
 from orbisim_world_model.network.inputs import Inputs
