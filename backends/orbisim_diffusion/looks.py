@@ -165,13 +165,13 @@ class Wardrobe:
             places[i] = [read.places[t, slot]]
         found = self.refiner.first(frame, read.joints[t], places)
         looks = [self._unseen(i) for i in range(len(self.declared))]
-        for _ in range(_ROUNDS):
+        for k in range(_ROUNDS):
             for i, pose in enumerate(found.objects):
                 if pose.seen:
                     if self.colours:
                         looks[i] = self._shaded(frame, found, i, looks[i])
                     if self.sizes:
-                        found, looks[i] = self._grown(frame, found, i, looks[i])
+                        found, looks[i] = self._grown(frame, found, i, looks[i], wide=not k)
         # poses once more with the looks that were found
         places = [[pose.qpos] for pose in found.objects]
         joints = found.qpos[self.refiner.scalar.qpos]
@@ -245,9 +245,12 @@ class Wardrobe:
         return look._replace(colour=colour, colour_std=std)
 
     def _grown(
-        self, frame: npt.NDArray[np.uint8], found: Frame, number: int, look: Look
+        self, frame: npt.NDArray[np.uint8], found: Frame, number: int, look: Look, wide: bool
     ) -> tuple[Frame, Look]:
-        """One body's pose and scale together, the rest as it is."""
+        """One body's pose and scale together, the rest as it is.
+
+        `wide`: whether they may be pixels off.
+        """
         refiner, body = self.refiner, self.refiner.bodies[number]
         model, place = refiner.model, found.objects[number].qpos
         geoms = refiner.shown([i for i, pose in enumerate(found.objects) if pose.seen])
@@ -274,7 +277,7 @@ class Wardrobe:
             prior=np.diag([0.0] * count + [_SCALE**-2.0]),
             geoms=geoms,
             steps=_STEPS,
-            wide=False,
+            wide=wide,
         )
         qpos, grown = result.qpos[0, : model.nq], float(np.exp(result.qpos[0, model.nq]))
         declared, half = self.declared[number].half, grown * body.half
