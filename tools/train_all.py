@@ -118,6 +118,12 @@ _TAIL = (
 """After that: rollouts of a whole episode, gradients cut every 25 steps, at a low rate."""
 _CUBES = (("train.stages", "0.35x1x8192,0.4x8x2048ar,0.25x24x1024arf"),)
 """Larger batches than usual: they are halved between the two robots."""
+_ONE = (
+    ("model.rest", True),
+    ("train.rate", 5e-4),
+    ("train.stages", "0.35x8x1024arf,0.65x32x1024arf"),
+)
+"""After `cubes`: two more tasks in one model, and longer rollouts."""
 _SUITE_SETTINGS = {
     "acrobot": _SMOOTH,
     "finger": _SMOOTH,
@@ -125,6 +131,12 @@ _SUITE_SETTINGS = {
 }
 _SUITE_WEIGHTS = {"acrobot": 3.0, "finger": 3.0, "cheetah": 5.0, "hopper": 3.0, "walker": 6.0}
 _MECHANISMS = tuple(f"mechanism_{f}" for f in MECHANISMS if f not in HELD_OUT_MECHANISMS)
+_PARTS = (
+    ("model.layers", 2),
+    ("train.noise", 0.01),
+    ("train.stages", "0.2x1x512,0.25x8x512ar,0.35x32x512arf,0.2x96x512arf/24"),
+)
+"""One batch size for all stages, so that torch compiles the losses once."""
 _SMALL_PARTS = (
     ("model.width", 48),
     ("model.heads", 3),
@@ -175,7 +187,13 @@ JOBS: dict[str, Job] = {
         ("push", "push_hold", "push_more", "push_long"), settings=_TAIL, weight=6.0, start="push"
     ),
     "cubes": Job(("push_cubes", "pick_and_place"), settings=_CUBES, weight=6.0),
-    "tabletop": Job(("push_cubes", "pick_and_place", "stack"), settings=_CONTACTS, weight=6.0),
+    "tabletop": Job(
+        ("push", "push_cubes", "pick_and_place", "stack"),
+        settings=_ONE,
+        weight=6.0,
+        horizons=(10, 100),
+        start="cubes",
+    ),
     "ball": Job(("ball", "ball_many"), settings=_EXACT, weight=4.0, horizons=(10, 20, 36), burn=0),
     "ball_500": Job(("ball",), settings=_EXACT, weight=2.0, horizons=(10, 20, 36), burn=0),
     "toss": Job(("toss",), settings=_SMALL, weight=4.0, burn=0),
@@ -191,7 +209,7 @@ JOBS: dict[str, Job] = {
     },
     **{
         name.replace("parts", "mechanisms"): Job(
-            _MECHANISMS, name, weight=4.0, horizons=(10, 100, 300), burn=0
+            _MECHANISMS, name, _PARTS, weight=4.0, horizons=(10, 100, 300), burn=0
         )
         for name in ("parts", "parts_no_memory", "parts_no_geometry", "parts_no_joints")
     },

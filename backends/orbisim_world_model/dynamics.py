@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import torch
@@ -173,6 +174,12 @@ class Dynamics(nn.Module):
         self.spread = Spread(self.sizes, width)
         return self
 
+    def with_rest(self) -> Dynamics:
+        """Also keeps boxes at rest (see `rest`), which needs no weights."""
+        self.config = dataclasses.replace(self.config, rest=True)
+        self.rest = Rest(self.layout) if Rest.suits(self.layout) else None
+        return self
+
     # -- one step ------------------------------------------------------------------------------
 
     def initial_memory(self, batch: int) -> Tensor:
@@ -313,7 +320,21 @@ class Dynamics(nn.Module):
             context.mask,
             contacts,
             **more,
+            scales=context.scales,
         )
+
+    def described(self, context: Context) -> Context:
+        """The same with what the network makes of descriptors alone, for steps that share them."""
+        if not hasattr(self.network, "scales"):
+            return context
+        dtype = self.network.start.dtype
+        seen = self.see_attributes(context.attributes), self.see_world(context.world)
+        return context._replace(scales=self.network.scales(*(part.to(dtype) for part in seen)))
+
+    def tune(self, x: Entities, memory: Tensor, control: Tensor, context: Context) -> None:
+        """Has a network that can be cut in several ways find the fastest for these worlds."""
+        if hasattr(self.network, "tune"):
+            self.network.tune(self._cast(self.inputs(x, control, context)), memory)
 
     def _geometry(self, x: Entities, context: Context) -> Geometry | None:
         if self.contacts is None or not self.config.boxes:

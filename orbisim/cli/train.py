@@ -400,7 +400,8 @@ _POLICY = "Example: orbisim train policy push --method apg --out policies/push -
 @click.option(
     "--backend",
     default=None,
-    help="What the policy learns in: learned or learned:PATH (apg), mujoco (all others).",
+    help="What the policy learns in: learned, learned:PATH or learned:NAME of the zoo (apg), "
+    "mujoco (all others).",
 )
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder to write to.")
 @click.option("--steps", type=click.IntRange(min=1), default=None, help="Iterations; env steps.")

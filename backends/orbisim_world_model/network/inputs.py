@@ -23,6 +23,7 @@ class Inputs(NamedTuple):
       parts: [B, P, H] of parts of mechanisms, part_attributes: [B, P, A], part_mask: [B, P] as
         `mask`; None without.
       known: of the limbs of articulated robots, in SI units; None without.
+      scales: of the objects' AdaLN, where they were computed beforehand (`fused`).
     """
 
     robot: Tensor
@@ -37,6 +38,7 @@ class Inputs(NamedTuple):
     part_attributes: Tensor | None = None
     part_mask: Tensor | None = None
     known: Known | None = None
+    scales: Tensor | None = None
 
     def flat(self) -> Tensor:
         """Everything in one vector [B, ...] for networks without tokens."""
