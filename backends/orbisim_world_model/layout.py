@@ -207,6 +207,13 @@ class Layout:
         qvel = torch.cat([x.v, free_v], dim=1)[:, index["to_qvel"]]
         return qpos, qvel, x.act
 
+    def among_joints(self, which: str, device: object) -> Tensor:
+        """Indices into `joints` of the `parts` or of the robot's `own`, on a device.
+
+        They stay there: nothing is copied from the host while a CUDA graph is recorded.
+        """
+        return self._indices(str(device))[which]
+
     def _indices(self, device: str) -> dict[str, Tensor]:
         return _indices(self, device)
 
@@ -224,6 +231,8 @@ def _indices(layout: Layout, device: str) -> dict[str, Tensor]:
         "quat": free_q[:, None] + np.arange(3, 7),
         "vel": free_v[:, None] + np.arange(3),
         "ang": free_v[:, None] + np.arange(3, 6),
+        "parts": np.asarray(layout.parts, int),
+        "own": np.asarray(layout.robot_joints, int),
         "to_qpos": np.argsort(all_q),
         "to_qvel": np.argsort(all_v),
     }

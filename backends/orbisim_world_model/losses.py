@@ -126,7 +126,7 @@ def scaled_state_loss(
     state (`extended=False`) its own entries alone, the hand's velocity among them. Errors below
     `beta` count quadratically. Parts of mechanisms are averaged like objects.
     """
-    mask, own = context.mask, list(layout.robot_joints)
+    mask = context.mask
     assert mask is not None
 
     def near(a: Tensor, b: Tensor) -> Tensor:
@@ -137,9 +137,10 @@ def scaled_state_loss(
         q, v = scales.q, scales.v
         if layout.parts:
             total = total + _part_loss(predicted, x, context, layout, scales.parts, beta)
+            own = layout.among_joints("own", q.device)
             q, v = q[own], v[own]
             predicted, x = (s._replace(q=s.q[:, own], v=s.v[:, own]) for s in (predicted, x))
-        if own:
+        if layout.robot_joints:
             total = total + near(predicted.q / q, x.q / q)
             total = total + near(predicted.v / v, x.v / v)
         if layout.na:
@@ -165,7 +166,7 @@ def _part_loss(
     predicted: Entities, x: Entities, context: Context, layout: Layout, scales: Tensor, beta: float
 ) -> Tensor:
     """[B]: of positions and velocities of the parts' joints, in units of their type's scale."""
-    parts = list(layout.parts)
+    parts = layout.among_joints("parts", x.q.device)
     scale = _by_type(scales, context, layout)  # [B, P, 2]
     given, found = (torch.stack([s.q[:, parts], s.v[:, parts]], dim=-1) for s in (x, predicted))
     each = smooth_l1_loss(found / scale, given / scale, reduction="none", beta=beta).sum(-1)
