@@ -68,7 +68,8 @@ def remove_unused(models: Sequence[Dynamics]) -> None:
     """Makes 0 what does not change the step of models without memory, in place.
 
     Their encoders see the same memory always, which becomes a bias, and their transition sees the
-    same token twice, whose weights are added up. A robot alone has nobody to ask and no objects.
+    same token twice, whose weights are added up. A robot alone has nobody to ask and no objects, one
+    made of limbs no token of its own.
 
     Args:
       models: one for each robot; parts that they share are the same modules.
@@ -76,7 +77,10 @@ def remove_unused(models: Sequence[Dynamics]) -> None:
     lead: ObjectCentricNetwork = models[0].network
     width = lead.start.shape[1]
     encoders = [(model.network.f_enc.robot, lead.start[0]) for model in models]
-    for layers, start in [*encoders, (lead.f_enc.objects, lead.start[1])]:
+    encoders.append((lead.f_enc.objects, lead.start[1]))
+    if lead.parts:
+        encoders.append((lead.f_enc.parts, lead.start[2]))
+    for layers, start in encoders:
         if layers is not None:
             first: Any = layers[0]
             first.bias += first.weight[:, :width] @ start
@@ -86,13 +90,15 @@ def remove_unused(models: Sequence[Dynamics]) -> None:
         first = lead.f_tra.layers[0]
         first.weight[:, width:] += first.weight[:, :width]
         first.weight[:, :width] = 0.0
-    if not lead.count:
+    if not lead.count and not lead.parts:
         for block in lead.f_cp.blocks:
             assert isinstance(block, Block)
             block.qkv.weight[: 2 * width] = 0.0
             block.qkv.bias[: 2 * width] = 0.0
-        for parameter in lead.object_condition.parameters():
-            parameter.zero_()
+    unused = [] if lead.count else [lead.object_condition]
+    unused += [m.network.robot_condition for m in models if not m.network.robot_token]
+    for parameter in (p for module in unused for p in module.parameters()):
+        parameter.zero_()
 
 
 def _nearest(networks: Sequence[nn.Module], bits: int) -> list[dict[str, Quantized]]:
