@@ -324,7 +324,7 @@ class Articulation(nn.Module):
         return Points(gap, normal, slopes, (gap < _FAR).to(gap.dtype), friction)
 
     def _may_touch(self, context: Context) -> Tensor:
-        """[B, P, P]: limbs that meet, of bodies that are not the same and not each other's parent."""
+        """[B, P, P]: limbs that meet, of bodies neither the same nor parent and child."""
         take = self.mechanics.column
         meets, body, parent = (take(context, n) for n in ("meets", "body", "parent_body"))
         apart = (body[:, :, None] != body[:, None]) & (parent[:, :, None] != body[:, None])

@@ -68,8 +68,8 @@ def remove_unused(models: Sequence[Dynamics]) -> None:
     """Makes 0 what does not change the step of models without memory, in place.
 
     Their encoders see the same memory always, which becomes a bias, and their transition sees the
-    same token twice, whose weights are added up. A robot alone has nobody to ask and no objects, one
-    made of limbs no token of its own.
+    same token twice, whose weights are added up. A robot alone has nobody to ask and no
+    objects, one made of limbs no token of its own.
 
     Args:
       models: one for each robot; parts that they share are the same modules.

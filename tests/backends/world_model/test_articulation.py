@@ -17,6 +17,7 @@ from orbisim_world_model.pack import Pack, grouped
 from orbisim_world_model.packing import as_limbs
 from orbisim_world_model.run import Run, train
 from orbisim_world_model.schedule import Clock
+from orbisim_world_model.shrinking import remove_unused
 from orbisim_world_model.trainer import Trainer, new_model
 
 from orbisim import load_scene, make_backend
@@ -169,6 +170,20 @@ def test_gradients_stay_finite(packs: list[Pack]) -> None:
         trainer.step()
     assert trainer.losses()["skipped"] == 0
     assert bool(torch.isfinite(trainer.optimizer.gradient).all())
+
+
+def test_what_limbs_do_not_use_can_be_left_out(packs: list[Pack]) -> None:
+    pack = packs[1]
+    model = new_model(pack, limbs_toy(), 0)
+    with torch.no_grad():
+        model.network.start.normal_()
+    x, context = pack.states(pack.start + 3), pack.context(torch.arange(pack.episodes))
+    given = x, pack.ctrl[pack.start + 3], context
+    before = model(given[0], model.initial_memory(len(x.q)), *given[1:]).state
+    remove_unused([model])
+    after = model(given[0], model.initial_memory(len(x.q)), *given[1:]).state
+    assert torch.allclose(before.v, after.v, atol=1e-4)
+    assert not any(bool(p.any()) for p in model.network.robot_condition.parameters())
 
 
 def test_scenes_with_objects_are_refused(packs: list[Pack]) -> None:
