@@ -427,7 +427,7 @@ def _pack(network: Any, blocks: list[Any], weights: _Packed, biases: _Packed) ->
     row for each input; sides are filled up with zeros to powers of two, of at least 16.
     """
 
-    def perceptron(first: nn.Linear, second: nn.Linear) -> None:
+    def perceptron(first: Any, second: Any) -> None:
         for layer in (first, second):
             inputs, outputs = _space(layer.in_features), _space(layer.out_features)
             matrix = torch.zeros(inputs, outputs)
@@ -451,7 +451,7 @@ def _pack(network: Any, blocks: list[Any], weights: _Packed, biases: _Packed) ->
     encoders = network.f_enc.robot, network.f_enc.objects
     for encoder, start in zip(encoders, network.start[:2], strict=True):
         begin()
-        layers = encoder_of(encoder, start)
+        layers: Any = encoder_of(encoder, start)
         perceptron(layers[0], layers[2])
         vectors(layers[3].weight, layers[3].bias)
     for condition in (network.robot_condition, network.object_condition):
@@ -466,9 +466,9 @@ def _pack(network: Any, blocks: list[Any], weights: _Packed, biases: _Packed) ->
         begin()
         _pack_block(block, weights, biases)
     begin()
-    norm, layers = network.f_cp.norm, transition_of(network.f_tra.layers, network.f_tra.skip)
+    norm, last = network.f_cp.norm, transition_of(network.f_tra.layers, network.f_tra.skip)
     vectors(norm.weight, norm.bias)
-    perceptron(layers[0], layers[2])
+    perceptron(last[0], last[2])
     for head in (network.f_dec.robot, network.f_dec.objects):
         begin()
         perceptron(head[0], head[2])
