@@ -38,6 +38,8 @@ _YAW = 1.6
 """Largest turn of the tool either way, rad: the fingers look the same after pi."""
 _ARM, _CUBE1, _CUBE2 = slice(0, 6), slice(8, 15), slice(15, 22)
 _VEL1, _VEL2 = slice(8, 10), slice(14, 16)
+_NOMINAL = (525.0, 0.4)
+"""Density, kg/m^3, and friction in the middle of what is drawn."""
 _NEAR = 1e-4
 """m, below which distances are not differentiated."""
 
@@ -203,10 +205,15 @@ class PushProblem(Problem):
             1.0 - score[:, :2] / score[:, 2:4],
             time[:, None],
             (params[:, :2] - 0.026) / 0.004,
-            (params[:, 2:4] - 525.0) / 200.0,
-            (params[:, 6:7] - 0.4) / 0.12,
+            (params[:, 2:4] - _NOMINAL[0]) / 200.0,
+            (params[:, 6:7] - _NOMINAL[1]) / 0.12,
         ]
         return torch.cat(parts, 1).clamp(-8.0, 8.0)
+
+    def unseen(self, params: Tensor) -> Tensor:
+        """See `Problem.unseen`: sizes are declared; densities and friction are the nominal ones."""
+        nominal = torch.tensor([*_NOMINAL[:1] * 2, *_NOMINAL[1:] * 3]).to(params)
+        return torch.cat([params[:, :2], nominal.expand(len(params), -1)], 1)
 
     def control(self, command: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """Joint targets by damped least squares, and the gripper closed."""
