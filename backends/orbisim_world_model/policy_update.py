@@ -55,7 +55,7 @@ class PolicyUpdate:
         window: int,
         rate: float = 1e-3,
         clip: float = 1.0,
-        compiler: Compiler | None = "fused",
+        compiler: Compiler | None = "joined",
     ) -> None:
         made = copy.deepcopy(model).to(device).eval()
         made.spread = None  # how far off it may be has no part in the loss

@@ -65,7 +65,7 @@ class Speedups:
     folded: bool | None = None
     precision: Literal["fp16", "bf16", "fp32"] = "fp16"
     kernels: bool = True
-    compiled: Compiler | None = "fused"
+    compiled: Compiler | None = "joined"
     graphed: bool = True
 
 
@@ -169,7 +169,6 @@ class Stepper:
                 model = self._many
             step = plain_step(model) if compiler is None else compiled_step(model, compiler)
             try:
-                model.tune(*given)
                 with torch._dynamo.config.patch(recompile_limit=_RECOMPILATIONS):
                     step(*given)
                 if self.device.type == "cuda":  # what fails on the device fails here
