@@ -176,6 +176,9 @@ class Stepper:
             except Exception as error:  # compilers fail in many ways; the step itself does not
                 if compiler is None and self._kernels is None:
                     raise
+                if compiler == "joined":  # the youngest of torch's options, and the least needed
+                    self._compiler = "fused"
+                    continue
                 what = "compiled" if compiler is not None else "computed by our own kernels"
                 warnings.warn(f"step not {what}, it is slower: {cause(error)}", stacklevel=5)
                 if compiler is not None:

@@ -10,6 +10,7 @@ from orbisim_world_model.policy_update import PolicyUpdate
 from orbisim_world_model.trainer import new_model
 from torch import nn
 
+from orbisim import load_scene, make_backend
 from orbisim.errors import InputError
 from tests.backends.world_model.conftest import toy
 from tests.backends.world_model.synthetic import TABLE, simulate
@@ -75,6 +76,16 @@ def test_the_loss_falls(model: Dynamics) -> None:
     update = PolicyUpdate(model, policy, _far, context, CPU, window=WINDOW, rate=3e-2)
     losses = [float(update(x)) for _ in range(8)]
     assert losses[-1] < losses[0]
+
+
+def test_the_backend_offers_it() -> None:
+    backend = make_backend("learned", load_scene("task:push"), nworld=2, device="cpu")
+    state = backend.reset(2)
+    policy = Joints(8, 7)
+    update = backend.policy_update(state, policy, lambda x: x.pos.square().sum((1, 2)), window=2)
+    before = policy.layer.weight.detach().clone()
+    assert update(backend.entities(state)).isfinite()
+    assert not torch.equal(policy.layer.weight, before)
 
 
 def test_a_window_has_steps(model: Dynamics) -> None:
