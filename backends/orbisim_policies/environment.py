@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 from orbisim_world_model.entities import Entities
-from orbisim_world_model.graphs import Graphed
+from orbisim_world_model.graphs import Graphed, current
 from orbisim_world_model.guard import Guard
 from orbisim_world_model.manifest import read_manifest
 from orbisim_world_model.stepper import Speedups, Stepper, cause
@@ -132,7 +132,7 @@ class DeviceEnvironment:
             raise InputError(
                 f"action has shape {tuple(action.shape)}; expected {tuple(self._action.shape)}"
             )
-        with torch.no_grad():
+        with torch.no_grad(), current(self.device):
             self._action.copy_(action)
             if self._run is None:
                 self._run = self._prepared()
