@@ -76,6 +76,7 @@ DEFERRED = {
     "orbisim_policies.workflows": "Stable-Baselines3 and vision are wanted for their own part",
     "orbisim_world_model.baseline": "training runs where MuJoCo is not installed",
     "orbisim_world_model.engine": "the C compiler is wanted for single worlds only",
+    "orbisim_world_model.stepper": "Triton comes with a torch for GPUs only",
 }
 """Modules (and packages) that import parts of the project inside functions, and why."""
 

@@ -162,6 +162,10 @@ SEEN_THROUGH = {
         "backends/world_model/test_speedups.py",
         "equal to the network that it is folded from",
     ),
+    "orbisim_world_model.network.fused_kernels": (
+        "backends/world_model/network/test_fused.py",
+        "run through the modules that start them",
+    ),
     "orbisim_world_model.network.inputs": (
         "backends/world_model/test_model.py",
         "values that networks are given",

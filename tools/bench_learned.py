@@ -54,7 +54,7 @@ def main() -> int:
         "--patience", type=float, default=300.0, help="seconds for the variants, or the check"
     )
     parser.add_argument("--gradient-worlds", default="1,16,256,1024")
-    parser.add_argument("--gradient-compiler", default="fused", choices=("fused", "joined"))
+    parser.add_argument("--gradient-compiler", default="joined", choices=("fused", "joined"))
     parser.add_argument("--use", choices=VARIANTS, help="variant for `batch`; the fastest if known")
     parser.add_argument("--seconds", type=float, default=2.0, help="of each measurement")
     parser.add_argument("--largest", type=int, default=BATCHES[-1], help="number of worlds")
@@ -317,16 +317,15 @@ VARIANTS = {
     "eager": Speedups(folded=False, kernels=False, compiled=None),
     "folded": Speedups(folded=True, kernels=False, compiled=None),
     "shipped": Speedups(),
-    "kernels": Speedups(),
-    "kernels_joined": Speedups(compiled="joined"),
+    "kernels": Speedups(compiled="fused"),
     "fused": Speedups(kernels=False, compiled="fused"),
     "joined": Speedups(kernels=False, compiled="joined"),
-    "fused_bf16": Speedups(kernels=False, precision="bf16"),
-    "fused_unfolded": Speedups(kernels=False, folded=False),
+    "fused_bf16": Speedups(kernels=False, compiled="fused", precision="bf16"),
+    "fused_unfolded": Speedups(kernels=False, compiled="fused", folded=False),
     "inlined": Speedups(kernels=False, compiled="inlined"),
     "tuned": Speedups(kernels=False, compiled="tuned"),
 }
-USUAL = "eager,folded,fused,kernels,kernels_joined,inlined,tuned,fused_bf16"
+USUAL = "eager,folded,fused,kernels,inlined,tuned,fused_bf16"
 BENCHMARKS: dict[str, Callable[[Any, Any], Any]] = {
     "variants": variants,
     "batch": batch,

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from orbisim_world_model.entities import Context, Entities
-from orbisim_world_model.graphs import Graphed
+from orbisim_world_model.entities import Entities
+from orbisim_world_model.graphs import Graphed, current
 from orbisim_world_model.guard import Guard
 from orbisim_world_model.manifest import read_manifest
 from orbisim_world_model.stepper import Speedups, Stepper, cause
@@ -132,7 +132,7 @@ class DeviceEnvironment:
             raise InputError(
                 f"action has shape {tuple(action.shape)}; expected {tuple(self._action.shape)}"
             )
-        with torch.no_grad():
+        with torch.no_grad(), current(self.device):
             self._action.copy_(action)
             if self._run is None:
                 self._run = self._prepared()
@@ -149,10 +149,6 @@ class DeviceEnvironment:
         """The step, compiled if that is possible, as one graph that works on the state."""
         step: Any = self._moved
         kept = [tensor.clone() for tensor in self._state]
-        now = Running(Entities(*self._state[:_FIELDS]), *self._state[_FIELDS : _VIEW - 1])
-        control = self.problem.control(now.command, self._action)[0]
-        context = Context(now.attributes, now.settings, None)
-        self.worlds.model.tune(now.x, self.worlds._memory, control, context)
         if self._compiled:
             fast = torch.compile(self._moved, dynamic=False, fullgraph=True)
             try:

@@ -133,7 +133,7 @@ class LearnedBackend(Backend):
             self._check(read_any(folder), folder)
             speedups = Speedups(
                 precision="fp16" if self._half else "fp32",
-                compiled="fused" if self._compiled else None,
+                compiled="joined" if self._compiled else None,
             )
             self._engine = engine_for(folder, found, self._on, speedups)
         assert self._engine is not None

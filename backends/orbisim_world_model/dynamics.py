@@ -331,11 +331,6 @@ class Dynamics(nn.Module):
         seen = self.see_attributes(context.attributes), self.see_world(context.world)
         return context._replace(scales=self.network.scales(*(part.to(dtype) for part in seen)))
 
-    def tune(self, x: Entities, memory: Tensor, control: Tensor, context: Context) -> None:
-        """Has a network that can be cut in several ways find the fastest for these worlds."""
-        if hasattr(self.network, "tune"):
-            self.network.tune(self._cast(self.inputs(x, control, context)), memory)
-
     def _geometry(self, x: Entities, context: Context) -> Geometry | None:
         if self.contacts is None or not self.config.boxes:
             return None

@@ -47,6 +47,7 @@ class Engine(Stepping):
             for read in (read_attributes, read_settings)
         )
         self._attributes, self._settings = attributes[None], settings[None]
+        self._scenes: Context | None = None  # of as many worlds as were asked for last
         self._parts: Tensor | None = None
         if self.layout.parts:
             if self.layout.articulated:
@@ -162,13 +163,18 @@ class Engine(Stepping):
         return tensor(given, self.device).to(fresh.dtype)
 
     def context(self, state: State) -> Context:
-        """The descriptors of each world: the state's own, or the scene's."""
-        count = state.nworld
+        """The descriptors of each world: the state's own, or the scene's, always the same one."""
+        count, own = state.nworld, ATTRIBUTES in state.memory or SETTINGS in state.memory
+        if not own and self._scenes is not None and len(self._scenes.attributes) == count:
+            return self._scenes
         attributes = tensor(state.memory.get(ATTRIBUTES, self._attributes), self.device)
         settings = tensor(state.memory.get(SETTINGS, self._settings), self.device)
-        return Context(
+        found = Context(
             attributes.expand(count, *self._attributes.shape[1:]),
             settings.expand(count, self._settings.shape[1]),
             None,
             None if self._parts is None else self._parts.expand(count, *self._parts.shape[1:]),
         )
+        if not own:
+            self._scenes = found
+        return found

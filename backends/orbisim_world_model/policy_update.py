@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from orbisim.arguments import whole_number
 from orbisim_world_model.dynamics import Dynamics
 from orbisim_world_model.entities import Context, Entities
-from orbisim_world_model.graphs import Graphed
+from orbisim_world_model.graphs import Graphed, current
 from orbisim_world_model.network.folded import FoldedNetwork
 from orbisim_world_model.network.objects import ObjectCentricNetwork
 from orbisim_world_model.optimizer import FlatAdamW
@@ -55,7 +55,7 @@ class PolicyUpdate:
         window: int,
         rate: float = 1e-3,
         clip: float = 1.0,
-        compiler: Compiler | None = "fused",
+        compiler: Compiler | None = "joined",
     ) -> None:
         made = copy.deepcopy(model).to(device).eval()
         made.spread = None  # how far off it may be has no part in the loss
@@ -80,7 +80,7 @@ class PolicyUpdate:
             else:
                 for mine, given in zip(self._start, self._model.completed(start), strict=True):
                     mine.copy_(given)
-        with _tf32():
+        with _tf32(), current(self.device):
             if self._run is None:
                 self._run = self._prepared()
             loss: Tensor = self._run()

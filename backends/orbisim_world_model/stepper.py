@@ -65,7 +65,7 @@ class Speedups:
     folded: bool | None = None
     precision: Literal["fp16", "bf16", "fp32"] = "fp16"
     kernels: bool = True
-    compiled: Compiler | None = "fused"
+    compiled: Compiler | None = "joined"
     graphed: bool = True
 
 
@@ -169,7 +169,6 @@ class Stepper:
                 model = self._many
             step = plain_step(model) if compiler is None else compiled_step(model, compiler)
             try:
-                model.tune(*given)
                 with torch._dynamo.config.patch(recompile_limit=_RECOMPILATIONS):
                     step(*given)
                 if self.device.type == "cuda":  # what fails on the device fails here
@@ -177,6 +176,9 @@ class Stepper:
             except Exception as error:  # compilers fail in many ways; the step itself does not
                 if compiler is None and self._kernels is None:
                     raise
+                if compiler == "joined":  # the youngest of torch's options, and the least needed
+                    self._compiler = "fused"
+                    continue
                 what = "compiled" if compiler is not None else "computed by our own kernels"
                 warnings.warn(f"step not {what}, it is slower: {cause(error)}", stacklevel=5)
                 if compiler is not None:

@@ -97,7 +97,8 @@ def tokens_kernel(robot, objects, edges, control, attributes, setting, tokens, p
                   EDGE_SPACE: tl.constexpr, EDGE_HIDDEN: tl.constexpr, CONTROL: tl.constexpr,
                   ATTRIBUTES: tl.constexpr, SETTING: tl.constexpr, COMMAND_SPACE: tl.constexpr,
                   DESCRIBED_SPACE: tl.constexpr, AT: tl.constexpr, AT_BIAS: tl.constexpr,
-                  COLUMNS: tl.constexpr, CHUNK: tl.constexpr, FIRST: tl.constexpr, M: tl.constexpr):  # fmt: skip
+                  COLUMNS: tl.constexpr, CHUNK: tl.constexpr, FIRST: tl.constexpr,
+                  M: tl.constexpr):  # fmt: skip
     """z_t = f_enc and the AdaLN of robots and objects, and the features of pairs.
 
     Axis 1 of the grid, counted from `FIRST`: 0 pairs, 1 robots, 2 objects, then as many programs
@@ -272,7 +273,8 @@ def spread_kernel(robot, objects, edges, control, attributes, setting, variance,
                   EDGE: tl.constexpr, EDGE_SPACE: tl.constexpr, CONTROL: tl.constexpr,
                   ATTRIBUTES: tl.constexpr, SETTING: tl.constexpr, COMMAND_SPACE: tl.constexpr,
                   DESCRIBED_SPACE: tl.constexpr, MOST_GAIN: tl.constexpr, MOST: tl.constexpr,
-                  AT: tl.constexpr, AT_BIAS: tl.constexpr, NARROW: tl.constexpr, M: tl.constexpr):  # fmt: skip
+                  AT: tl.constexpr, AT_BIAS: tl.constexpr, NARROW: tl.constexpr,
+                  M: tl.constexpr):  # fmt: skip
     """`spread.Spread` for M // K worlds: a row is a token.
 
     Args:

@@ -122,3 +122,26 @@ def test_a_step_with_kernels_is_the_step(model: Dynamics) -> None:
     torch.testing.assert_close(found.pos, wanted.pos, rtol=1e-4, atol=1e-5)
     torch.testing.assert_close(found.q, wanted.q, rtol=1e-4, atol=1e-4)
     torch.testing.assert_close(found.vel, wanted.vel, rtol=1e-2, atol=1e-3)
+
+
+def test_kernels_that_fail_are_done_without(
+    model: Dynamics, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from orbisim_world_model.stepper import Speedups, Stepper
+
+    def refuses(*given: Any) -> Any:
+        raise RuntimeError("out of resource: shared memory")
+
+    stepper = Stepper(model, DEVICE, Speedups(compiled=None, graphed=False))
+    if DEVICE.type == "cpu":
+        stepper.on_gpu = True
+        stepper._kernels = stepper._with_kernels(model)
+    monkeypatch.setattr(fused, "_network", refuses)
+    x, context = example(model.layout, WORLDS)
+    x, context = model.completed(x.to(DEVICE)), Context(*(f.to(DEVICE) for f in context[:2]), None)
+    control = torch.zeros(WORLDS, model.controls, device=DEVICE)
+    memory = stepper.initial_memory(WORLDS)
+    with pytest.warns(UserWarning, match="not computed by our own kernels.*shared memory"):
+        slot = stepper.prepared(x, memory, control, context)
+    assert slot.run()[0].q.isfinite().all()
+    assert not isinstance(stepper.fastest.network, fused.FusedNetwork)
