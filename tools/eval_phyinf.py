@@ -15,6 +15,7 @@ states. A file for each episode and source, which are kept, and `summary.json`.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import os
 import time
@@ -52,6 +53,9 @@ FRAMES, STEP = 64, 0.05
 """Of a window (the paper's), and between them, s."""
 _MOVES = 0.02
 """m, that a cube must move for its density, and the friction under it, to show."""
+_FEWEST = 22
+"""Frames that a window of the fit and what is smoothed about it need; a film with fewer from where
+all is seen on is left out."""
 _WINDOW = 1.0
 """Of the free runs that are fitted, s."""
 
@@ -125,6 +129,12 @@ def one(
             recording = Recording(time_, {"qpos": qpos, "ctrl": held}, source=f"episode {number}")
         else:
             recording = watched(declared, arrays["frames/side"][rows], checkpoint)
+            recording, first = from_where_all_is_seen(recording)
+            qpos = qpos[first:]
+            line["frames"] = len(qpos)
+            if len(qpos) < _FEWEST:
+                path.write_text(json.dumps({**line, "moving": 0}) + "\n")
+                return
         found = identify(
             declared, [recording], names, backend=dynamics, window=_WINDOW, check=False
         )
@@ -138,6 +148,15 @@ def one(
         for name, some in (("declared", declared), ("found", found.augmented), ("true", scene)):
             line[f"rollout_{name}"] = rollout(some, recording, qpos, cubes, dynamics)
     path.write_text(json.dumps(line) + "\n")
+
+
+def from_where_all_is_seen(recording: Recording) -> tuple[Recording, int]:
+    """The recording from the first frame on in which every object is seen, and that frame."""
+    places = [v for n, v in recording.signals.items() if n.startswith("xpos/")]
+    seen = np.asarray(np.isfinite(np.concatenate(places, axis=1)).all(axis=1)).reshape(-1)
+    first = int(np.argmax(seen)) if seen.any() else len(seen)
+    rest = {name: values[first:] for name, values in recording.signals.items()}
+    return dataclasses.replace(recording, time=recording.time[first:], signals=rest), first
 
 
 def busiest(qpos: Floats, cubes: list[int]) -> slice:
