@@ -145,7 +145,9 @@ class Refiner:
     ) -> Frame:
         image = torch.as_tensor(frame).double() / 255.0
         qpos = np.array(self.rest if before is None else before.qpos)
-        qpos[self.scalar.qpos] = joints if known is None else known
+        # what a frame does not show would leave its range at the speed of the last two frames
+        within = np.clip(joints, self.scalar.low, self.scalar.high)
+        qpos[self.scalar.qpos] = within if known is None else known
         std = np.zeros(len(joints))
         present: list[int] = []
         if before is not None:
@@ -264,7 +266,9 @@ class Refiner:
             geoms=geoms,
             steps=steps,
         )
-        return found.qpos[0], np.sqrt(np.diag(np.linalg.inv(found.precision[0])))
+        best, columns = found.qpos[0], self.scalar.qpos
+        best[columns] = np.clip(best[columns], self.scalar.low, self.scalar.high)
+        return best, np.sqrt(np.diag(np.linalg.inv(found.precision[0])))
 
     # -- objects -----------------------------------------------------------------------------------
 

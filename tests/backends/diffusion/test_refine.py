@@ -150,3 +150,11 @@ def test_two_bodies_found_in_each_others_places_are_exchanged() -> None:
     for pose, place in zip(found.objects, poses, strict=True):
         assert pose.seen and pose.explained > 0.9
         assert np.linalg.norm(pose.qpos[:3] - place[:3]) < 3e-3
+
+
+def test_joints_stay_in_their_ranges() -> None:
+    limited = TABLE.replace('axis="0 0 1"/>', 'axis="0 0 1" range="-30 30"/>')
+    refiner = Refiner(load_scene(limited), 0, SIZE)
+    frame = np.zeros((SIZE, SIZE, 3), np.uint8)  # it shows nothing
+    found = refiner.first(frame, np.array([2.0]), [[]])
+    assert abs(found.qpos[0]) <= np.radians(30.0) + 1e-9
