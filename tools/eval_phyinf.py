@@ -183,7 +183,8 @@ def rollout(
 ) -> dict[str, float] | None:
     """Errors over the window of a free run from its first state, against the true states.
 
-    None where an object is not seen in the beginning, so that there is no state to begin from.
+    None where a joint is not seen in the beginning, so that there is no state to begin from, or
+    where the model's state became infinite on the way.
     """
     prepared = prepare(bind(recording, scene), 0.0)
     backend: Any = make_backend(dynamics, scene, device="cpu", compiled=False)
@@ -195,6 +196,8 @@ def rollout(
     state = State(np.zeros(1), began[None], windows.qvel[:1], windows.act[:1])
     with torch.no_grad():
         path = np.asarray(backend.rollout(state, windows.ctrl[:1]).qpos)[0]
+    if not np.isfinite(path).all():
+        return None
     truth = true[rows.start + 1 : rows.start + 1 + windows.ctrl.shape[1]]
     found = path[-windows.ctrl.shape[1] :][: len(truth)]
     places = [np.linalg.norm(found[:, a : a + 3] - truth[:, a : a + 3], axis=1) for a in cubes]
@@ -239,7 +242,7 @@ def summary(out: Path) -> dict[str, Any]:
             )
         for which in ("declared", "found", "true"):
             runs = [line[f"rollout_{which}"] for line in lines if line[f"rollout_{which}"]]
-            part[f"rollouts_{which}"] = {"runs": len(runs)} | {
+            part[f"rollouts_{which}"] = {"runs": len(runs), "none": len(lines) - len(runs)} | {
                 unit: _statistics([run[unit] for run in runs]) for unit in ("mm", "degrees")
             }
         found[source] = part
