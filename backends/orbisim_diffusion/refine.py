@@ -39,6 +39,8 @@ _SEEN_PIXELS, _SEEN_SHARE, EXPLAINED = 6.0, 0.15, 0.5
 """What counts as seen: at least so many pixels (of 128 x 128) of an object that are right with it
 and wrong without, that share of its outline, and that share of the improvement which a perfect
 match would be."""
+_SAME_PIXELS = 0.02
+"""Drawings whose pixels differ by less are of what looks the same: 5 of 255, below the noise."""
 _RIGHT = 0.1
 """Difference of a pixel's value from which on it is wrong."""
 _BIAS, _WANDER = 0.2, 0.08
@@ -122,7 +124,26 @@ class Refiner:
           places: for each body, poses [7] of what the
             network sees that it might be; none is fine, too.
         """
-        return self._frame(frame, joints, None, places, None)
+        return self._frame(frame, self._half_turned(joints), None, places, None)
+
+    def _half_turned(self, joints: Floats) -> Floats:
+        """The joints, those that look the same after half a turn as near to rest as they can be.
+
+        No image tells such turns of a gripper apart; the scene's first keyframe (or `qpos0`) does.
+        """
+        qpos, found = np.array(self.rest), np.array(joints)
+        for i, column in enumerate(self.scalar.qpos):
+            turns = np.round((self.rest[column] - found[i]) / np.pi) if self.scalar.hinge[i] else 0
+            turned = found.copy()
+            turned[i] += turns * np.pi
+            if not turns or not self.scalar.low[i] <= turned[i] <= self.scalar.high[i]:
+                continue
+            states = np.stack([qpos, qpos])
+            states[:, self.scalar.qpos] = found, turned
+            one, other = self.eye.draw(states, self._all, self.shown([])).pixels
+            if float((one - other).abs().max()) < _SAME_PIXELS:
+                found = turned
+        return found
 
     def following(
         self,

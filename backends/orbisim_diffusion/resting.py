@@ -55,7 +55,7 @@ class Scalar(NamedTuple):
 
     Attributes:
       qpos, dof: [J] their coordinates and velocities. prior: [J] about a first guess, rad or m.
-      low, high: [J] their ranges; infinite where they have none.
+      low, high: [J] their ranges; infinite where they have none. hinge: [J] which are hinges.
     """
 
     qpos: npt.NDArray[np.int64]
@@ -63,6 +63,7 @@ class Scalar(NamedTuple):
     prior: Floats
     low: Floats
     high: Floats
+    hinge: npt.NDArray[np.bool_]
 
 
 class Surface(NamedTuple):
@@ -159,7 +160,8 @@ def scalar_joints(model: mujoco.MjModel) -> Scalar:
         for end, sign in ((0, -1.0), (1, 1.0))
     )
     qpos, dof = (field[which].astype(int) for field in (model.jnt_qposadr, model.jnt_dofadr))
-    return Scalar(qpos, dof, prior, low, high)
+    hinges = np.array([int(kinds[j]) == hinge for j in which], bool)
+    return Scalar(qpos, dof, prior, low, high, hinges)
 
 
 def free_bodies(eye: Eye) -> list[Body]:
