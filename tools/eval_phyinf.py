@@ -15,6 +15,7 @@ states. A file for each episode and source, which are kept, and `summary.json`.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import os
 import time
@@ -52,6 +53,9 @@ FRAMES, STEP = 64, 0.05
 """Of a window (the paper's), and between them, s."""
 _MOVES = 0.02
 """m, that a cube must move for its density, and the friction under it, to show."""
+_FEWEST = 22
+"""Frames that a window of the fit and what is smoothed about it need; a film with fewer from where
+all is seen on is left out."""
 _WINDOW = 1.0
 """Of the free runs that are fitted, s."""
 
@@ -125,6 +129,12 @@ def one(
             recording = Recording(time_, {"qpos": qpos, "ctrl": held}, source=f"episode {number}")
         else:
             recording = watched(declared, arrays["frames/side"][rows], checkpoint)
+            recording, first = from_where_all_is_seen(recording)
+            qpos = qpos[first:]
+            line["frames"] = len(qpos)
+            if len(qpos) < _FEWEST:
+                path.write_text(json.dumps({**line, "moving": 0}) + "\n")
+                return
         found = identify(
             declared, [recording], names, backend=dynamics, window=_WINDOW, check=False
         )
@@ -138,6 +148,15 @@ def one(
         for name, some in (("declared", declared), ("found", found.augmented), ("true", scene)):
             line[f"rollout_{name}"] = rollout(some, recording, qpos, cubes, dynamics)
     path.write_text(json.dumps(line) + "\n")
+
+
+def from_where_all_is_seen(recording: Recording) -> tuple[Recording, int]:
+    """The recording from the first frame on in which every object is seen, and that frame."""
+    places = [v for n, v in recording.signals.items() if n.startswith("xpos/")]
+    seen = np.asarray(np.isfinite(np.concatenate(places, axis=1)).all(axis=1)).reshape(-1)
+    first = int(np.argmax(seen)) if seen.any() else len(seen)
+    rest = {name: values[first:] for name, values in recording.signals.items()}
+    return dataclasses.replace(recording, time=recording.time[first:], signals=rest), first
 
 
 def busiest(qpos: Floats, cubes: list[int]) -> slice:
@@ -164,7 +183,8 @@ def rollout(
 ) -> dict[str, float] | None:
     """Errors over the window of a free run from its first state, against the true states.
 
-    None where an object is not seen in the beginning, so that there is no state to begin from.
+    None where a joint is not seen in the beginning, so that there is no state to begin from, or
+    where the model's state became infinite on the way.
     """
     prepared = prepare(bind(recording, scene), 0.0)
     backend: Any = make_backend(dynamics, scene, device="cpu", compiled=False)
@@ -176,6 +196,8 @@ def rollout(
     state = State(np.zeros(1), began[None], windows.qvel[:1], windows.act[:1])
     with torch.no_grad():
         path = np.asarray(backend.rollout(state, windows.ctrl[:1]).qpos)[0]
+    if not np.isfinite(path).all():
+        return None
     truth = true[rows.start + 1 : rows.start + 1 + windows.ctrl.shape[1]]
     found = path[-windows.ctrl.shape[1] :][: len(truth)]
     places = [np.linalg.norm(found[:, a : a + 3] - truth[:, a : a + 3], axis=1) for a in cubes]
@@ -220,7 +242,7 @@ def summary(out: Path) -> dict[str, Any]:
             )
         for which in ("declared", "found", "true"):
             runs = [line[f"rollout_{which}"] for line in lines if line[f"rollout_{which}"]]
-            part[f"rollouts_{which}"] = {"runs": len(runs)} | {
+            part[f"rollouts_{which}"] = {"runs": len(runs), "none": len(lines) - len(runs)} | {
                 unit: _statistics([run[unit] for run in runs]) for unit in ("mm", "degrees")
             }
         found[source] = part

@@ -235,7 +235,7 @@ def inference_loss(model: StateInference, found: Dense, true: Truth, view: View)
     read = _inferred(model, found, true.there.float(), row * size + column)
     hand = _smooth((read.hand_pos - true.hand_pos) / 0.02).mean()
     turn = (read.hand_rot - true.hand_rot).square().sum((-1, -2)).mean()
-    joints = (_smooth((read.joints - true.joints) / 0.1) * true.jointed).mean()
+    joints = (_smooth(_turned(read.joints - true.joints) / 0.1) * true.jointed).mean()
     number = there.sum().clamp_min(1)
 
     def mean(values: Tensor) -> Tensor:
@@ -293,8 +293,7 @@ def errors(found: Inferred, true: Truth) -> dict[str, float]:
     hand = angle((found.hand_rot - true.hand_rot).square().sum((-1, -2)))
     share = (chosen.size / true.size.clamp_min(1e-6) - 1.0).abs().mean(-1)
     found_all = ((chosen.present > 0) == there).all(1)
-    joint = (found.joints - true.joints + torch.pi).remainder(2 * torch.pi) - torch.pi
-    joint = joint.abs() * true.jointed  # a turn more or less looks the same
+    joint = _turned(found.joints - true.joints).abs() * true.jointed
     values = {
         "object_position_mm": 1e3 * (chosen.pos - true.pos).norm(dim=-1)[there].mean(),
         "object_position_mm_median": 1e3 * (chosen.pos - true.pos).norm(dim=-1)[there].median(),
@@ -312,6 +311,11 @@ def errors(found: Inferred, true: Truth) -> dict[str, float]:
 
 def _of(values: Tensor, there: Tensor) -> Tensor:
     return torch.where(there, values, 0.0)
+
+
+def _turned(joints: Tensor) -> Tensor:
+    """Differences of joints within half a turn: a turn more or less looks the same."""
+    return (joints + torch.pi).remainder(2 * torch.pi) - torch.pi
 
 
 def _smooth(x: Tensor) -> Tensor:

@@ -39,6 +39,8 @@ _SEEN_PIXELS, _SEEN_SHARE, EXPLAINED = 6.0, 0.15, 0.5
 """What counts as seen: at least so many pixels (of 128 x 128) of an object that are right with it
 and wrong without, that share of its outline, and that share of the improvement which a perfect
 match would be."""
+_SAME_PIXELS = 0.02
+"""Drawings whose pixels differ by less are of what looks the same: 5 of 255, below the noise."""
 _RIGHT = 0.1
 """Difference of a pixel's value from which on it is wrong."""
 _BIAS, _WANDER = 0.2, 0.08
@@ -122,7 +124,26 @@ class Refiner:
           places: for each body, poses [7] of what the
             network sees that it might be; none is fine, too.
         """
-        return self._frame(frame, joints, None, places, None)
+        return self._frame(frame, self._half_turned(joints), None, places, None)
+
+    def _half_turned(self, joints: Floats) -> Floats:
+        """The joints, those that look the same after half a turn as near to rest as they can be.
+
+        No image tells such turns of a gripper apart; the scene's first keyframe (or `qpos0`) does.
+        """
+        qpos, found = np.array(self.rest), np.array(joints)
+        for i, column in enumerate(self.scalar.qpos):
+            turns = np.round((self.rest[column] - found[i]) / np.pi) if self.scalar.hinge[i] else 0
+            turned = found.copy()
+            turned[i] += turns * np.pi
+            if not turns or not self.scalar.low[i] <= turned[i] <= self.scalar.high[i]:
+                continue
+            states = np.stack([qpos, qpos])
+            states[:, self.scalar.qpos] = found, turned
+            one, other = self.eye.draw(states, self._all, self.shown([])).pixels
+            if float((one - other).abs().max()) < _SAME_PIXELS:
+                found = turned
+        return found
 
     def following(
         self,
@@ -145,7 +166,9 @@ class Refiner:
     ) -> Frame:
         image = torch.as_tensor(frame).double() / 255.0
         qpos = np.array(self.rest if before is None else before.qpos)
-        qpos[self.scalar.qpos] = joints if known is None else known
+        # what a frame does not show would leave its range at the speed of the last two frames
+        within = np.clip(joints, self.scalar.low, self.scalar.high)
+        qpos[self.scalar.qpos] = within if known is None else known
         std = np.zeros(len(joints))
         present: list[int] = []
         if before is not None:
@@ -264,7 +287,9 @@ class Refiner:
             geoms=geoms,
             steps=steps,
         )
-        return found.qpos[0], np.sqrt(np.diag(np.linalg.inv(found.precision[0])))
+        best, columns = found.qpos[0], self.scalar.qpos
+        best[columns] = np.clip(best[columns], self.scalar.low, self.scalar.high)
+        return best, np.sqrt(np.diag(np.linalg.inv(found.precision[0])))
 
     # -- objects -----------------------------------------------------------------------------------
 

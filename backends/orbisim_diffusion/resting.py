@@ -55,11 +55,15 @@ class Scalar(NamedTuple):
 
     Attributes:
       qpos, dof: [J] their coordinates and velocities. prior: [J] about a first guess, rad or m.
+      low, high: [J] their ranges; infinite where they have none. hinge: [J] which are hinges.
     """
 
     qpos: npt.NDArray[np.int64]
     dof: npt.NDArray[np.int64]
     prior: Floats
+    low: Floats
+    high: Floats
+    hinge: npt.NDArray[np.bool_]
 
 
 class Surface(NamedTuple):
@@ -150,7 +154,14 @@ def scalar_joints(model: mujoco.MjModel) -> Scalar:
     slide, hinge = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
     which = [j for j in range(model.njnt) if int(kinds[j]) in (slide, hinge)]
     prior = np.array([_SLIDE if int(kinds[j]) == slide else _JOINT for j in which])
-    return Scalar(model.jnt_qposadr[which].astype(int), model.jnt_dofadr[which].astype(int), prior)
+    limited = model.jnt_limited[which].astype(bool)
+    low, high = (
+        np.where(limited, model.jnt_range[which, end], sign * np.inf)
+        for end, sign in ((0, -1.0), (1, 1.0))
+    )
+    qpos, dof = (field[which].astype(int) for field in (model.jnt_qposadr, model.jnt_dofadr))
+    hinges = np.array([int(kinds[j]) == hinge for j in which], bool)
+    return Scalar(qpos, dof, prior, low, high, hinges)
 
 
 def free_bodies(eye: Eye) -> list[Body]:

@@ -42,9 +42,12 @@ _MOST = 8
 """Geoms of four cubes beside those of arm and table, and room: rows of every file are alike."""
 _ELSEWHERE, _JITTERED, _SPUN = 0.5, 0.5, 0.3
 """Probabilities that a cube is put elsewhere on the table, that the arm's joints are moved at
-random, and that its last one is turned to anywhere."""
+random, and that its last one is turned (`_SPIN`)."""
 _JITTER = 0.12
 """Standard deviation of moved joints, rad: the hand goes some 10 cm."""
+_SPIN = 0.5 * np.pi
+"""Largest turn of the last joint, rad: after half a turn a gripper looks the same, so that no image
+says which of the two it was."""
 _DEPTH = 3e-3
 """Bodies within each other by more, m, are not shown; tasks stay below 1 mm."""
 _TRIES = 6
@@ -173,7 +176,7 @@ class _Painter:
         if self.rng.random() < _JITTERED:
             qpos[:joints] += _JITTER * self.rng.standard_normal(joints)
         if self.rng.random() < _SPUN:
-            qpos[joints - 1] = self.rng.uniform(-np.pi, np.pi)
+            qpos[joints - 1] += self.rng.uniform(-_SPIN, _SPIN)
 
     def _move_cubes(self, qpos: Floats) -> None:
         config = self.task.config

@@ -14,7 +14,7 @@ from orbisim_diffusion.tracking import Reading, follow, recording_of
 from orbisim.errors import UnsupportedSceneError
 from orbisim.scene import load_scene
 
-SIZE = 48
+SIZE = 64
 TABLE = """
 <mujoco>
   <worldbody>

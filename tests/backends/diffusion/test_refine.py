@@ -150,3 +150,19 @@ def test_two_bodies_found_in_each_others_places_are_exchanged() -> None:
     for pose, place in zip(found.objects, poses, strict=True):
         assert pose.seen and pose.explained > 0.9
         assert np.linalg.norm(pose.qpos[:3] - place[:3]) < 3e-3
+
+
+def test_joints_stay_in_their_ranges() -> None:
+    limited = TABLE.replace('axis="0 0 1"/>', 'axis="0 0 1" range="-30 30"/>')
+    refiner = Refiner(load_scene(limited), 0, SIZE)
+    frame = np.zeros((SIZE, SIZE, 3), np.uint8)  # it shows nothing
+    found = refiner.first(frame, np.array([2.0]), [[]])
+    assert abs(found.qpos[0]) <= np.radians(30.0) + 1e-9
+
+
+def test_of_turns_that_look_the_same_the_one_near_rest_is_taken() -> None:
+    bar = TABLE.replace('<geom type="box" size="0.01 0.05 0.04" pos="0 -0.05 0.06"',
+                        '<geom type="box" size="0.01 0.05 0.04" pos="0 0 0.06"')  # fmt: skip
+    for text, wanted in ((bar, 0.3), (TABLE, 0.3 + np.pi)):  # the post is to one side of its axis
+        refiner = Refiner(load_scene(text), 0, SIZE)
+        assert refiner._half_turned(np.array([0.3 + np.pi]))[0] == pytest.approx(wanted)
