@@ -71,6 +71,10 @@ PICTURES: dict[str, tuple[Panel, ...]] = {
         Panel("cartpole", _sim("suite:cartpole-swingup", "--policy cartpole --duration 4")),
         Panel("pendulum", _sim("suite:pendulum-swingup", "--policy pendulum --duration 4")),
     ),
+    "pushing": (
+        Panel("analytic gradients", _sim("task:push", "--policy push --duration 3.2")),
+        Panel("PPO", _sim("task:push", "--policy push_ppo --duration 3.2")),
+    ),
     "mechanisms": (
         Panel("door", _sim("task:mechanism:door", "--camera front --duration 14", size=_SLOW)),
         Panel("bottle", _sim("task:mechanism:bottle", "--camera side --duration 14", size=_SLOW)),

@@ -187,7 +187,8 @@ class Contacts(nn.Module):
         amount = nn.functional.softplus(wanted[..., 0] + _SHY) * _KICK * mass * within
         slide = wanted[..., 1:]
         slide = slide / (1.0 + slide.square().sum(-1, keepdim=True)).sqrt()
-        up = torch.zeros_like(given.normal) + given.normal.new_tensor([0.0, 0.0, 1.0])
+        up = torch.zeros_like(given.normal)
+        up.select(-1, 2).fill_(1.0)  # a list of numbers would come from the host: no CUDA graph
         flat = torch.linalg.cross(given.normal, up)
         flat = flat / (flat.square().sum(-1, keepdim=True) + 1e-6).sqrt()
         steep = torch.linalg.cross(given.normal, flat)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import pytest
 import torch
@@ -9,6 +10,7 @@ from orbisim_policies.learned import LearnedWorlds
 from orbisim_policies.network import NetworkConfig
 from orbisim_policies.push import PushProblem
 from orbisim_policies.suite import SuiteProblem
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from orbisim.errors import InputError
 
@@ -64,6 +66,34 @@ def test_a_horizon_that_does_not_divide_the_episode_is_refused(
     pool = cartpole_worlds.pool(cartpole.draw([0]))
     with pytest.raises(InputError, match="divides"):
         Apg(cartpole_worlds, pool, dataclasses.replace(SMALL, horizon=3))
+
+
+class FromHost(TorchDispatchMode):
+    """Notes the operations that a CUDA graph cannot record: they read or write the host's memory.
+
+    Attributes:
+      found: their names.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: set[str] = set()
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        name = str(func)
+        if any(part in name for part in ("lift_fresh", "_local_scalar_dense", "nonzero")):
+            self.found.add(name)
+        return func(*args, **(kwargs or {}))
+
+
+@pytest.mark.parametrize("dynamics", ["push", "push_contacts"])
+@pytest.mark.parametrize("horizon", [0, 1])
+def test_an_iteration_stays_on_the_device(push: PushProblem, dynamics: str, horizon: int) -> None:
+    worlds = LearnedWorlds(push, dynamics, torch.device("cpu"))
+    training = Apg(worlds, worlds.pool(push.draw([1])), dataclasses.replace(SMALL, horizon=horizon))
+    with FromHost() as watch:
+        training._iterate()
+    assert not watch.found
 
 
 @pytest.mark.slow
