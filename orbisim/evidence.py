@@ -7,6 +7,18 @@ sensor's noise, and a few blocks that nothing predicts count by their logarithm 
 outweighing all others, or having to be left out. Neighbouring samples are not independent; a block
 counts as many data as the autocorrelation of what is left allows.
 
+What is left of a real machine is structure that returns in every window, so that windows are not
+independent either. What effects that are not in an explanation explain of its rest says how many
+data there are (an empirical null; Efron, J. Am. Stat. Assoc. 99, 2004): of n independent ones, any
+column explains a share of about 1/n. Where these are fewer, the likelihood counts by a power below
+1 (Miller and Dunson, J. Am. Stat. Assoc. 114, 2019).
+
+What is left of a machine is structure that returns in every window, so that windows are not
+independent either. What effects that are not in an explanation explain of its rest, by chance, says
+how many data there are (an empirical null; Efron, J. Am. Stat. Assoc. 99, 2004): of n independent
+ones any column explains a share of about 1/n. Where that is less, the likelihood counts by a power
+(Miller and Dunson, J. Am. Stat. Assoc. 114, 2019).
+
 Two explanations are compared by the difference of their log predictive scores, with its standard
 error over the blocks, plus the logarithm of their prior odds. The error is that of the blocks that
 gain less than the mean (of a symmetric distribution it is the same): blocks in which a rare event
@@ -43,21 +55,29 @@ class Blocks:
       size: [B] data of each block that count as independent.
       signal: [B] number of the signal: each has a scale of its own.
       floor: [B] least scale: that of the measurement noise.
+      power: [B] or one for all: by which the likelihood of a block counts.
     """
 
     size: Floats
     signal: Ints
     floor: Floats
+    power: Floats | float = 1.0
+
+    @property
+    def count(self) -> float:
+        """How many data count in all, 2 at least."""
+        return max(float((self.power * self.size).sum()), 2.0)
 
 
-def counted(data: npt.NDArray[np.generic], share: float) -> Blocks:
+def counted(data: npt.NDArray[np.generic], share: float, most: float = np.inf) -> Blocks:
     """Blocks of one signal in units of its noise, if such a share of their data is independent.
 
     Args:
-      data: [B] their numbers.
+      data: [B] their numbers. most: how many count in all, at most.
     """
     size = np.maximum(share * np.asarray(data, np.float64), 1.0)
-    return Blocks(size, np.zeros(len(size), np.int64), np.ones(len(size)))
+    power = min(1.0, most / float(size.sum())) if len(size) else 1.0
+    return Blocks(size, np.zeros(len(size), np.int64), np.ones(len(size)), power)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,7 +135,7 @@ def scores(squares: Floats, blocks: Blocks) -> Floats:
     """[B]: log predictive score of each block, but for a constant of the block."""
     size, variance = blocks.size, scales(squares, blocks) ** 2
     spread = np.log1p(size * squares / (FREEDOM * variance))
-    return np.asarray(-size * np.log(variance) / 2 - (FREEDOM + size) * spread / 2)
+    return np.asarray(blocks.power * (-size * np.log(variance) - (FREEDOM + size) * spread) / 2)
 
 
 def gain(before: Floats, after: Floats, blocks: Blocks, prior: float = 0.0) -> Gain:
@@ -152,6 +172,40 @@ def independent_share(residuals: Sequence[Floats]) -> float:
     lost = np.flatnonzero(correlation < chance)
     until = int(lost[0]) if len(lost) else longest
     return float(1 / (1 + 2 * correlation[1:until].sum()))
+
+
+def independent_by_chance(
+    columns: Floats, left: Floats, weight: Floats, fitted: Floats | None = None
+) -> float:
+    """How many data count as independent, by what columns explain that were not fitted to them.
+
+    Args:
+      columns: [W, R, C] what effects would give; few of them say nothing (infinite).
+      left: [W, R] what is left. weight: [W] by which windows count.
+      fitted: [W, R, P] what was fitted: only what columns say beside that counts.
+    """
+    root = np.sqrt(weight)[:, None]
+    flat = (columns * root[..., None]).reshape(-1, columns.shape[2])
+    rest = (left * root).ravel()
+    whole = np.linalg.norm(flat, axis=0)
+    if fitted is not None and fitted.shape[2]:
+        own = (fitted * root[..., None]).reshape(len(flat), -1)
+        basis = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))[0]
+        flat, rest = flat - basis @ (basis.T @ flat), rest - basis @ (basis.T @ rest)
+    size, norm = np.linalg.norm(flat, axis=0), float(np.linalg.norm(rest))
+    felt = (size > _NEW * whole) & (whole > 0)
+    if felt.sum() < _FEWEST or not norm > 0:
+        return float("inf")
+    shares = (rest @ flat[:, felt] / (size[felt] * norm)) ** 2
+    return float(_MEDIAN / max(float(np.median(shares)), 1e-300))
+
+
+_NEW = 1e-4
+"""Share of a column that what was fitted must leave."""
+_FEWEST = 8
+"""Columns of which a median says something."""
+_MEDIAN = 0.455
+"""Median of the square of a standard normal variable."""
 
 
 def probabilities(log_odds: Floats) -> Floats:

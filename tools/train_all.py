@@ -147,6 +147,12 @@ _SMALL_PARTS = (
     ("train.stages", "0.6x1x256,0.4x10x32ar"),
 )
 """For `mechanism_door` on one core of a CPU."""
+_ONE = (
+    ("model.width", 192),
+    ("train.stages", "0.35x1x2048,0.4x6x1024ar,0.25x16x1024arf"),
+)
+"""One model of all the suite's robots. A step takes long, whatever the batch: kinematics and
+impulses are many small operations."""
 _DRAPE = ("drape_primitives", "drape_meshes", "drape_unseen")
 """Of the last there are only episodes to measure on."""
 _WIDE = (
@@ -207,6 +213,14 @@ JOBS: dict[str, Job] = {
         )
         for name in ("parts", "parts_no_memory", "parts_no_geometry", "parts_no_joints")
     },
+    "suite_one": Job(
+        tuple(f"suite_{name}" for name in SUITE_DOMAINS),
+        "limbs",
+        _ONE,
+        weight=10.0,
+        horizons=(10, 50, 100),
+        burn=0,
+    ),
     "mechanism_door": Job(
         ("mechanism_door",), "parts_no_memory", _SMALL_PARTS, horizons=(10, 100, 300), burn=0
     ),
@@ -280,6 +294,7 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
         resume=options.resume,
         start=_start(job, name, options),
         compiled=options.compiled,
+        graph=not options.no_graph,
         horizons=job.horizons,
         burn=job.burn,
     )
@@ -317,6 +332,10 @@ def _learner(job: Job, settings: dict[str, Any], folder: Path) -> Any:
     packs, spare = (read_named(folder, each) for each in names)
     assert packs, f"no data of {job.data}"
     wanted = replaced(preset(job.config), settings)
+    if wanted.model.articulated:
+        from orbisim_world_model.packing import limb_groups
+
+        packs, spare = limb_groups(packs), limb_groups(spare)
     return lambda run, report: train(packs, wanted, run, report, spare or None)
 
 
@@ -421,6 +440,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--resume", action="store_true")
     parser.add_argument("--start", type=Path, help="folder of checkpoints to go on from, by job")
     parser.add_argument("--compiled", action="store_true", help="training steps, by torch")
+    parser.add_argument("--no-graph", action="store_true", help="no CUDA graphs; much slower")
     return parser
 
 

@@ -14,7 +14,7 @@ from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.simplification import Sure, named, only_sure
 from orbisim.diagnosis.suspects import Screening
-from orbisim.diagnosis.worth import worth
+from orbisim.diagnosis.worth import independent_data, told_of, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.evidence import NEAR, Gain
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
@@ -121,7 +121,7 @@ def concluded(found: Found, deadline: Deadline) -> Attribution:
         rejected += [(effect, found.law) for effect in changed.effects]
     elif changed.effects or changed.factors:
         for one in [found.best, *_runners_up(found)]:
-            after = _finally(found, context, one, one.hypothesis) or one
+            after = _finally(found, context, one, one.hypothesis.in_parts()) or one
             after = _resized(context, after)
             after, gains, doubted = _sure(context, before, after)
             rejected += doubted
@@ -172,10 +172,32 @@ def _sure(context: Context, before: Judged, after: Judged) -> Sure:
         return judge.judge(less, 3, begin=judge.begin(now))
 
     sure = only_sure(context, after, refit, before)
+    while vague := _vague(context, sure.judged):
+        less = refit(sure.judged.hypothesis.without(vague[0]), sure.judged)
+        if less is None:
+            break
+        gone = sure.judged.hypothesis.effects[vague[0]]
+        again = only_sure(context, less, refit, before)
+        rejected = (*sure.rejected, (gone, _VAGUE), *again.rejected)
+        sure = again._replace(rejected=rejected)
     hypothesis = sure.judged.hypothesis
     if not hypothesis.effects and hypothesis.factors and sure.judged.ratio > NEAR:
         return sure._replace(judged=before)
     return sure
+
+
+_VAGUE = "its interval includes nothing of it"
+
+
+def _vague(context: Context, judged: Judged) -> list[int]:
+    """Numbers of the effects that cannot be told from nothing, the last first."""
+    scene, hypothesis = context.bench.scene, judged.hypothesis
+    independent = independent_data(judged)
+    return [
+        number
+        for number in reversed(range(len(hypothesis.effects)))
+        if not told_of(scene, hypothesis, judged.fit, number, independent)
+    ]
 
 
 def _on_contacts(context: Context, after: Judged) -> list[int]:

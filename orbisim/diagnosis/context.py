@@ -9,15 +9,18 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.nuisance import factor_columns
-from orbisim.diagnosis.screening import screen
+from orbisim.diagnosis.screening import candidates_of, screen
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.suspects import Screening, merged
 from orbisim.effects import EffectInstance, find
 from orbisim.evidence import NEAR
 from orbisim.host.deadline import Deadline
 from orbisim.motion.linear import Intervals, linearize, missing_force
+from orbisim.motion.regressors import MotionView
 from orbisim.shooting.along import along, tame
 from orbisim.shooting.bench import Bench
+from orbisim.shooting.chance import Chance, chance_of
+from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judge, Judged, is_structural
 from orbisim.shooting.retune import Tunable, tunables
 
@@ -36,6 +39,8 @@ class Context:
       tunables: declared parameters that the data feel. columns: their effect on the motion,
         [intervals, 2 nv, tunables]; None without.
       judge: of hypotheses on the fitted and the check windows.
+      chance: what effects would give along that scene; None where bodies touch, as chained through
+        impacts that says little.
     """
 
     settings: Settings
@@ -45,6 +50,7 @@ class Context:
     tunables: tuple[Tunable, ...]
     columns: Floats | None
     judge: Judge
+    chance: Chance | None = None
 
     @property
     def deadline(self) -> Deadline:
@@ -57,29 +63,39 @@ class Context:
         hypothesis = judged.hypothesis
         intervals = linearize(self.bench.flow(hypothesis))
         bench = self.bench.with_noise_of(hypothesis, intervals)
-        judge = self._judge(bench, intervals, judged.ratio > NEAR)
-        return dataclasses.replace(self, bench=bench, intervals=intervals, judge=judge)
+        return self._with(
+            bench, intervals, judged.ratio > NEAR, _chance(bench, intervals, hypothesis)
+        )
 
     def on(self, bench: Bench) -> Context:
         """With the same data along another form of the declared scene."""
-        judge = self._judge(bench, bench.intervals, self.judge.heavy)
-        return dataclasses.replace(self, bench=bench, intervals=bench.intervals, judge=judge)
+        chance = _chance(bench, bench.intervals, Hypothesis())
+        return self._with(bench, bench.intervals, self.judge.heavy, chance)
 
     def until(self, deadline: Deadline) -> Context:
         """With another deadline."""
         bench = dataclasses.replace(self.bench, deadline=deadline)
-        judge = self._judge(bench, self.intervals, self.judge.heavy)
-        return dataclasses.replace(self, bench=bench, judge=judge)
+        return self._with(bench, self.intervals, self.judge.heavy, self.chance)
 
     def whole(self, deadline: Deadline, most: int) -> Context:
         """With all windows fitted and checked (so many at most), until another deadline."""
         bench = dataclasses.replace(self.bench.whole(), deadline=deadline)
-        judge = Judge(bench, self.intervals, self.tunables, self.columns, most, self.judge.heavy)
-        return dataclasses.replace(self, bench=bench, judge=judge)
+        return self._with(bench, self.intervals, self.judge.heavy, self.chance, most)
 
-    def _judge(self, bench: Bench, intervals: Intervals, heavy: bool = False) -> Judge:
-        most = self.settings.windows
-        return Judge(bench, intervals, self.tunables, self.columns, most, heavy)
+    def _with(
+        self,
+        bench: Bench,
+        intervals: Intervals,
+        heavy: bool,
+        chance: Chance | None,
+        most: int | None = None,
+    ) -> Context:
+        """With other data, and a judge on them."""
+        most = most or self.settings.windows
+        judge = Judge(bench, intervals, self.tunables, self.columns, most, heavy, chance)
+        return dataclasses.replace(
+            self, bench=bench, intervals=intervals, judge=judge, chance=chance
+        )
 
     def with_tunables(self) -> Context:
         """Finds the declared parameters that the data feel at all."""
@@ -94,7 +110,7 @@ class Context:
             tunables=tuple(one for one, f in zip(every, felt, strict=True) if f),
             columns=columns[:, :, felt] if felt.any() else None,
         )
-        return dataclasses.replace(found, judge=found._judge(self.bench, self.intervals))
+        return found._with(self.bench, self.intervals, self.judge.heavy, self.chance)
 
     def allowed(self, instance: EffectInstance) -> bool:
         """Whether the search may use an effect, and its target can have it."""
@@ -122,5 +138,16 @@ class Context:
 
 def begun(bench: Bench, settings: Settings, say: Progress) -> Context:
     """Along the declared scene, with nothing to retune."""
-    judge = Judge(bench, bench.intervals, (), None, settings.windows)
-    return Context(settings, say, bench, bench.intervals, (), None, judge)
+    chance = _chance(bench, bench.intervals, Hypothesis())
+    judge = Judge(bench, bench.intervals, (), None, settings.windows, chance=chance)
+    return Context(settings, say, bench, bench.intervals, (), None, judge, chance)
+
+
+def _chance(bench: Bench, intervals: Intervals, hypothesis: Hypothesis) -> Chance | None:
+    """What effects would give along a scene, all of the catalogue: what may not be named tells as
+    much of chance as what may."""
+    if bench.contacts:
+        return None
+    flow = bench.flow(hypothesis)
+    view = MotionView(flow, bench.samples, missing_force(intervals))
+    return chance_of(intervals, candidates_of(view, bench, hypothesis, flow, None))

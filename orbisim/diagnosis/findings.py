@@ -175,16 +175,18 @@ def effects_of(
     evidence: Sequence[float],
     error: Callable[[Hypothesis], float],
     seed: int,
+    independent: float = np.inf,
 ) -> tuple[FoundEffect, ...]:
     """The effects with their intervals and what each brings on held-out data.
 
     Args:
       scene: as declared. fit: of the hypothesis. evidence: drop in information criterion by effect.
       error: held-out error of a hypothesis. seed: of the bootstrap.
+      independent: how many of the data that were fitted count as independent.
     """
     free = hypothesis.free(scene)
     names = [f"{i}.{name}" for i, name in free] + [str(one) for one, _ in hypothesis.factors]
-    intervals = confidence(fit, names, seed)
+    intervals = confidence(fit, names, seed, independent)
     with_all = error(hypothesis) if hypothesis.effects else 0.0
     result: list[FoundEffect] = []
     for i, effect in enumerate(hypothesis.effects):

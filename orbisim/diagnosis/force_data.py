@@ -12,7 +12,7 @@ import numpy.typing as npt
 from orbisim.effects import effect_names, find
 from orbisim.effects.screening import Candidate
 from orbisim.errors import InputError
-from orbisim.evidence import Blocks, independent_share
+from orbisim.evidence import Blocks, independent_by_chance, independent_share
 from orbisim.motion.force import force_residual
 from orbisim.motion.linear import IntervalMap
 from orbisim.motion.regressors import MotionView
@@ -176,11 +176,12 @@ def normals(data: ForceData, columns: Floats, sigma: Floats) -> list[Normal]:
     return found
 
 
-def counts(data: ForceData, left: Floats, sigma: Floats) -> Blocks:
+def counts(data: ForceData, left: Floats, sigma: Floats, columns: Floats | None = None) -> Blocks:
     """How the data of each joint in each stretch count.
 
     Args:
       left: [N, nv] what is left, whose autocorrelation says how many data are independent.
+      columns: [N, nv, C] what effects would give, which says the same.
     """
     nv = sigma.shape[1]
     rows = np.bincount(data.block, minlength=data.blocks)
@@ -192,4 +193,11 @@ def counts(data: ForceData, left: Floats, sigma: Floats) -> Blocks:
         ]
     )
     size = np.maximum(rows[:, None] * share, 1.0)
-    return Blocks(size.ravel(), np.tile(np.arange(nv), data.blocks), np.tile(floor, data.blocks))
+    power = np.ones(nv)
+    for dof in range(nv) if columns is not None else ():
+        weighted = np.nan_to_num(columns[:, dof] / sigma[:, dof, None])
+        rest = np.nan_to_num(left[:, dof] / sigma[:, dof])
+        most = independent_by_chance(weighted[None], rest[None], np.ones(1))
+        power[dof] = min(1.0, most / float(size[:, dof].sum()))
+    signal = np.tile(np.arange(nv), data.blocks)
+    return Blocks(size.ravel(), signal, np.tile(floor, data.blocks), np.tile(power, data.blocks))

@@ -11,7 +11,7 @@ inverse dynamics of the scene that has them.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +27,7 @@ from orbisim.diagnosis.force_data import (
 from orbisim.diagnosis.selection import BEGINNINGS, Group, Selected
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.together import instances, left_of, select_in_rounds
+from orbisim.diagnosis.worth import told_of
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.base import Extent
 from orbisim.effects.screening import Candidate
@@ -102,24 +103,43 @@ def attribute_forces(
     offered = candidates(data, settings.effects)
     if not offered[0]:
         return _nothing(data, ratio, ())
-    chosen = _selected(data, *offered, say, deadline)
-    suspects = tuple((_named(o.group), _named(o.instead_of), o.gain) for o in chosen.rivals)
-    known = instances(scene, chosen)
-    if not known:
-        return _nothing(data, ratio, suspects)
-    say("fitting the effects to the inverse dynamics")
-    few = force_data(scene, samples, _FITTED)
-    while known:
-        hypothesis = Hypothesis(tuple(one for one, _ in known))
-        sigma = spread(few, few.left(hypothesis))
-        hypothesis, fit = fit_forces(few, hypothesis, sigma, deadline)
-        there = [not _idle(hypothesis, fit, number, scene) for number in range(len(known))]
-        fitted = zip(hypothesis.effects, (worth for _, worth in known), there, strict=True)
-        known = [(one, worth) for one, worth, kept in fitted if kept]
-        if all(there):
-            after, gains = _ratio(data, data.left(hypothesis)), tuple(worth for _, worth in known)
-            return ForceAttribution(data, hypothesis, fit, ratio, after, gains, suspects)
+    suspects: tuple[Suspicion, ...] = ()
+    few, here = force_data(scene, samples, _FITTED), extent(samples)
+    while offered[0]:
+        chosen = _selected(data, *offered, say, deadline)
+        suspects = tuple((_named(o.group), _named(o.instead_of), o.gain) for o in chosen.rivals)
+        known = instances(scene, chosen)
+        impossible: set[tuple[str, str]] = set()
+        while known and not impossible:
+            say("fitting the effects to the inverse dynamics")
+            hypothesis = Hypothesis(tuple(one for one, _ in known))
+            sigma = spread(few, few.left(hypothesis))
+            hypothesis, fit = fit_forces(few, hypothesis, sigma, deadline)
+            fitted = [(o, worth) for o, (_, worth) in zip(hypothesis.effects, known, strict=True)]
+            impossible = {
+                (one.effect, one.target)
+                for one, _ in fitted
+                if not _prior(scene, here, one) > -np.inf
+            }
+            there = [not _idle(hypothesis, fit, number, scene) for number in range(len(known))]
+            if all(there) and not impossible:
+                after = _ratio(data, data.left(hypothesis))
+                gains = tuple(worth for _, worth in known)
+                return ForceAttribution(data, hypothesis, fit, ratio, after, gains, suspects)
+            known = [one for one, kept in zip(fitted, there, strict=True) if kept]
+        if not impossible:
+            break
+        offered = _without(offered, impossible)  # others may stand in their places
     return _nothing(data, ratio, suspects)
+
+
+def _without(
+    offered: tuple[list[Candidate], Floats], gone: Collection[tuple[str, str]]
+) -> tuple[list[Candidate], Floats]:
+    """Candidates and their columns but some effects at their targets."""
+    kept = [(one.effect, one.target) not in gone for one in offered[0]]
+    columns = np.repeat(kept, [len(one.columns) for one in offered[0]])
+    return [one for one, k in zip(offered[0], kept, strict=True) if k], offered[1][:, :, columns]
 
 
 def _idle(hypothesis: Hypothesis, fit: Fit, number: int, scene: Scene) -> bool:
@@ -131,16 +151,7 @@ def _idle(hypothesis: Hypothesis, fit: Fit, number: int, scene: Scene) -> bool:
     felt = _felt(np.sqrt(np.diag(fit.information.sum(axis=0))), fit.values)
     if not felt[own].any() or any(unknowns[k].ran_off(float(fit.values[k])) for k in own):
         return True
-    instance = hypothesis.effects[number]
-    known = find(instance.effect).parameters(scene.model, instance.target)
-    neutral = {one.name: one.neutral for one in known}
-    away = fit.values[own] - np.array([neutral.get(free[k][1], 0.0) for k in own])
-    inverse = np.linalg.pinv(fit.covariance[np.ix_(own, own)], rcond=1e-12, hermitian=True)
-    return bool(away @ inverse @ away < _TOLD**2 * len(own))
-
-
-_TOLD = 2.0
-"""Standard deviations by which an effect's numbers must differ from nothing."""
+    return not told_of(scene, hypothesis, fit, number)
 
 
 def _selected(
@@ -155,7 +166,7 @@ def _selected(
     def blocks(left: Floats) -> tuple[list[Normal], Blocks]:
         say("selecting effects")
         sigma = spread(data, left)
-        return normals(data, columns, sigma), counts(data, left, sigma)
+        return normals(data, columns, sigma), counts(data, left, sigma, columns)
 
     def after(chosen: Selected) -> Floats:
         return left_of(chosen, columns, data.force)
@@ -231,10 +242,10 @@ def fit_forces(
 ) -> tuple[Hypothesis, Fit]:
     """Fits the effects' parameters to the inverse dynamics of the scene that has them.
 
-    Gauss-Newton with differences; a step that does not help, or leads to what no machine has, is
-    halved. At the deadline it ends with what it has.
+    Gauss-Newton with differences; a step that does not help is halved. At the deadline it ends with
+    what it has.
     """
-    scene, known = data.scene, extent(data.samples)
+    scene = data.scene
     unknowns = hypothesis.unknowns(scene)
     low, high = (np.array([getattr(u, end) for u in unknowns]) for end in ("low", "high"))
     here = _weighted(data, hypothesis, sigma)
@@ -244,8 +255,6 @@ def fit_forces(
         step = _step(slopes, here, values)
         for share in (1.0, 0.5, 0.25):
             trial = hypothesis.at(scene, np.clip(values + share * step, low, high))
-            if not all(_prior(scene, known, one) > -np.inf for one in trial.effects):
-                continue
             try:
                 there = _weighted(data, trial, sigma)
             except OrbiSimError:

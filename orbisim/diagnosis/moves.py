@@ -19,6 +19,7 @@ from orbisim.diagnosis.explanations import (
     done,
     fitted_from,
     names_of,
+    possible_of,
     winner,
 )
 from orbisim.diagnosis.force_search import attribute_forces
@@ -198,12 +199,13 @@ def _together(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[J
         return
     context.say("several effects at once")
     bench, settings = context.bench, context.settings
-    judge = Judge(bench, context.intervals, (), None, settings.windows, heavy=True)
+    judge = Judge(bench, context.intervals, (), None, settings.windows, True, context.chance)
     for proposed in (_by_windows, _by_forces):
         effects = proposed(context)
         judged = judge.judge(Hypothesis(effects), _ITERATIONS) if effects else None
-        if judged is not None:
-            yield judged
+        possible = None if judged is None else possible_of(bench, judge, judged, _ITERATIONS)
+        if possible is not None:
+            yield possible
 
 
 def _by_windows(context: Context) -> tuple[EffectInstance, ...]:

@@ -39,6 +39,7 @@ from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.scoring import score
 from orbisim.diagnosis.sensor_faults import sensor_faults
 from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.worth import independent_data
 from orbisim.effects import add_effects, find
 from orbisim.errors import InputError
 from orbisim.evidence import NEAR, SURE
@@ -51,11 +52,12 @@ from orbisim.recording.actuators import actuators
 from orbisim.recording.split import bounded, some_of, split
 from orbisim.recording.stamps import regular
 from orbisim.recording.suspicious import refuse, within_range
-from orbisim.recording.thinning import held_led, thinned, usual_window
+from orbisim.recording.thinning import held_led, thinned
 from orbisim.scene import Scene, load_scene
 from orbisim.sensing.faults import Sensed
 from orbisim.shooting.bench import Bench, Noise, make_bench
 from orbisim.shooting.cutting import touches, windows_enough
+from orbisim.shooting.horizon import telling_window
 
 Source = Recording | str | Path
 
@@ -82,7 +84,8 @@ def diagnose(
       recordings: measurements to learn from.
       held_out: measurements that no choice and no fit may see; kept back from `recordings` if None.
       window: duration of the windows of free-running simulation, s. If None, 0.5 s or, where that
-        has fewer than 30 samples, as long as 60 samples take.
+        has fewer than 30 samples, as long as 60 samples take; longer where forces do not yet
+        outweigh what sensors do (`orbisim.shooting.horizon`).
       residual: what is explained: `motion`, the error of free runs over windows; or `force`, the
         generalized force that is missing along the measured motion by inverse dynamics. If None,
         the motion. Where all forces are known (torques, or controls of actuators without dynamics)
@@ -141,7 +144,7 @@ def diagnose(
             if residual == "force" or len(forces.effects) >= loaded.model.nv:
                 result = forces
         if result is None:
-            chosen = usual_window(fit) if window is None else window
+            chosen = telling_window(loaded, fit) if window is None else window
             result = _by_motion(
                 loaded, named, fit, held, settings, chosen, backend, learn_rest, notes, say, start
             )
@@ -355,6 +358,7 @@ def _result(
                 found.evidence,
                 free_run_error(stepped, held, window, backend),
                 settings.seed,
+                independent_data(found.after),
             ),
             *sensed.effects,
         ),

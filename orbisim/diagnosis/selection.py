@@ -47,6 +47,7 @@ class Group:
       shape: number of parameters that were tried at several values.
       prior: logarithm of the odds of the effect beside those of any.
       values: the same of what it says for coefficients, beside those of the effect.
+      refines: key of the group without which it has the odds of both; empty for none.
     """
 
     index: tuple[int, ...]
@@ -56,6 +57,7 @@ class Group:
     shape: int = 0
     prior: float = 0.0
     values: Prior = lambda _: 0.0
+    refines: tuple[str, ...] = ()
 
 
 def groups_of(
@@ -106,8 +108,10 @@ def _group(
 
     index = tuple(int(i) for i in start + felt)
     key = (candidate.effect, candidate.target)
-    odds = find(candidate.effect).odds(model, candidate.target)
-    return Group(index, key, instance, candidate.fixed, candidate.shape, odds, prior)
+    effect = find(candidate.effect)
+    odds, simpler = effect.odds(model, candidate.target), effect.refines
+    refines = (simpler, candidate.target) if simpler else ()
+    return Group(index, key, instance, candidate.fixed, candidate.shape, odds, prior, refines)
 
 
 _FELT = 1e-12
@@ -333,7 +337,10 @@ class _Search:
         """Logarithm of the prior odds of groups with the values that they have together."""
         found = coefficients(self.whole, chosen)
         said = [(g.values, g.instance(x)) for g, x in zip(chosen, found, strict=True)]
-        return sum(map(_log_prior, chosen)) + sum(of(one) for of, one in said if one is not None)
+        there = {group.key for group in chosen}
+        alone = sum(bool(group.refines) and group.refines not in there for group in chosen)
+        values = sum(of(one) for of, one in said if one is not None)
+        return sum(map(_log_prior, chosen)) + EFFECT * alone + values
 
     def worth(self, other: _Search) -> float:
         """What another end of the search is worth more."""
@@ -402,17 +409,21 @@ class _Search:
         """Drops groups that are not surely worth it beside the others, the least useful first; of
         two of which either is enough, that with more columns."""
         while len(self.chosen) > 1:
-            trials: list[tuple[float, int, list[Group], Floats]] = []
-            for number in np.argsort(self._costs(self.chosen), kind="stable")[:_LEAST]:
-                out = self.chosen[number]
-                kept = self._possible(_less(self.chosen, out))
-                left = predicted(self.data, kept)
-                worth = self.gain(left, self.now, self.chosen, kept).sure
-                trials.append((worth, -len(out.index), kept, left))
-            least, _, kept, left = min(trials, key=lambda one: one[:2])
-            if least > 0:
+            order = np.argsort(self._costs(self.chosen), kind="stable")
+            for numbers in (order[:_LEAST], order[_LEAST:]):
+                trials: list[tuple[float, int, list[Group], Floats]] = []
+                for number in numbers:
+                    out = self.chosen[number]
+                    kept = self._possible(_less(self.chosen, out))
+                    left = predicted(self.data, kept)
+                    worth = self.gain(left, self.now, self.chosen, kept).sure
+                    trials.append((worth, -len(out.index), kept, left))
+                least = min(trials, key=lambda one: one[:2], default=None)
+                if least is not None and least[0] <= 0:
+                    self.chosen, self.now = least[2:]
+                    break
+            else:
                 return
-            self.chosen, self.now = kept, left
 
     def _best(self, kept: Sequence[Group]) -> tuple[list[Group], Floats, Gain] | None:
         """What is best chosen with another group beside those kept, what is left then, and what
@@ -498,7 +509,7 @@ _FITTED = 60
 _NEAREST = 4
 """Rivals of each chosen group that are looked at."""
 _LEAST = 4
-"""How many of the groups that cost least to do without are scored for removal."""
+"""How many of the groups that cost least to do without are scored for removal first."""
 _REWEIGHTED = 3
 """Times that the beginning is thinned and weighed by what it leaves."""
 _EXCHANGES = 3

@@ -3,15 +3,17 @@ which a search adds, removes, exchanges, merges and retunes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from orbisim.effects import find
-from orbisim.evidence import EFFECT, Gain, counted, gain, independent_share
+from orbisim.evidence import EFFECT, Blocks, Gain, counted, gain, independent_share
 from orbisim.motion.samples import extent
+from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
+from orbisim.shooting.confidence import confidence, told
 from orbisim.shooting.fits import Fit
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
@@ -30,19 +32,16 @@ def gains(bench: Bench, before: Judged, others: Sequence[Judged]) -> list[Gain]:
 
     Windows that parameters were fitted to count, too; what each fitted number costs, `log_prior`
     says. In each window, the state of a joint that an effect adds costs half the logarithm of its
-    data. How many are independent, what the best of them leaves says.
+    data. How many are independent, what the best of them leaves says (`blocks_of`).
 
     Args:
       bench: the data. before, others: judged on the same windows.
     """
     best = min([before, *others], key=lambda one: one.loss)
-    share = independent_share(courses(best.fit, best.windows.length))
-    blocks = counted(
-        data_in([best.fit] if best.check_fit is best.fit else [best.fit, best.check_fit]), share
-    )
-    size = blocks.size
-    data = max(float(size.sum()), 2.0)
-    starts = 0.5 * float(np.log(size).sum())  # of one number more in each window
+    blocks = blocks_of(best)
+    size, data = blocks.size, blocks.count
+    least = np.maximum(blocks.power * size, 1.0)
+    starts = 0.5 * float(np.log(least).sum())  # of one number more in each window
 
     def odds(one: Judged) -> float:
         hidden = one.fit.start.shape[1] - 2 * bench.scene.model.nv
@@ -52,6 +51,19 @@ def gains(bench: Bench, before: Judged, others: Sequence[Judged]) -> list[Gain]:
     return [
         gain(known[0], _squares(one, len(size)), blocks, odds(one) - known[1]) for one in others
     ]
+
+
+def blocks_of(judged: Judged) -> Blocks:
+    """How the data of all windows count, by what an explanation leaves of them."""
+    share = independent_share(courses(judged.fit, judged.windows.length))
+    own, every = data_in([judged.fit]), _all_data(judged)
+    return counted(every, share, judged.independent * every.sum() / max(own.sum(), 1.0))
+
+
+def _all_data(judged: Judged) -> Floats:
+    """[B]: number of data of each window that was fitted or checked."""
+    same = judged.check_fit is judged.fit
+    return data_in([judged.fit] if same else [judged.fit, judged.check_fit])
 
 
 def _squares(judged: Judged, count: int) -> Floats:
@@ -111,7 +123,40 @@ def prior(bench: Bench, hypothesis: Hypothesis) -> float:
     for one in hypothesis.effects:
         effect = find(one.effect)
         found += EFFECT + effect.odds(model, one.target) + effect.log_prior(model, one, known)
-    return found
+    return found + EFFECT * unrefined([(one.effect, one.target) for one in hypothesis.effects])
+
+
+def unrefined(places: Collection[tuple[str, str]]) -> int:
+    """How many of some effects, with targets, refine one that is not among them."""
+    known = [(find(effect).refines, target) for effect, target in places]
+    return len({place for place in known if place[0] and place not in places})
+
+
+def told_of(
+    scene: Scene, hypothesis: Hypothesis, fit: Fit, number: int, independent: float = np.inf
+) -> bool:
+    """Whether what there is of an effect can be told from nothing; so it is of what has no number
+    that a derivative says anything of.
+
+    Args:
+      number: of the effect. independent: how many of the data count as independent.
+    """
+    free, instance = hypothesis.free(scene), hypothesis.effects[number]
+    effect, model = find(instance.effect), scene.model
+    sizes = effect.sizes(model, instance.target)
+    own = [k for k, (i, name) in enumerate(free) if i == number and name in sizes]
+    if effect.stated or effect.structural or not own:
+        return True
+    neutral = {p.name: p.neutral for p in effect.parameters(model, instance.target)}
+    intervals = confidence(fit, [str(k) for k in range(len(fit.values))], 0, independent)
+    away = [neutral.get(free[k][1], 0.0) for k in own]
+    return told(fit, own, away, [intervals[str(k)] for k in own])
+
+
+def independent_data(judged: Judged) -> float:
+    """How many of the data that an explanation was fitted to count as independent."""
+    blocks = blocks_of(judged)
+    return blocks.count * data_in([judged.fit]).sum() / max(_all_data(judged).sum(), 1.0)
 
 
 def data_in(fits: Sequence[Fit]) -> Floats:

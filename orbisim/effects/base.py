@@ -46,7 +46,8 @@ class Parameter:
       usual: by how much machines that have the effect are off: scale of a Cauchy prior about
         `neutral` (half of them are less off, and ten times that is rare, not impossible). 0 where
         nothing is stated: then the prior is worth one datum, wherever that puts it.
-      possible: beyond these no machine is: where a fit ends, and the prior with it.
+      possible: beyond these no machine is: where a fit ends. A value that ends there is none: what
+        would have to be larger than it can be stands for something else.
     """
 
     name: str
@@ -60,7 +61,7 @@ class Parameter:
 
     def tail(self, value: float) -> float:
         """Logarithm of the prior density at a value over that at its peak."""
-        if not self.possible[0] <= value <= self.possible[1]:
+        if not self.possible[0] < value < self.possible[1]:
             return -np.inf
         return -float(np.log1p(((value - self.neutral) / self.usual) ** 2)) if self.usual else 0.0
 
@@ -160,6 +161,9 @@ class Effect(abc.ABC):
         empty for none.
       needs: parts of MuJoCo's pipeline without which it does nothing (`<option><flag/>`).
       rarity: logarithm of the odds of the effect on a machine beside those of friction at a joint.
+      refines: the simpler effect that no machine with this one lacks, at the same target; without
+        it, it has the odds of both (strong heredity; Chipman, Canad. J. Statist. 24, 1996).
+      shared: its parameters that the simpler effect has, too, which are not fitted beside that.
       measured_as: what an effect of the measurement changes of a signal; empty for the others.
       family: what effects share that look alike as long as they are not fitted to the end, at the
         same target; empty for none.
@@ -176,6 +180,8 @@ class Effect(abc.ABC):
     declared_as: ClassVar[str] = ""
     needs: ClassVar[tuple[mujoco.mjtDisableBit, ...]] = ()
     rarity: ClassVar[float] = 0.0
+    refines: ClassVar[str] = ""
+    shared: ClassVar[tuple[str, ...]] = ()
     measured_as: ClassVar[Literal["", "offset", "scale", "delay", "clock", "law"]] = ""
     family: ClassVar[str] = ""
 
@@ -226,6 +232,10 @@ class Effect(abc.ABC):
     def equivalents(self, model: mujoco.MjModel, instance: EffectInstance) -> list[EffectInstance]:
         """Other effects that do nearly the same as this one, with the values at which they do."""
         return []
+
+    def parts(self, instance: EffectInstance) -> list[EffectInstance]:
+        """Effects that together do exactly the same: itself, or less of it and what it refines."""
+        return [instance]
 
     def odds(self, model: mujoco.MjModel, target: str) -> float:
         """`rarity` at a target."""
@@ -279,6 +289,14 @@ class Effect(abc.ABC):
     def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
         """Names of the parameters that a fit changes; the others follow from them."""
         return tuple(p.name for p in self.parameters(model, target))
+
+    def sizes(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
+        """Of these, what says how much of the effect there is, instead of where or how: what has
+        the unit of the first parameter, or no parameter's; all if there is none."""
+        free = self.free_parameters(model, target)
+        known = {p.name: p.unit for p in self.parameters(model, target)}
+        first = next(iter(known.values()))
+        return tuple(name for name in free if known.get(name, first) == first) or free
 
     def encode(self, model: mujoco.MjModel, target: str, values: Values) -> Values:
         """The free parameters' values from all parameters'."""

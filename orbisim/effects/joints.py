@@ -398,6 +398,8 @@ class StribeckFriction(JointEffect):
 
     name = "stribeck_friction"
     rarity = -2.0
+    refines = "coulomb_friction"
+    shared = ("coulomb",)
     phrase = "Stribeck friction"
     family = "friction"
     native = False
@@ -434,6 +436,13 @@ class StribeckFriction(JointEffect):
             return []
         level = float(special.values["torque"])
         return [{"coulomb": level, "static": _STICKS * level, "velocity": values["velocity"]}]
+
+    def parts(self, instance: EffectInstance) -> list[EffectInstance]:
+        """What exceeds the Coulomb level, and that level."""
+        level, static = instance.values["coulomb"], instance.values["static"]
+        above = instance.replace(coulomb=0.0, static=max(static - level, 0.0))
+        own = EffectInstance(CoulombFriction.name, instance.target, {"torque": level})
+        return [above, own] if level > 0 else [instance]
 
     def hook(self, model: mujoco.MjModel, instance: EffectInstance) -> Hook:
         return _FrictionLevel(model, instance, _stribeck)
@@ -472,6 +481,7 @@ class LoadDependentFriction(JointEffect):
 
     name = "load_dependent_friction"
     rarity = -2.0
+    refines = "coulomb_friction"
     phrase = "load-dependent friction"
     family = "friction"
     native = False

@@ -61,6 +61,7 @@ def _one(one: Samples, spread: Floats, scene: Scene, every: int) -> ForceResidua
     count, nv = len(one), declared.nv
     out = {name: np.full((count, nv), np.nan) for name in ("force", "std", "total")}
     full = np.zeros((model.nv, model.nv))
+    _sharpened(one, model, place)
     for row in np.flatnonzero(one.usable)[::every]:
         data.qpos[:], data.qvel[:], data.qacc[:] = model.qpos0, 0.0, 0.0
         data.qpos[place.q], data.qvel[place.v] = one.qpos[row], one.qvel[row]
@@ -80,6 +81,38 @@ def _one(one: Samples, spread: Floats, scene: Scene, every: int) -> ForceResidua
         out["force"][row] = missing[place.v] - one.force[row]
         out["std"][row] = np.sqrt((inertia**2) @ spread[row] ** 2)
     return ForceResidual(one.time, out["force"], out["std"], out["total"])
+
+
+def _sharpened(one: Samples, model: mujoco.MjModel, place: Layout) -> None:
+    """Has dry friction as large as a joint's forces reach its level at a slow speed where it would
+    not at the usual one: MuJoCo's inverse dynamics regularises it by the constraint's inverse
+    weight (mj_inverse: force = clip(D (b v + a)), D = d / ((1 - d) w)), so that a joint of next to
+    no declared inertia would show none.
+    """
+    usual, pushed = np.zeros(model.nv), np.zeros(model.nv)
+    usual[place.v] = np.sqrt(np.nanmean(one.qvel[one.usable] ** 2, axis=0))
+    data = mujoco.MjData(model)
+    rows = np.flatnonzero(one.usable)
+    for row in rows[:: max(1, len(rows) // _ROWS)]:
+        data.qpos[place.q], data.qvel[place.v] = one.qpos[row], one.qvel[row]
+        data.ctrl[:] = one.ctrl[row]
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mj_fwdActuation(model, data)
+        data.qfrc_actuator[place.v] += one.force[row]
+        pushed += data.qfrc_actuator**2
+    pushed = np.sqrt(pushed / max(1, len(rows[:: max(1, len(rows) // _ROWS)])))
+    ratio, stiff = model.dof_solimp[:, 0], model.dof_solimp[:, 1]
+    constant = np.maximum(model.dof_solref[:, 0], 2 * model.opt.timestep)
+    reached = ratio / (1 - ratio) * 2 / (stiff * constant) * usual
+    blunt = (pushed > 0) & (reached > 0) & (reached < model.dof_invweight0 * pushed)
+    model.dof_invweight0[blunt] = _HARDLY * reached[blunt] / pushed[blunt]
+
+
+_HARDLY = 0.02
+"""Share of a joint's usual speed that is slow."""
+_ROWS = 50
+"""Samples by which a joint's forces are known well enough."""
 
 
 class Hooked:

@@ -11,10 +11,13 @@ from scipy import stats
 from orbisim.shooting.fits import Fit
 
 
-def confidence(fit: Fit, names: Sequence[str], seed: int = 0) -> dict[str, tuple[float, float]]:
+def confidence(
+    fit: Fit, names: Sequence[str], seed: int = 0, independent: float = np.inf
+) -> dict[str, tuple[float, float]]:
     """95 % intervals of fitted parameters: the widest of three.
 
-    These are the Jacobian's, a block bootstrap's, and what whole recordings say.
+    These are the Jacobian's with as many data as count as independent, a block bootstrap's, and
+    what whole recordings say.
 
     What a model lacks is much the same in all windows of a recording, so that these are not
     independent: recordings are, and their shares in the score have the cluster-robust covariance
@@ -23,6 +26,9 @@ def confidence(fit: Fit, names: Sequence[str], seed: int = 0) -> dict[str, tuple
 
     The bootstrap resamples windows and takes one Gauss-Newton step from the fit. Where few windows
     feel a parameter, resamples that hardly contain any of them say nothing and are left out.
+
+    Args:
+      independent: how many of the data count as independent.
     """
     count = len(fit.values)
     if not count:
@@ -40,9 +46,33 @@ def confidence(fit: Fit, names: Sequence[str], seed: int = 0) -> dict[str, tuple
     draws = draws[felt] if felt.any() else np.array([fit.values])
     low, high = np.quantile(draws, [0.025, 0.975], axis=0)
     width = 1.96 * np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    width *= np.sqrt(max(fit.count / independent, 1.0))
     width = np.maximum(width, _by_recordings(fit, scale))
     low, high = np.minimum(low, fit.values - width), np.maximum(high, fit.values + width)
     return {n: (float(low[i]), float(high[i])) for i, n in enumerate(names)}
+
+
+def told(
+    fit: Fit, own: Sequence[int], neutral: Sequence[float], intervals: Sequence[tuple[float, float]]
+) -> bool:
+    """Whether numbers can be told from those at which nothing changes (Wald's test), as sure as
+    their intervals are.
+
+    Args:
+      own: which of the fitted numbers. neutral: where nothing changes. intervals: of each.
+    """
+    index = list(own)
+    half = np.array([(high - low) / 2 for low, high in intervals])
+    deviation = np.sqrt(np.maximum(np.diag(fit.covariance)[index], 1e-300))
+    wider = np.maximum(half / 1.96 / deviation, 1.0)
+    covariance = fit.covariance[np.ix_(index, index)] * np.outer(wider, wider)
+    away = fit.values[index] - np.array(neutral)
+    inverse = np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
+    return bool(away @ inverse @ away >= TOLD**2 * len(index))
+
+
+TOLD = 2.0
+"""Standard deviations by which an effect's numbers must differ from nothing."""
 
 
 def _by_recordings(fit: Fit, scale: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -49,13 +49,27 @@ class Hypothesis:
 
     def plus(self, instance: EffectInstance) -> Hypothesis:
         """With one effect more; a factor that means the same is dropped."""
-        same = find(instance.effect).declared_as
+        same, refined = find(instance.effect).declared_as, find(instance.effect).refines
+        if (refined, instance.target) in {(e.effect, e.target) for e in self.effects}:
+            instance = find(instance.effect).parts(instance)[0]
         kept = tuple(
             (one, factor)
             for one, factor in self.factors
             if (one.kind, one.target) != (same, instance.target)
         )
         return dataclasses.replace(self, effects=(*self.effects, instance), factors=kept)
+
+    def in_parts(self) -> Hypothesis:
+        """With the simpler effects that others refine beside these, instead of within them."""
+        effects: dict[tuple[str, str], EffectInstance] = {}
+        for one in self.effects:
+            for part in find(one.effect).parts(one):
+                place, known = (part.effect, part.target), dict[str, float]()
+                if place in effects:  # what both say of the simpler effect adds up
+                    known = dict(effects[place].values)
+                both = {name: value + known.get(name, 0.0) for name, value in part.values.items()}
+                effects[place] = part.replace(**both)
+        return dataclasses.replace(self, effects=tuple(effects.values()), frozen=frozenset())
 
     def without(self, index: int) -> Hypothesis:
         """With one effect less."""
@@ -74,11 +88,13 @@ class Hypothesis:
 
     def free(self, declared: Scene) -> list[tuple[int, str]]:
         """What a fit changes of the effects: number of the effect and name of the parameter."""
+        there = {(e.effect, e.target) for e in self.effects}
         return [
             (i, name)
             for i, e in enumerate(self.effects)
             for name in find(e.effect).free_parameters(declared.model, e.target)
             if (i, name) not in self.frozen
+            and not (name in find(e.effect).shared and (find(e.effect).refines, e.target) in there)
         ]
 
     def values(self, declared: Scene) -> Floats:

@@ -14,6 +14,7 @@ from orbisim.effects import find
 from orbisim.errors import OrbiSimError
 from orbisim.motion.linear import Intervals, linearize
 from orbisim.shooting.bench import Bench
+from orbisim.shooting.chance import Chance
 from orbisim.shooting.fits import WEAK, Fit, Hints, Unknown
 from orbisim.shooting.gauss_newton import gauss_newton, start_derivatives
 from orbisim.shooting.hypothesis import Hypothesis
@@ -38,6 +39,8 @@ class Judged:
       check_fit: window starts on the check windows.
       windows: those that it was fitted to.
       fitted: as `checked`, of the windows that it was fitted to.
+      independent: how many of the data that it was fitted to count as independent by what other
+        effects explain of what is left; infinite where that is not known.
     """
 
     hypothesis: Hypothesis
@@ -48,6 +51,7 @@ class Judged:
     check_fit: Fit
     windows: Windows
     fitted: Floats = dataclasses.field(default_factory=lambda: np.zeros(0))
+    independent: float = np.inf
 
     @property
     def loss(self) -> float:
@@ -108,8 +112,9 @@ class Judge:
         columns: Floats | None = None,
         most: int | None = None,
         heavy: bool = False,
+        chance: Chance | None = None,
     ) -> None:
-        self.bench = bench
+        self.bench, self.chance = bench, chance
         self.robust = _IMPACTS if bench.contacts else None
         self.heavy = heavy or bench.contacts
         self.fitted = bench.shooter(evenly(bench.fit, most))
@@ -206,8 +211,24 @@ class Judge:
         pooled = float(np.mean([*fit_means, *means]))
         return Judged(
             fitted, fit, means, float(np.sqrt(square)), float(np.sqrt(pooled)),
-            checked, self.fitted.windows, fit_means,
+            checked, self.fitted.windows, fit_means, self._independent(fitted, fit, fit_means),
         )  # fmt: skip
+
+    @functools.cached_property
+    def _design(self) -> Floats:
+        """[W, R, C]: what effects would give."""
+        assert self.chance is not None
+        return self.chance.design(self.bench, self.fitted.windows)
+
+    def _independent(self, hypothesis: Hypothesis, fit: Fit, means: Floats) -> float:
+        """See `Judged.independent`."""
+        if self.chance is None:
+            return np.inf
+        measured = np.flatnonzero(np.isfinite(np.concatenate(self.bench.noise)))
+        left = fit.residual.reshape(len(means), self.fitted.windows.length + 1, -1)[..., measured]
+        weight = 1 / (1 + means / max(float(np.median(means)), 1.0))
+        there = [(one.effect, one.target) for one in hypothesis.effects]
+        return self.chance.independent(self._design, left.reshape(len(means), -1), weight, there)
 
     def _typical(self, shooter: Shooter, means: Floats, trimmed: bool = True) -> float:
         """Mean over windows; with contacts, without the worst few.

@@ -183,3 +183,18 @@ def test_static_friction_is_not_less_than_coulombs() -> None:
     effect = find("stribeck_friction")
     found = effect.complete(HINGE, "hinge", {"coulomb": 2.0, "excess": -1.0, "velocity": 0.1})
     assert found["static"] == 2.0
+
+
+def test_a_value_at_the_edge_of_what_a_machine_has_is_none() -> None:
+    effect, known = find("load_dependent_friction"), {"load": "actuator"}
+    inside, edge = (
+        EffectInstance(effect.name, "hinge", {"coefficient": value}, known) for value in (0.3, 0.5)
+    )
+    assert effect.log_prior(HINGE, inside) > -np.inf
+    assert effect.log_prior(HINGE, edge) == -np.inf
+
+
+def test_sizes_say_how_much_there_is() -> None:
+    assert find("cogging").sizes(HINGE, "hinge") == ("amplitude",)
+    assert find("stribeck_friction").sizes(HINGE, "hinge") == ("coulomb", "excess")
+    assert find("coulomb_friction").sizes(HINGE, "hinge") == ("torque",)

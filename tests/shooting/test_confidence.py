@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from orbisim.shooting.confidence import confidence
+from orbisim.shooting.confidence import confidence, told
 from orbisim.shooting.fits import Fit
 
 
@@ -43,3 +43,24 @@ def test_intervals_hold_where_windows_of_a_recording_share_an_error() -> None:
         blind += low <= 0.0 <= high
     assert 0.9 < inside / 300 < 0.99
     assert blind / 300 < 0.6
+
+
+def test_numbers_count_as_told_by_their_intervals() -> None:
+    fit = Fit(
+        values=np.array([1.0, 3.0]), start=np.zeros((4, 0)), square=1.0, count=40,
+        covariance=0.01 * np.eye(2), residual=np.zeros((4, 1)), per_window=np.ones(4),
+        information=np.tile(100 * np.eye(2), (4, 1, 1)), score=np.zeros((4, 2)),
+    )  # fmt: skip
+    assert told(fit, [0], [0.0], [(0.8, 1.2)])
+    assert not told(fit, [0], [0.0], [(-0.5, 2.5)])
+    assert not told(fit, [1], [3.0], [(2.8, 3.2)])
+
+
+def test_few_independent_data_widen_an_interval() -> None:
+    fit = Fit(
+        values=np.array([1.0]), start=np.zeros((4, 0)), square=1.0, count=400,
+        covariance=np.array([[0.01]]), residual=np.zeros((4, 1)), per_window=np.ones(4),
+        information=np.full((4, 1, 1), 25.0), score=np.zeros((4, 1)),
+    )  # fmt: skip
+    low, high = confidence(fit, ["x"], independent=4.0)["x"]
+    assert np.isclose(high - low, 2 * 1.96 * 0.1 * 10)

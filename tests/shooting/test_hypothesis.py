@@ -41,3 +41,19 @@ def test_the_scene_has_effects_and_factors(arm: orbisim.Scene) -> None:
     found = Hypothesis((DAMPING,), factors=((MASS, 1.05),)).scene(arm).model
     assert found.body("forearm").mass[0] == pytest.approx(1.05 * arm.model.body("forearm").mass[0])
     assert found.dof_damping[0] > arm.model.dof_damping[0]
+
+
+def test_a_refinement_stands_beside_what_it_refines(arm: orbisim.Scene) -> None:
+    values = {"coulomb": 0.2, "static": 0.5, "velocity": 0.1}
+    stribeck = EffectInstance("stribeck_friction", "elbow", values)
+    parts = Hypothesis((stribeck,)).in_parts()
+    assert parts.effects == (
+        stribeck.replace(coulomb=0.0, static=0.3),
+        DRY.replace(torque=0.2),
+    )
+    assert parts.free(arm) == [(0, "excess"), (0, "velocity"), (1, "torque")]
+    both = Hypothesis((DRY, stribeck)).in_parts()
+    assert both.effects[0].values["torque"] == pytest.approx(0.3)
+    assert both.effects[1].values["coulomb"] == 0.0
+    assert Hypothesis((DRY,)).plus(stribeck).effects[1].values["coulomb"] == 0.0
+    assert Hypothesis((stribeck,)).free(arm)[0] == (0, "coulomb")
