@@ -107,7 +107,7 @@ class Seen:
             [self.cubes[:, 1] - self.cubes[:, 0], self.cubes[:, 2] - self.cubes[:, 1]], axis=1
         )
         count = len(self.command)
-        rows = [
+        rows: list[Any] = [
             self.own(),
             10 * away.reshape(count, 9),
             np.tanh(100 * away).reshape(count, 9),

@@ -141,10 +141,9 @@ def draw(options: Any) -> None:
     with EpisodeFile(options.data) as file:
         every = range(len(file))
         good = [i for i in every if file.attributes(i)["success"]][: options.demonstrations]
-    seen, action, count = demonstrations(options.data, options.demonstrations)
+    seen, action, _ = demonstrations(options.data, options.demonstrations)
     rows = slice(None, None, EVERY)
-    np.savez(options.out / "told.npz", own=seen.own()[rows], action=action[rows], numbers=good,
-             episodes=count)  # fmt: skip
+    np.savez(options.out / "told.npz", own=seen.own()[rows], action=action[rows], numbers=good)
     began = time.monotonic()
     jobs = ([options.data] * len(good), [options.out] * len(good), good)
     with ProcessPoolExecutor(options.workers) as pool:
@@ -159,11 +158,13 @@ def train(options: Any) -> dict[str, Any]:
     told = np.load(options.images / "told.npz")
     autoencoder = load_checkpoint(ZOO).autoencoder.eval().to(device)
     files = [options.images / f"images_{number:06d}.npy" for number in told["numbers"]]
-    x = torch.cat([encoded(autoencoder, np.load(path), device) for path in files])
-    own = torch.as_tensor(told["own"]).float().to(device)
-    action = told["action"]
-    if len(x) != len(own):
-        raise SystemExit(f"{options.images}: {len(x)} images of {len(own)} moments; draw again")
+    there = [path.exists() for path in files]  # drawing may have been cut short
+    if not any(there):
+        raise SystemExit(f"{options.images}: no demonstration is drawn; run `draw` first")
+    x = torch.cat([encoded(autoencoder, np.load(p), device) for p in files if p.exists()])
+    kept = np.repeat(there, len(told["own"]) // len(files))  # episodes are of one length
+    own = torch.as_tensor(told["own"][kept]).float().to(device)
+    action = told["action"][kept]
     wanted = action[..., [0, 1, 2, 5]] / LARGEST
     target = torch.as_tensor(np.concatenate([wanted, action[..., 6:] > 0], axis=-1))
     target = target.float().to(device)
@@ -187,7 +188,7 @@ def train(options: Any) -> dict[str, Any]:
     options.out.mkdir(parents=True, exist_ok=True)
     weights = {n: w.detach().half().cpu().contiguous() for n, w in policy.state_dict().items()}
     save_file(weights, options.out / "policy.safetensors")
-    notes = {"demonstrations": int(told["episodes"]), "looks": len(x), "steps": options.steps,
+    notes = {"demonstrations": sum(there), "looks": len(x), "steps": options.steps,
              "seed": options.seed, "channels": x.shape[1]}  # fmt: skip
     (options.out / "manifest.json").write_text(json.dumps(notes, indent=1))
     return notes

@@ -24,12 +24,12 @@ def find(scene: Scene, baseline: str = "none") -> tuple[Path, AnyFit]:
     """The checkpoint that fits a scene best, and how it fits.
 
     One whose training data include the scene's task comes first, then one of the scene's own robot,
-    then the one with the fewest concerns.
+    then the one with the fewest concerns, then the one that was trained on the fewest tasks.
 
     Raises:
       UnsupportedSceneError: none fits.
     """
-    fits: list[tuple[tuple[bool, bool, int, str], Path, AnyFit]] = []
+    fits: list[tuple[tuple[bool, bool, int, int, str], Path, AnyFit]] = []
     known: list[str] = []
     reasons: dict[str, str] = {}
     for name, manifest in entries(FOLDER).items():
@@ -44,7 +44,7 @@ def find(scene: Scene, baseline: str = "none") -> tuple[Path, AnyFit]:
                 reasons[name] = error.problem
             continue
         of_all = bool(manifest["model"].get("articulated"))
-        rank = (scene.source not in tasks, of_all, len(found.concerns), name)
+        rank = (scene.source not in tasks, of_all, len(found.concerns), len(tasks), name)
         fits.append((rank, FOLDER / name, found))
     if not fits:
         raise UnsupportedSceneError(scene.source, _none(known, reasons))

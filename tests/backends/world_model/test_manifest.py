@@ -196,3 +196,17 @@ def test_the_number_of_parameters_is_that_of_the_network(name: str) -> None:
     for model in models[1:]:
         model.share(models[0])
     assert manifest["parameters"] == sum(p.numel() for p in nn.ModuleList(models).parameters())
+
+
+def test_of_those_that_know_a_task_the_one_of_fewest_tasks_is_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, more in (("first", ["task:stack", "task:push_cubes"]), ("second", [])):
+        shutil.copytree(ZOO / "push", tmp_path / name)
+        path = tmp_path / name / "manifest.json"
+        manifest = json.loads(path.read_text())
+        manifest["data"]["sources"] += [{"task": task, "episodes": 1} for task in more]
+        path.write_text(json.dumps(manifest))
+    monkeypatch.setattr(zoo, "FOLDER", tmp_path)
+    found, _ = zoo.find(load_scene("task:push"))
+    assert found.name == "second"
