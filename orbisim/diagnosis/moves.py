@@ -202,7 +202,8 @@ def _together(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[J
     judge = Judge(bench, context.intervals, (), None, settings.windows, True, context.chance)
     for proposed in (_by_windows, _by_forces):
         effects = proposed(context)
-        judged = judge.judge(Hypothesis(effects), _ITERATIONS) if effects else None
+        together = Hypothesis(effects).in_parts()
+        judged = judge.judge(together, _ITERATIONS) if effects else None
         possible = None if judged is None else possible_of(bench, judge, judged, _ITERATIONS)
         if possible is not None:
             yield possible
