@@ -67,12 +67,13 @@ BESIDE = {
     ("orbisim_world_model", "orbisim_mujoco"): "the hybrid corrects C MuJoCo's own step",
     ("orbisim_diffusion", "orbisim_world_model"): "manifests and weights are read alike",
     ("orbisim_policies", "orbisim_world_model"): "policies learn in the learned step",
+    ("orbisim_policies", "orbisim_diffusion"): "a policy's states are read off frames",
 }
 
 DEFERRED = {
     "orbisim.cli": "a command loads engines when it runs, so that --help stays fast",
     "orbisim.scene.usd.dump.main": "the child process says first that OpenUSD was found",
-    "orbisim_policies.workflows": "Stable-Baselines3 is wanted for its own methods only",
+    "orbisim_policies.workflows": "Stable-Baselines3 and vision are wanted for their own part",
     "orbisim_world_model.baseline": "training runs where MuJoCo is not installed",
     "orbisim_world_model.engine": "the C compiler is wanted for single worlds only",
 }

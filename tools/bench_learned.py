@@ -54,7 +54,7 @@ def main() -> int:
         "--patience", type=float, default=300.0, help="seconds for the variants, or the check"
     )
     parser.add_argument("--gradient-worlds", default="1,16,256,1024")
-    parser.add_argument("--compile-gradient", action="store_true", help="by torch, for `gradient`")
+    parser.add_argument("--gradient-compiler", default="fused", choices=("fused", "joined"))
     parser.add_argument("--use", choices=VARIANTS, help="variant for `batch`; the fastest if known")
     parser.add_argument("--seconds", type=float, default=2.0, help="of each measurement")
     parser.add_argument("--largest", type=int, default=BATCHES[-1], help="number of worlds")
@@ -171,60 +171,63 @@ def latency(model: Any, options: Any) -> dict[str, float]:
 
 
 def gradient(model: Any, options: Any) -> list[dict[str, float]]:
-    """Training steps/s of a policy by the gradient through 32 control steps."""
-    from orbisim_world_model.graphs import Graphed
-    from orbisim_world_model.optimizer import FlatAdamW
-    from orbisim_world_model.stepper import Speedups, Stepper, compiled_step, plain_step
-
-    device = torch.device(options.device)
-    stepper = Stepper(model, device, Speedups(precision="fp32", compiled=None))
+    """Updates/s of a policy by the gradient through 32 control steps, as the backend does them."""
     rows = []
-    advance = plain_step(stepper.model)
-    if options.compile_gradient:
-        advance = compiled_step(stepper.model)
-    window = 32
     for worlds in map(int, options.gradient_worlds.split(",")):
-        x, memory, _, context = _inputs(stepper, worlds)
-        width = x.q.shape[1] + x.v.shape[1] + 7 * x.pos.shape[1]
-        policy = torch.nn.Sequential(
-            torch.nn.Linear(width, 256),
-            torch.nn.SiLU(),
-            torch.nn.Linear(256, 256),
-            torch.nn.SiLU(),
-            torch.nn.Linear(256, max(model.controls, 1)),
-        ).to(device)
-        optimizer = FlatAdamW(policy, 0.0, 1.0)
-        optimizer.rate.fill_(1e-3)
-
-        def step(
-            x: Any = x,
-            memory: Any = memory,
-            context: Any = context,
-            policy: Any = policy,
-            optimizer: Any = optimizer,
-        ) -> None:
-            optimizer.zero_grad()
-            # a start that asks for its gradient too looks to the compiler like any later state
-            state, h = type(x)(*(f.clone().requires_grad_() for f in x)), memory
-            for _ in range(window):
-                seen = [state.q, state.v, state.pos.flatten(1), state.quat.flatten(1)]
-                control = torch.tanh(policy(torch.cat(seen, dim=1)))[:, : model.controls]
-                state, h = advance(state, h, control, context)
-            target = state.pos.square().sum() if state.pos.numel() else state.q.square().sum()
-            (target / len(x.pos)).backward()
-            optimizer.step()
-
-        run = Graphed(step, lambda: None, device.type == "cuda")
+        run = policy_update(model, worlds, options.device, options.gradient_compiler)
         seconds = _median(run, options)
-        rate = 1.0 / seconds
-        row = {"worlds": worlds, "window": window, "training_steps_per_s": rate}
-        more = {"sequences_per_s": rate * worlds, "control_steps_per_s": rate * worlds * window}
-        times = {"times_the_paper": rate / PAPER, "in_control_steps": rate * window / PAPER}
-        rows.append({**row, **more, **times})
+        rows.append(update_row(worlds, seconds))
         print("gradient", json.dumps(rows[-1]), flush=True)
         if seconds > options.seconds:
             break
     return rows
+
+
+WINDOW = 32
+"""Control steps of an update."""
+
+
+def policy_update(model: Any, worlds: int, device: str, compiler: Any) -> Callable[[], Any]:
+    """An update of a policy of two hidden layers of 256, ready to be called."""
+    from orbisim_world_model.policy_update import PolicyUpdate
+
+    class Policy(torch.nn.Module):
+        def __init__(self, width: int) -> None:
+            super().__init__()
+            linear, act = torch.nn.Linear, torch.nn.SiLU
+            last = linear(256, max(model.controls, 1))
+            self.layers = torch.nn.Sequential(
+                linear(width, 256), act(), linear(256, 256), act(), last
+            )
+
+        def forward(self, x: Any) -> Any:
+            seen = torch.cat([x.q, x.v, x.pos.flatten(1), x.quat.flatten(1)], dim=1)
+            return torch.tanh(self.layers(seen))[:, : model.controls]
+
+    def loss(x: Any) -> Any:
+        return (x.pos if x.pos.numel() else x.q).square().flatten(1).sum(1)
+
+    x, _, _, context = inputs_of(model, worlds, torch.device(device))
+    width = x.q.shape[1] + x.v.shape[1] + 7 * x.pos.shape[1]
+    update = PolicyUpdate(
+        model,
+        Policy(width),
+        loss,
+        context,
+        torch.device(device),
+        window=WINDOW,
+        compiler=compiler if device.startswith("cuda") else None,
+    )
+    return functools.partial(update, x)
+
+
+def update_row(worlds: int, seconds: float) -> dict[str, float]:
+    """What there is to say of an update that takes so long."""
+    rate = 1.0 / seconds
+    row = {"worlds": worlds, "window": WINDOW, "updates_per_s": rate}
+    more = {"sequences_per_s": rate * worlds, "control_steps_per_s": rate * worlds * WINDOW}
+    times = {"times_the_paper": rate / PAPER, "in_control_steps": rate * WINDOW / PAPER}
+    return {**row, **more, **times}
 
 
 def cpu(model: Any, options: Any) -> dict[str, float]:
@@ -311,16 +314,19 @@ def draw_memory(rows: list[dict[str, float]], path: Path) -> None:
 from orbisim_world_model.stepper import Speedups  # noqa: E402  (needs the path above)
 
 VARIANTS = {
-    "eager": Speedups(folded=False, compiled=None),
-    "folded": Speedups(folded=True, compiled=None),
+    "eager": Speedups(folded=False, kernels=False, compiled=None),
+    "folded": Speedups(folded=True, kernels=False, compiled=None),
     "shipped": Speedups(),
-    "fused": Speedups(compiled="fused"),
-    "fused_bf16": Speedups(compiled="fused", precision="bf16"),
-    "fused_unfolded": Speedups(compiled="fused", folded=False),
-    "inlined": Speedups(compiled="inlined"),
-    "tuned": Speedups(compiled="tuned"),
+    "kernels": Speedups(),
+    "kernels_joined": Speedups(compiled="joined"),
+    "fused": Speedups(kernels=False, compiled="fused"),
+    "joined": Speedups(kernels=False, compiled="joined"),
+    "fused_bf16": Speedups(kernels=False, precision="bf16"),
+    "fused_unfolded": Speedups(kernels=False, folded=False),
+    "inlined": Speedups(kernels=False, compiled="inlined"),
+    "tuned": Speedups(kernels=False, compiled="tuned"),
 }
-USUAL = "eager,folded,fused,inlined,tuned,fused_bf16"
+USUAL = "eager,folded,fused,kernels,kernels_joined,inlined,tuned,fused_bf16"
 BENCHMARKS: dict[str, Callable[[Any, Any], Any]] = {
     "variants": variants,
     "batch": batch,
@@ -332,17 +338,49 @@ BENCHMARKS: dict[str, Callable[[Any, Any], Any]] = {
 }
 
 
-def _inputs(stepper: Any, worlds: int) -> Any:
-    from orbisim_world_model.dynamics import example
+def _inputs(stepper: Any, worlds: int, shared: bool = False) -> Any:
+    x, _, control, context = inputs_of(stepper.model, worlds, stepper.device, shared)
+    return stepper.completed(x), stepper.initial_memory(worlds), control, context
 
-    x, context = example(stepper.model.layout, worlds)
-    device = stepper.device
-    x = stepper.completed(x.to(device))
-    context = context._replace(
-        attributes=context.attributes.to(device), world=context.world.to(device), mask=None
+
+def inputs_of(model: Any, worlds: int, device: torch.device, shared: bool = False) -> Any:
+    """Random states about the middle of the scene, controls and descriptors.
+
+    Zeros would flatter: products of zeros are faster on a GPU. With `shared` all worlds have the
+    same descriptors, as those of one scene have.
+    """
+    from orbisim_world_model.dynamics import example
+    from orbisim_world_model.rotation import normalized
+
+    random = torch.Generator().manual_seed(worlds)
+
+    def noise(like: torch.Tensor, size: float) -> torch.Tensor:
+        return size * torch.randn(like.shape, generator=random)
+
+    x, context = example(model.layout, worlds)
+    x = x._replace(
+        q=noise(x.q, 0.5),
+        v=noise(x.v, 0.2),
+        pos=noise(x.pos, 0.1) + torch.tensor([0.5, 0.0, 0.1]),
+        quat=normalized(noise(x.quat, 1.0)),
+        vel=noise(x.vel, 0.1),
+        ang=noise(x.ang, 0.5),
     )
-    control = torch.zeros(worlds, stepper.model.controls, device=device)
-    return x, stepper.initial_memory(worlds), control, context
+    fields = []
+    for like, scale in (
+        (context.attributes, model.see_attributes),
+        (context.world, model.see_world),
+    ):
+        mean, std = scale.mean.cpu(), scale.std.cpu()
+        fields.append(mean + noise(like, 0.5) * torch.where(mean.abs() > 0, std, 0.0))
+    fields = [field.to(device) for field in fields]
+    if shared:
+        fields = [field[:1].expand_as(field) for field in fields]
+    control = noise(torch.zeros(worlds, model.controls), 0.5).to(device)
+    context = context._replace(attributes=fields[0], world=fields[1], mask=None)
+    if context.parts is not None:
+        context = context._replace(parts=context.parts.to(device), part_mask=None)
+    return x.to(device), None, control, context
 
 
 def _replay(stepper: Any, x: Any, memory: Any, control: Any, context: Any) -> None:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -62,7 +63,10 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=16, help="in one compiled call")
     parser.add_argument("--seconds", type=float, default=5.0)
     parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--out", type=Path, help="written after each measurement")
     options = parser.parse_args()
+    versions = {"jax": jax.__version__, "mujoco": mujoco.__version__}
+    said: dict[str, Any] = {"impl": options.impl, "device": str(jax.devices()[0]), **versions}
     found: dict[str, Any] = {}
     for task in options.tasks:
         for worlds in options.worlds:
@@ -70,9 +74,9 @@ def main() -> None:
             best = rate(task, worlds, options.impl, options.steps, options.seconds, options.repeats)
             spent = time.perf_counter() - begun
             found.setdefault(task, {})[worlds] = {"steps_per_s": best, "seconds": round(spent, 1)}
-    versions = {"jax": jax.__version__, "mujoco": mujoco.__version__}
-    device = str(jax.devices()[0])
-    print(json.dumps({"impl": options.impl, "device": device, **versions, "found": found}))
+            if options.out is not None:
+                options.out.write_text(json.dumps({**said, "found": found}, indent=1))
+    print(json.dumps({**said, "found": found}))
 
 
 if __name__ == "__main__":

@@ -141,17 +141,27 @@ def processes(make: Callable[[], Any], worlds: int, options: Any) -> float:
     return found
 
 
-def measure(name: str, worlds: int, options: Any) -> dict[str, float]:
+def measure(name: str, worlds: int, options: Any) -> dict[str, Any]:
     """All that is compared, for one task and number of worlds."""
     domain, task = name.split("-")
-    rates = {"orbisim mujoco": ours(domain, task, worlds, "mujoco", options)}
+    jobs: dict[str, Callable[[], float]] = {
+        "orbisim mujoco": functools.partial(ours, domain, task, worlds, "mujoco", options)
+    }
     if options.warp:
-        rates["orbisim warp"] = ours(domain, task, worlds, "warp", options)
+        jobs["orbisim warp"] = functools.partial(ours, domain, task, worlds, "warp", options)
     if worlds <= options.most:
         make = functools.partial(_shimmy, domain, task)
-        rates["dm_control async"] = processes(make, worlds, options)
+        jobs["dm_control async"] = functools.partial(processes, make, worlds, options)
         like = functools.partial(_gymnasium, TASKS[name])
-        rates[f"gymnasium {TASKS[name]} async"] = processes(like, worlds, options)
+        jobs[f"gymnasium {TASKS[name]} async"] = functools.partial(processes, like, worlds, options)
+    rates: dict[str, Any] = {}
+    for label, job in jobs.items():
+        if options.limit and time.monotonic() - options.begun > options.limit:
+            break
+        try:
+            rates[label] = job()
+        except Exception as error:  # what one library cannot do must not lose the others
+            rates[label] = {"failed": f"{type(error).__name__}: {str(error)[:200]}"}
     return rates
 
 
@@ -168,9 +178,12 @@ def playground(options: Any) -> dict[str, Any]:
     return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
-def ratios(rates: dict[str, float]) -> str:
+def ratios(rates: dict[str, Any]) -> str:
     """Of the first to the others: all have the same processors."""
-    (name, mine), *others = rates.items()
+    measured = [(label, rate) for label, rate in rates.items() if isinstance(rate, float)]
+    if not measured:
+        return "nothing measured"
+    (name, mine), *others = measured
     times = [f"{mine / rate:.1f} x {other}" for other, rate in others]
     return f"{name} is {', '.join(times)}" if times else name
 
@@ -189,25 +202,33 @@ def main() -> None:
     parser.add_argument("--playground-tasks", nargs="*", default=list(TASKS), choices=list(TASKS))
     parser.add_argument("--playground-worlds", nargs="*", type=int, default=[64, 4096])
     parser.add_argument("--impl", default="jax", help="of playground's MJX: jax or warp")
+    parser.add_argument("--limit", type=float, default=0.0, help="s after which none is begun")
     parser.add_argument("--out", type=Path, default=None)
     options = parser.parse_args()
     logging.disable(logging.WARNING)
     warnings.simplefilter("ignore")
     from_source.register()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+    options.begun = time.monotonic()
     found: dict[str, Any] = {"cpus": usable_cpus(), "steps_per_s": {}}
-    for name in options.tasks:
-        for worlds in options.worlds:
+    for worlds in options.worlds:
+        for name in options.tasks:
             rates = measure(name, worlds, options)
             found["steps_per_s"].setdefault(name, {})[worlds] = rates
-            print(name, worlds, {n: f"{r:,.0f}" for n, r in rates.items()}, flush=True)
+            said = {n: f"{r:,.0f}" if isinstance(r, float) else r for n, r in rates.items()}
+            print(name, worlds, said, flush=True)
             print("   ", ratios(rates), flush=True)
+            _write(found, options.out)
     if options.playground is not None:
         found["playground"] = playground(options)
         print(json.dumps(found["playground"]), flush=True)
-    if options.out is not None:
-        options.out.parent.mkdir(parents=True, exist_ok=True)
-        options.out.write_text(json.dumps(found, indent=1))
+        _write(found, options.out)
+
+
+def _write(found: dict[str, Any], path: Path | None) -> None:
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(found, indent=1))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Speed of the diffusion renderer and of its training.
 
-    python tools/bench_vision.py render [--checkpoint FOLDER] [--worlds 1 64] [--compiled] [--out F]
+    python tools/bench_vision.py render [--checkpoint FOLDER] [--worlds 1 64] [--compiled] [--graph]
+        [--out F]
     python tools/bench_vision.py train DATA.h5 [--checkpoint FOLDER] [--seconds 90] [--out FILE]
 
 `render` compares with MuJoCo's renderer in this process. `train` takes a step of each network, as
@@ -50,6 +51,7 @@ def main() -> None:
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--seconds", type=float, default=120.0, help="no trial begins after")
     parser.add_argument("--compiled", action="store_true", help="`render`: rays are compiled")
+    parser.add_argument("--graph", action="store_true", help="`render`: as a CUDA graph")
     parser.add_argument("--out", type=Path, help="a file for the lines, too")
     arguments = parser.parse_args()
     if arguments.threads:
@@ -106,12 +108,13 @@ def rendering(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
                 steps=steps,
                 device=str(device),
                 compiled=arguments.compiled,
+                graph=arguments.graph,
             )
             if device.type == "cuda":
                 torch.cuda.reset_peak_memory_stats(device)
             found = _seconds(lambda r=renderer, s=states: r.render_batch(s, **look), device)
             line = {"renderer": "diffusion", "worlds": worlds, "steps": steps}
-            line["compiled"] = arguments.compiled
+            line |= {"compiled": arguments.compiled, "graph": arguments.graph}
             if device.type == "cuda":
                 line["gigabytes"] = round(torch.cuda.max_memory_allocated(device) / 1e9, 2)
             yield {**line, **_summary(found, worlds)}

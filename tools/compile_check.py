@@ -139,7 +139,7 @@ def _part(model: Any, part: str, given: Any) -> tuple[Callable[..., Any], Any]:
         return model.network, (seen, memory)
     if part == "nested step":
         return plain_step(model), given
-    return flat_step(model), (*x, memory, control, context.attributes, context.world)
+    return flat_step(model), (*x, memory, control, *context)
 
 
 def _tensors(values: Any) -> list[torch.Tensor]:

@@ -11,19 +11,15 @@ scene with what `orbisim.diagnose` finds in the same recordings. true: the machi
 which nobody has.
 
 Everything is drawn anew with each seed: recordings, weights, episodes. What stands in --out is not
-run again.
+run again. Conditions are run in the order of --only: where processes are many, name `diagnosed`
+first, which takes longest.
 """
 
 from __future__ import annotations
 
 import argparse
-import concurrent.futures
-import json
-import multiprocessing
 import sys
-import time
 from pathlib import Path
-from typing import Any
 
 _ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(_ROOT / "tools"), str(_ROOT), str(_ROOT / "backends")]
@@ -32,12 +28,7 @@ from from_source import register  # noqa: E402
 from paying.conditions import CONDITIONS, DUTIES  # noqa: E402
 from paying.table import figure, table  # noqa: E402
 from paying.training import Plan, train  # noqa: E402
-
-
-def read_rows(path: Path) -> list[dict[str, Any]]:
-    """The policies of a file; a line that was cut off by a kill is left out."""
-    lines = path.read_text().splitlines(keepends=True) if path.exists() else []
-    return [json.loads(line) for line in lines if line.endswith("\n")]
+from plans import carry_out, left, read_rows  # noqa: E402
 
 
 def _begun() -> None:
@@ -51,6 +42,7 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="*", default=list(DUTIES), choices=list(DUTIES))
     parser.add_argument("--only", nargs="*", default=CONDITIONS, choices=CONDITIONS)
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--steps", type=int, default=128_000, help="of training, each policy")
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--patience", type=float, default=600.0, help="of a diagnosis, s")
@@ -60,41 +52,25 @@ def main() -> None:
     parser.add_argument("--figure", type=Path)
     options = parser.parse_args()
     register()
-    began, rows = time.monotonic(), read_rows(options.out)
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    known = {(row["scene"], row["condition"], row["seed"]) for row in rows}
+    rows = read_rows(options.out)
     budget = (options.steps, options.episodes, options.patience, options.fit)
     plans = [
         Plan(scene, condition, seed, options.work, *budget)
-        for seed in range(options.seeds)
-        for scene in options.scenes
         for condition in options.only
+        for seed in range(options.first_seed, options.first_seed + options.seeds)
+        for scene in options.scenes
     ]
-    waiting = [plan for plan in plans if plan.key not in known]
-    failed, running = False, {}
-    context = multiprocessing.get_context("spawn")
-    with concurrent.futures.ProcessPoolExecutor(options.jobs, context, _begun) as pool:
-        while waiting or running:
-            late = options.time_limit and time.monotonic() - began > options.time_limit
-            while waiting and not late and len(running) < options.jobs:
-                plan = waiting.pop(0)
-                running[pool.submit(train, plan)] = plan
-            if not running:
-                break
-            done, _ = concurrent.futures.wait(
-                running, return_when=concurrent.futures.FIRST_COMPLETED
-            )
-            for future in done:
-                plan = running.pop(future)
-                if (error := future.exception()) is not None:
-                    print(f"{plan.key}: {type(error).__name__}: {error}", flush=True)
-                    failed = True
-                    continue
-                rows.append(future.result())
-                with options.out.open("a") as file:
-                    file.write(json.dumps(rows[-1]) + "\n")
-                share = rows[-1]["machine"]["share"]
-                print(*plan.key, f"{share:.2f}", f"{rows[-1]['seconds']} s", flush=True)
+    known = [(row["scene"], row["condition"], row["seed"]) for row in rows]
+    fresh, failed = carry_out(
+        left(plans, known),
+        train,
+        options.out,
+        jobs=options.jobs,
+        prepare=_begun,
+        time_limit=options.time_limit,
+        say=lambda row: f"{row['machine']['share']:.2f}",
+    )
+    rows += fresh
     print(table(rows))
     if options.figure:
         figure(rows, options.figure)

@@ -118,6 +118,12 @@ _TAIL = (
 """After that: rollouts of a whole episode, gradients cut every 25 steps, at a low rate."""
 _CUBES = (("train.stages", "0.35x1x8192,0.4x8x2048ar,0.25x24x1024arf"),)
 """Larger batches than usual: they are halved between the two robots."""
+_ONE = (
+    ("model.rest", True),
+    ("train.rate", 5e-4),
+    ("train.stages", "0.35x8x1024arf,0.65x32x1024arf"),
+)
+"""After `cubes`: two more tasks in one model, and longer rollouts."""
 _SUITE_SETTINGS = {
     "acrobot": _SMOOTH,
     "finger": _SMOOTH,
@@ -125,6 +131,12 @@ _SUITE_SETTINGS = {
 }
 _SUITE_WEIGHTS = {"acrobot": 3.0, "finger": 3.0, "cheetah": 5.0, "hopper": 3.0, "walker": 6.0}
 _MECHANISMS = tuple(f"mechanism_{f}" for f in MECHANISMS if f not in HELD_OUT_MECHANISMS)
+_PARTS = (
+    ("model.layers", 2),
+    ("train.noise", 0.01),
+    ("train.stages", "0.2x1x512,0.25x8x512ar,0.35x32x512arf,0.2x96x512arf/24"),
+)
+"""One batch size for all stages, so that torch compiles the losses once."""
 _SMALL_PARTS = (
     ("model.width", 48),
     ("model.heads", 3),
@@ -135,6 +147,12 @@ _SMALL_PARTS = (
     ("train.stages", "0.6x1x256,0.4x10x32ar"),
 )
 """For `mechanism_door` on one core of a CPU."""
+_ONE = (
+    ("model.width", 192),
+    ("train.stages", "0.35x1x2048,0.4x6x1024ar,0.25x16x1024arf"),
+)
+"""One model of all the suite's robots. A step takes long, whatever the batch: kinematics and
+impulses are many small operations."""
 _DRAPE = ("drape_primitives", "drape_meshes", "drape_unseen")
 """Of the last there are only episodes to measure on."""
 _WIDE = (
@@ -169,7 +187,13 @@ JOBS: dict[str, Job] = {
         ("push", "push_hold", "push_more", "push_long"), settings=_TAIL, weight=6.0, start="push"
     ),
     "cubes": Job(("push_cubes", "pick_and_place"), settings=_CUBES, weight=6.0),
-    "tabletop": Job(("push_cubes", "pick_and_place", "stack"), settings=_CONTACTS, weight=6.0),
+    "tabletop": Job(
+        ("push", "push_cubes", "pick_and_place", "stack"),
+        settings=_ONE,
+        weight=6.0,
+        horizons=(10, 100),
+        start="cubes",
+    ),
     "ball": Job(("ball", "ball_many"), settings=_EXACT, weight=4.0, horizons=(10, 20, 36), burn=0),
     "ball_500": Job(("ball",), settings=_EXACT, weight=2.0, horizons=(10, 20, 36), burn=0),
     "toss": Job(("toss",), settings=_SMALL, weight=4.0, burn=0),
@@ -185,10 +209,18 @@ JOBS: dict[str, Job] = {
     },
     **{
         name.replace("parts", "mechanisms"): Job(
-            _MECHANISMS, name, weight=4.0, horizons=(10, 100, 300), burn=0
+            _MECHANISMS, name, _PARTS, weight=4.0, horizons=(10, 100, 300), burn=0
         )
         for name in ("parts", "parts_no_memory", "parts_no_geometry", "parts_no_joints")
     },
+    "suite_one": Job(
+        tuple(f"suite_{name}" for name in SUITE_DOMAINS),
+        "limbs",
+        _ONE,
+        weight=10.0,
+        horizons=(10, 50, 100),
+        burn=0,
+    ),
     "mechanism_door": Job(
         ("mechanism_door",), "parts_no_memory", _SMALL_PARTS, horizons=(10, 100, 300), burn=0
     ),
@@ -262,6 +294,7 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
         resume=options.resume,
         start=_start(job, name, options),
         compiled=options.compiled,
+        graph=not options.no_graph,
         horizons=job.horizons,
         burn=job.burn,
     )
@@ -299,6 +332,10 @@ def _learner(job: Job, settings: dict[str, Any], folder: Path) -> Any:
     packs, spare = (read_named(folder, each) for each in names)
     assert packs, f"no data of {job.data}"
     wanted = replaced(preset(job.config), settings)
+    if wanted.model.articulated:
+        from orbisim_world_model.packing import limb_groups
+
+        packs, spare = limb_groups(packs), limb_groups(spare)
     return lambda run, report: train(packs, wanted, run, report, spare or None)
 
 
@@ -403,6 +440,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--resume", action="store_true")
     parser.add_argument("--start", type=Path, help="folder of checkpoints to go on from, by job")
     parser.add_argument("--compiled", action="store_true", help="training steps, by torch")
+    parser.add_argument("--no-graph", action="store_true", help="no CUDA graphs; much slower")
     return parser
 
 

@@ -1,6 +1,6 @@
 """Trains the encoder of shapes on the parts of generated mechanisms, and looks for neighbours.
 
-    python tools/train_geometry.py --out checkpoints/geometry --updates 2000
+    python tools/train_geometry.py --out checkpoints/geometry --updates 20000 --device cuda
 
 Trained on instances 0 to 19 of seven families; instances 20 to 23, and the families that are held
 out, are only looked at. Pretext: signed distance and direction of the surface at points about the
@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from orbisim_world_model.geometry import (
     DistanceHead,
     GeometryEncoder,
     GeometryTokens,
+    neighbourhoods,
     save_encoder,
     surface_points,
 )
@@ -32,15 +34,20 @@ from orbisim.tasks.mechanisms.catalogue import FAMILIES, HELD_OUT, INSTANCES, ma
 from orbisim.tasks.mechanisms.solids import surface
 
 Floats = npt.NDArray[np.float64]
-QUERIES = 512
+QUERIES = 2048
 """Points about a part."""
+ASKED = 512
+"""... of which an update sees so many, drawn anew."""
+CLOUDS = 4
+"""Samples of each part's surface that are trained on; one is drawn anew for each update."""
 SPREAD = 0.1
 """Standard deviation of the distance of three in four of them from the surface, by the size."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Shape:
-    """A part: its label, instance and mesh; points, and distance and direction at queries."""
+    """A part: its label, instance and mesh; samples of its surface [CLOUDS, POINTS, 6], and
+    distance and direction at queries."""
 
     family: str
     label: str
@@ -89,8 +96,10 @@ def shapes(families: list[str], numbers: range, seed: int) -> list[Shape]:
                 answers = distances(solids, queries * cloud.size + cloud.centre)
                 answers[:, 0] /= cloud.size
                 rows = (queries.astype(np.float32), answers.astype(np.float32))
+                clouds = [cloud, *(surface_points(mesh, seed + k) for k in range(1, CLOUDS))]
+                points = np.stack([one.points for one in clouds])
                 label = f"{family} {part.name}"
-                found.append(Shape(family, label, number, mesh, cloud.points, *rows))
+                found.append(Shape(family, label, number, mesh, points, *rows))
     return found
 
 
@@ -103,26 +112,40 @@ def tensors(some: list[Shape]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor
     return points, queries, answers
 
 
-def train(some: list[Shape], updates: int, seed: int) -> tuple[GeometryEncoder, DistanceHead]:
-    """Encoder and head after so many updates; some tenths of a second each on a processor."""
+def train(
+    some: list[Shape], updates: int, seed: int, device: str = "cpu"
+) -> tuple[GeometryEncoder, DistanceHead]:
+    """Encoder and head after so many updates, on the CPU again."""
     torch.manual_seed(seed)
-    encoder, head = GeometryEncoder(), DistanceHead()
+    encoder, head = GeometryEncoder().to(device), DistanceHead().to(device)
     weights = [*encoder.parameters(), *head.parameters()]
     optimizer = torch.optim.AdamW(weights, lr=2e-3)
-    points, queries, answers = tensors(some)
+    points, queries, answers = (rows.to(device) for rows in tensors(some))
+    # what lies about the centres depends on no weight: found once, not in each update
+    found = [neighbourhoods(one) for one in points.flatten(0, 1).split(64)]
+    around, centres = (
+        torch.cat(rows).unflatten(0, (-1, CLOUDS)) for rows in zip(*found, strict=True)
+    )
+    began = time.monotonic()
     for update in range(updates):
         past = update / updates
         for group in optimizer.param_groups:
             group["lr"] = 2e-3 * 0.5 * (1 + np.cos(np.pi * past)) + 1e-5
-        pick = torch.randint(len(points), (24,))
-        told = head(encoder(points[pick]), queries[pick])
-        loss = torch.nn.functional.smooth_l1_loss(told[..., 0], answers[pick][..., 0], beta=0.02)
-        cosine = torch.cosine_similarity(told[..., 1:], answers[pick][..., 1:], dim=-1)
+        pick = torch.randint(len(points), (24,), device=device)
+        cloud = torch.randint(CLOUDS, (24,), device=device)
+        asked = torch.randint(QUERIES, (24, ASKED), device=device)
+        here, truth = queries[pick[:, None], asked], answers[pick[:, None], asked]
+        told = head(encoder.encoded(around[pick, cloud], centres[pick, cloud]), here)
+        loss = torch.nn.functional.smooth_l1_loss(told[..., 0], truth[..., 0], beta=0.02)
+        cosine = torch.cosine_similarity(told[..., 1:], truth[..., 1:], dim=-1)
         (10 * loss + 0.1 * (1 - cosine).mean()).backward()
         torch.nn.utils.clip_grad_norm_(weights, 1.0)
         optimizer.step()
         optimizer.zero_grad()
-    return encoder, head
+        if (update + 1) % 500 == 0:
+            line = {"update": update + 1, "distance": float(loss.detach())}
+            print(json.dumps({**line, "seconds": round(time.monotonic() - began)}), flush=True)
+    return encoder.cpu(), head.cpu()
 
 
 @torch.no_grad()
@@ -130,7 +153,10 @@ def errors(encoder: GeometryEncoder, head: DistanceHead, some: list[Shape]) -> d
     """Of distances, in units of the size, and of directions, in degrees; median and 90 %."""
     points, queries, answers = tensors(some)
     told = torch.cat(
-        [head(encoder(p), q) for p, q in zip(points.split(32), queries.split(32), strict=True)]
+        [
+            head(encoder(p[:, 0]), q)
+            for p, q in zip(points.split(32), queries.split(32), strict=True)
+        ]
     )
     gap = (told[..., 0] - answers[..., 0]).abs().numpy()
     cosine = torch.cosine_similarity(told[..., 1:], answers[..., 1:], dim=-1).clamp(-1, 1)
@@ -162,6 +188,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--updates", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--device", default="cpu")
     options = parser.parse_args()
     seen = [family for family in FAMILIES if family not in HELD_OUT_MECHANISMS]
     first = INSTANCES - HELD_OUT
@@ -170,7 +197,7 @@ def main() -> None:
         "unseen instances": shapes(seen, range(first, INSTANCES), options.seed + 1),
         "unseen families": shapes(list(HELD_OUT_MECHANISMS), range(INSTANCES), options.seed + 2),
     }
-    encoder, head = train(sets["trained on"], options.updates, options.seed)
+    encoder, head = train(sets["trained on"], options.updates, options.seed, options.device)
     options.out.mkdir(parents=True, exist_ok=True)
     path = options.out / "geometry.safetensors"
     save_encoder(encoder, path)

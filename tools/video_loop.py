@@ -1,13 +1,16 @@
-"""The loop closed from video alone: a sliding cube, a table whose friction is another one.
+"""The loop closed from video alone: a sliding block, a table whose friction is another one.
 
-    python tools/video_loop.py --with 5 --without 3 --out out/video_loop [--first-seed 0]
+    MUJOCO_GL=egl python tools/video_loop.py see --with 40 --without 20 --out out/loop --workers 16
+    python tools/video_loop.py diagnose --out out/loop --workers 16 [--patience 200]
 
 Each episode is a true scene, whose table has a friction between 0.12 and 0.7 (`--without`: the
-declared 0.35). A cube is set going over it four times, a camera films it (an H.264 file each), and
-nothing else is kept. `orbisim infer` reads each video, `orbisim diagnose` compares three of them
-with the declared scene and holds one out. A line of JSON for each episode: verdict, effects,
-friction found and true, errors before and after on what was held out, and, since here the truth is
-known, how far off the inferred positions are.
+declared 0.35). A block is set going over it eight times, a camera films it (an H.264 file each),
+and nothing else is kept. `see` films, reads each video as `orbisim infer` does, and keeps the
+recordings (`run0.npz`, ...; `seen.json` says how far off they are, since here the truth is known).
+`diagnose` takes the recordings alone: `orbisim diagnose` compares six of them with the declared
+scene and holds two out; `diagnosis.json` has verdict, effects, friction found and true, errors
+before and after on what was held out. Both go on where they were ended; `--again` diagnoses anew.
+`summary.json` counts all that is there.
 """
 
 from __future__ import annotations
@@ -15,6 +18,8 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
+import time
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +32,13 @@ from orbisim_diffusion.refine import Refiner
 from orbisim_diffusion.tracking import follow, recording_of
 
 from orbisim import make_renderer
+from orbisim.cli.common import quiet_engine
 from orbisim.diagnosis import Settings, diagnose
 from orbisim.recording import Recording
 from orbisim.report.video import write_video
 from orbisim.scene import Scene, load_scene
 from orbisim.state import State
+from orbisim.tasks import pool
 
 Floats = npt.NDArray[np.float64]
 
@@ -47,53 +54,77 @@ SCENE = """
     <camera name="side" pos="0 -0.72 0.52" xyaxes="1 0 0 0 0.585 0.811"/>
     <geom name="table" type="box" size="0.45 0.4 0.02" pos="0 0 -0.02" priority="1"
           friction="{friction} 0.005 0.0001" rgba="0.76 0.66 0.52 1"/>
-    <body name="cube" pos="0 0 0.03">
-      <freejoint name="cube"/>
-      <geom name="cube" type="box" size="0.03 0.03 0.03" density="500" rgba="0.8 0.2 0.2 1"/>
+    <body name="block" pos="0 0 0.02">
+      <freejoint name="block"/>
+      <geom name="block" type="box" size="0.04 0.03 0.02" density="500" rgba="0.8 0.2 0.2 1"/>
     </body>
   </worldbody>
 </mujoco>
 """
+_HALF = 0.02
+"""Half the block's height, m. It is flat, so that it slides and does not nod: a cube's front edge
+goes down by some mm when it is set going, and a body that is said to lie flat is then misplaced."""
 _FPS, _FRAMES, _SIZE = 62.5, 60, 256
 """Frames a second, a whole number of time steps apart; at most so many; their height and width."""
 _REST, _AFTER = 1e-3, 2
-"""Slower than this, m/s, the cube lies still; the film ends so many frames later."""
-_WINDOW = 0.15
-"""Of the diagnosis, s: a slide takes 0.2 to 0.7 s."""
-_RUNS, _HELD = 4, 1
+"""Slower than this, m/s, the block lies still; the film ends so many frames later."""
+_REACH = (0.08, 0.36)
+"""How far the block slides, m: speeds differ by a factor of two, or a force that does not depend on
+speed looks like one that does."""
+_WINDOW = 0.25
+"""Of the diagnosis, s: a slide takes 0.2 to 0.8 s."""
+_RUNS, _HELD = 8, 2
 
 
 def main() -> None:
-    """Prints a line of JSON for each episode."""
+    """Films and infers, or diagnoses, on several processes; prints the summary."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--with", dest="with_effect", type=int, default=5)
-    parser.add_argument("--without", type=int, default=3)
+    parser.add_argument("stage", choices=("see", "diagnose"))
+    parser.add_argument("--with", dest="with_effect", type=int, default=40)
+    parser.add_argument("--without", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--pixels", type=int, default=128, help="of the frames that are fitted")
+    parser.add_argument("--pixels", type=int, default=192, help="of the frames that are fitted")
     parser.add_argument("--effect", action="append", help="as of `orbisim diagnose`; repeatable")
-    parser.add_argument("--patience", type=float, default=600.0, help="of each diagnosis, s")
+    parser.add_argument("--patience", type=float, default=200.0, help="of each diagnosis, s")
+    parser.add_argument("--again", action="store_true", help="diagnose what was diagnosed before")
+    parser.add_argument("--seconds", type=float, default=1e9, help="no episode is begun after")
+    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--out", type=Path, required=True, help="folder for videos and reports")
     arguments = parser.parse_args()
+    begun = time.time()
+    end = begun + arguments.seconds
+    if arguments.stage == "see":
+        # by turns, so that a run that is ended has both
+        wanted = {True: arguments.with_effect, False: arguments.without}
+        turns = [(i, d) for i in range(max(wanted.values())) for d in wanted if i < wanted[d]]
+        jobs: list[tuple[Any, ...]] = [
+            (arguments.first_seed + i, d, arguments.out, arguments.pixels, end) for i, d in turns
+        ]
+        work: Any = see
+    else:
+        found = sorted(arguments.out.glob("*/seen.json"), key=lambda p: p.parent.name.split("_")[1])
+        jobs = [
+            (p.parent, arguments.effect, arguments.patience, arguments.again, end) for p in found
+        ]
+        work = judge
+    with quiet_engine():
+        if arguments.workers == 1:
+            for job in jobs:
+                work(*job)
+        else:
+            for _ in pool.run(work, jobs, arguments.workers):
+                print(json.dumps({"seconds": round(time.time() - begun, 1)}), flush=True)
+    line = summary(arguments.out)
+    (arguments.out / "summary.json").write_text(json.dumps(line, indent=1) + "\n")
+    print(json.dumps(line))
+
+
+def see(seed: int, different: bool, out: Path, pixels: int, end: float) -> None:
+    """Films and infers one episode, unless that is done or the time is over."""
+    folder = out / f"{'with' if different else 'without'}_{seed:03d}"
+    if (folder / "seen.json").exists() or time.time() > end:
+        return
     torch.set_num_threads(1)
-    settings = Settings(
-        effects=tuple(arguments.effect) if arguments.effect else None, patience=arguments.patience
-    )
-    # by turns, so that a run that is ended has both
-    wanted = {True: arguments.with_effect, False: arguments.without}
-    turns = range(max(wanted.values()))
-    for number, different in [(i, d) for i in turns for d, n in wanted.items() if i < n]:
-        folder = arguments.out / f"{'with' if different else 'without'}_{number}"
-        seed = arguments.first_seed + number
-        line = episode(seed, different, folder, arguments.pixels, settings)
-        print(json.dumps(line), flush=True)
-        with (arguments.out / "episodes.jsonl").open("a") as file:
-            file.write(json.dumps(line) + "\n")
-
-
-def episode(
-    seed: int, different: bool, folder: Path, pixels: int, settings: Settings
-) -> dict[str, Any]:
-    """Films, infers and diagnoses one."""
     rng = np.random.default_rng([seed, int(different)])
     friction = DECLARED
     while different and 0.75 < friction / DECLARED < 1.35:
@@ -101,51 +132,117 @@ def episode(
     folder.mkdir(parents=True, exist_ok=True)
     declared = load_scene(SCENE.format(friction=DECLARED))
     truth = load_scene(SCENE.format(friction=friction))
-    recordings, errors, seen = [], [], []
+    errors, seen, noise = [], [], []
     for run in range(_RUNS):
         qpos = film(truth, friction, rng, folder / f"run{run}.mp4")
         found = inferred(declared, folder / f"run{run}.mp4", pixels)
         found.save(folder / f"run{run}.npz")
-        apart = np.linalg.norm(np.asarray(found.signals["xpos/cube"]) - qpos[:, :3], axis=1)
-        errors.append(apart[np.isfinite(apart)])
-        seen.append(float(np.isfinite(apart).mean()))
-        recordings.append(found)
-    result = diagnose(
-        declared,
-        recordings[:-_HELD],
-        recordings[-_HELD:],
-        window=_WINDOW,
-        settings=settings,
-        out=folder / "diagnosis",
-    ).to_json()
-    off = 1e3 * np.concatenate(errors)
-    return {
+        apart = np.asarray(found.signals["xpos/block"]) - qpos[:, :3]
+        whole = np.isfinite(apart).all(1)
+        errors.append(apart[whole])
+        seen.append(float(whole.mean()))
+        noise.append(found.metadata["noise"])
+    off = 1e3 * np.linalg.norm(np.concatenate(errors), axis=1)
+    white = [np.diff(e, axis=0).std(0) / math.sqrt(2.0) for e in errors if len(e) > 2]
+    line = {
         "seed": seed,
         "different": different,
         "friction": round(friction, 4),
         "declared": DECLARED,
+        "frames": sum(len(e) for e in errors),
         "seen": round(float(np.mean(seen)), 3),
         "position_mm": {
             "median": round(float(np.median(off)), 2),
             "p90": round(float(np.quantile(off, 0.9)), 2),
             "worst": round(float(off.max()), 2),
+            "from_frame_to_frame": round(1e3 * float(np.mean(white)), 2),
+            "stated_noise": round(1e3 * float(np.mean([n["xpos/block"] for n in noise])), 2),
         },
+    }
+    (folder / "seen.json").write_text(json.dumps(line) + "\n")
+
+
+def judge(
+    folder: Path, effects: list[str] | None, patience: float, again: bool, end: float
+) -> None:
+    """Diagnoses one episode from its recordings, unless that is done or the time is over."""
+    path = folder / "diagnosis.json"
+    if (path.exists() and not again) or time.time() > end:
+        return
+    torch.set_num_threads(1)
+    begun = time.time()
+    recordings = [Recording.load(folder / f"run{run}.npz") for run in range(_RUNS)]
+    result = diagnose(
+        load_scene(SCENE.format(friction=DECLARED)),
+        recordings[:-_HELD],
+        recordings[-_HELD:],
+        window=_WINDOW,
+        settings=Settings(effects=tuple(effects) if effects else None, patience=patience),
+    ).to_json()
+    line = {
+        **json.loads((folder / "seen.json").read_text()),
         "verdict": result["verdict"],
         "effects": result["effects"],
         "alternatives": result["alternatives"][:3],
         "error": result["error"],
+        "seconds": round(time.time() - begun, 1),
     }
+    path.write_text(json.dumps(line) + "\n")
+
+
+def summary(out: Path) -> dict[str, Any]:
+    """Counts over all episodes that were diagnosed."""
+    lines = [json.loads(p.read_text()) for p in sorted(out.glob("*/diagnosis.json"))]
+    seen = [json.loads(p.read_text()) for p in sorted(out.glob("*/seen.json"))]
+    found: dict[str, Any] = {"seen": len(seen), "diagnosed": len(lines)}
+    for name in ("median", "p90", "worst", "from_frame_to_frame", "stated_noise"):
+        values = [line["position_mm"][name] for line in seen]
+        found[f"position_mm_{name}"] = round(float(np.median(values)), 2) if values else None
+    for different in (True, False):
+        some = [line for line in lines if line["different"] == different]
+        names = [sorted({e["effect"] for e in line["effects"]}) for line in some]
+        part: dict[str, Any] = {"episodes": len(some)}
+        part["verdicts"] = _counts([line["verdict"] for line in some])
+        part["named"] = _counts([" + ".join(n) or "nothing" for n in names])
+        if different:
+            right = [i for i, n in enumerate(names) if n == ["sliding_friction"]]
+            part["sliding_friction_alone"] = len(right)
+            part["sliding_friction_among"] = sum("sliding_friction" in n for n in names)
+            off = [abs(_value(some[i]) / some[i]["friction"] - 1.0) for i in right]
+            part["friction_off_percent_median"] = _median(100 * np.array(off))
+        before = np.array([line["error"]["held_out"]["before"] for line in some], float)
+        after = np.array([line["error"]["held_out"]["after"] for line in some], float)
+        part["held_out_before_median"], part["held_out_after_median"] = (
+            _median(before),
+            _median(after),
+        )
+        found["with" if different else "without"] = part
+    return found
+
+
+def _value(line: dict[str, Any]) -> float:
+    """The friction that was found: the first parameter's value."""
+    parameters = line["effects"][0]["parameters"]
+    return float(next(iter(parameters.values()))["value"])
+
+
+def _counts(names: list[str]) -> dict[str, int]:
+    return {name: names.count(name) for name in sorted(set(names))}
+
+
+def _median(values: Floats) -> float | None:
+    return round(float(np.median(values)), 5) if len(values) else None
 
 
 def film(scene: Scene, friction: float, rng: np.random.Generator, path: Path) -> Floats:
-    """A cube that is set going towards the middle; its true coordinates [T, 7] at the frames."""
+    """A block that is set going towards the middle; its true coordinates [T, 7] at the frames."""
     model, data = scene.model, mujoco.MjData(scene.model)
     heading, spin = rng.uniform(-np.pi, np.pi), rng.uniform(-4.0, 4.0)
-    reach = rng.uniform(0.15, 0.3)
+    reach = float(np.exp(rng.uniform(*np.log(_REACH))))
     direction = np.array([np.cos(heading), np.sin(heading)])
     yaw = rng.uniform(-np.pi, np.pi)
     data.qpos[:2] = -0.5 * reach * direction * [1.0, 0.7]
-    data.qpos[2:] = [0.0299, np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]
+    data.qpos[2:] = [_HALF, np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]
     data.qvel[:2] = np.sqrt(2 * friction * 9.81 * reach) * direction
     data.qvel[5] = spin
     renderer = make_renderer("mujoco", scene)

@@ -12,7 +12,7 @@ from orbisim.scene.visible import ROBOT, STATIC
 from orbisim_diffusion.config import DenoiserConfig
 from orbisim_diffusion.raycast import cast, shade
 from orbisim_diffusion.shapes import PRIMITIVES, Meet
-from orbisim_diffusion.solids import ABSENT, Lamps, Solids, View, project
+from orbisim_diffusion.solids import ABSENT, Lamps, Solids, View, constant, project
 
 Meshes = Mapping[int, Tensor] | None
 
@@ -43,17 +43,18 @@ def geometry_maps(
     width: int,
     meshes: Meshes = None,
     primitives: Mapping[int, Meet] = PRIMITIVES,
+    kinds: tuple[int, ...] | None = None,
 ) -> Tensor:
     """Spatial condition maps [B, 15, H, W] of geometry buffers (configuration `default`)."""
-    buffers = cast(solids, view, height, width, meshes, primitives)
-    free, lit = shade(buffers, solids, view, lamps, meshes, primitives)
+    buffers = cast(solids, view, height, width, meshes, primitives, kinds)
+    free, lit = shade(buffers, solids, view, lamps, meshes, primitives, kinds)
     entity = solids.entity
-    kinds = torch.stack([entity == STATIC, entity == ROBOT, entity > ROBOT], 1)
-    shares = torch.einsum("bkg,bghw->bkhw", kinds.to(buffers.weight.dtype), buffers.weight)
+    owners = torch.stack([entity == STATIC, entity == ROBOT, entity > ROBOT], 1)
+    shares = torch.einsum("bkg,bghw->bkhw", owners.to(buffers.weight.dtype), buffers.weight)
     there = buffers.weight.sum(1, keepdim=True)
     depth = buffers.depth[:, None] / there.clamp_min(1e-3)
     inverse = there / depth.clamp_min(0.1)
-    origin = buffers.point.new_tensor(_ORIGIN)[None, :, None, None]
+    origin = constant(_ORIGIN, buffers.point)[None, :, None, None]
     point = 2.0 * (buffers.point - origin * there)
     return torch.cat(
         [
@@ -91,7 +92,7 @@ def object_tokens(solids: Solids, view: View) -> tuple[Tensor, Tensor]:
     """Object-level tokens: features [B, G, 27] of each geom, and which are there [B, G]."""
     place, depth = project(view, solids.pos)
     kind = torch.nn.functional.one_hot(solids.kind.clamp(0, _TYPES - 1), _TYPES)
-    origin = solids.pos.new_tensor(_ORIGIN)
+    origin = constant(_ORIGIN, solids.pos)
     parts = [
         kind.to(solids.pos.dtype),
         10.0 * solids.size.clamp(max=1.0),

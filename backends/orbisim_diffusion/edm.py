@@ -12,6 +12,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from orbisim_diffusion.solids import constant
+
 SIGMA_MIN, SIGMA_MAX, RHO = 0.002, 80.0, 7.0
 """Range and spacing of noise levels in sampling (table 1 there)."""
 
@@ -67,7 +69,7 @@ def denoising_loss(denoised: Tensor, target: Tensor, sigma: Tensor, data: float)
 def levels(steps: int, device: torch.device) -> Tensor:
     """Noise levels [steps + 1] of a sampler, from the noisiest to 0 (equation 5 there)."""
     if steps == 1:
-        return torch.tensor([SIGMA_MAX, 0.0], device=device)
+        return constant((SIGMA_MAX, 0.0), torch.empty(0, device=device))
     ramp = torch.linspace(0, 1, steps, device=device)
     high, low = SIGMA_MAX ** (1 / RHO), SIGMA_MIN ** (1 / RHO)
     sigma: Tensor = (high + ramp * (low - high)) ** RHO

@@ -24,7 +24,7 @@ from orbisim_diffusion.own import bounded, squares
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-_SURE = 3.0
+SURE = 3.0
 """Logit from which on more certainty that there is an object counts no more."""
 _BATCH = 64  # images at once, so that memory does not grow with a video's length
 
@@ -149,7 +149,7 @@ def _tracks(found: Inferred, rows: Floats) -> tuple[Floats, Floats]:
     groups = [like_turns(one) for one in sizes]
     for t in range(count):
         cost = unlikeness(pos[t], size[t], colour[t], last, sizes, colours)
-        cost -= np.minimum(present[t], _SURE)
+        cost -= np.minimum(present[t], SURE)
         for body, slot in zip(*linear_sum_assignment(cost), strict=True):
             places[t, body] = last[body] = pos[t, slot]
             choices = rot[t, slot] @ groups[body]

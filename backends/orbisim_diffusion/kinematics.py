@@ -12,7 +12,7 @@ from orbisim.errors import InputError, UnsupportedSceneError
 from orbisim.scene import Scene, visible
 from orbisim_diffusion.chain import Chain
 from orbisim_diffusion.shapes import MESH, PRIMITIVES
-from orbisim_diffusion.solids import Lamps, Solids, View, matrices
+from orbisim_diffusion.solids import Lamps, Solids, View, constant, matrices
 
 Poses = tuple[Tensor, Tensor]
 """What `Kinematics.bodies` gives."""
@@ -82,8 +82,8 @@ class Kinematics:
           InputError: the camera follows or looks at a body, or is orthographic.
         """
         model, count = self.model, len(qpos)
-        focal = torch.tensor(cameras.read_focal(model, camera), device=self.device)
-        focal = focal.to(qpos.dtype).expand(count, 2)
+        focal = constant(tuple(map(float, cameras.read_focal(model, camera))), qpos)
+        focal = focal.expand(count, 2)
         if camera < 0:
             free = cameras.free_orbit(model).camera(float(model.vis.global_.fovy))
             return self._still(free, qpos, focal)
@@ -104,7 +104,10 @@ class Kinematics:
         return self._chain.bodies(qpos)
 
     def _still(self, camera: cameras.Camera, qpos: Tensor, focal: Tensor) -> View:
-        pos, rot = (self._constant(v).to(qpos.dtype) for v in (camera.pos, camera.rot))
+        pos, rot = (
+            constant(tuple(np.ravel(v).tolist()), qpos).reshape(np.shape(v))
+            for v in (camera.pos, camera.rot)
+        )
         count = len(qpos)
         return View(pos.expand(count, 3), rot.expand(count, 3, 3), focal, torch.zeros_like(focal))
 

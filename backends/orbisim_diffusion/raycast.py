@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from orbisim_diffusion.shapes import MESH, PRIMITIVES, Meet, mesh
-from orbisim_diffusion.solids import ABSENT, Lamps, Solids, View, rays
+from orbisim_diffusion.solids import ABSENT, Lamps, Solids, View, constant, rays
 
 LAYERS = 3
 """Surfaces along a ray that are put over each other; at an outline there are two."""
@@ -65,6 +66,7 @@ def cast(
     width: int,
     meshes: Mapping[int, Tensor] | None = None,
     primitives: Mapping[int, Meet] = PRIMITIVES,
+    kinds: tuple[int, ...] | None = None,
 ) -> Buffers:
     """Casts a ray through the middle of each pixel.
 
@@ -74,9 +76,11 @@ def cast(
       height, width: pixels.
       meshes: triangles [F, 3, 3] by the geom's place G, the same in every view.
       primitives: `orbisim_diffusion.shapes.PRIMITIVES`, or the same compiled.
+      kinds: [G] the types of the geoms where they are the same in every view: then the host need
+        not wait to learn them from the device.
     """
     ray = rays(view, height, width)  # [B, P, 3]
-    seen = look(solids, view, ray, height, meshes, primitives)
+    seen = look(solids, view, ray, height, meshes, primitives, kinds)
 
     def image(values: Tensor) -> Tensor:
         """Of [B, P, C] to [B, C, H, W]."""
@@ -98,10 +102,11 @@ def look(
     height: int,
     meshes: Mapping[int, Tensor] | None = None,
     primitives: Mapping[int, Meet] = PRIMITIVES,
+    kinds: tuple[int, ...] | None = None,
 ) -> Surfaces:
     """What some rays [B, P, 3] from the cameras see, in an image of `height` pixels."""
     eye = view.pos[:, None].expand_as(ray)
-    t, inside, normal = _meet(solids, eye, ray, meshes or {}, primitives)  # [B, G, P (, 3)]
+    t, inside, normal = _meet(solids, eye, ray, meshes or {}, primitives, kinds)  # [B, G, P (, 3)]
     pixel = t.abs() / (height * view.focal[:, None, 1:])  # m at that depth
     cover = torch.sigmoid(inside / (_EDGE * pixel.clamp_min(1e-6)))
     seen = (t > _NEAR) & (cover > 1e-3)
@@ -130,6 +135,7 @@ def shade(
     lamps: Lamps,
     meshes: Mapping[int, Tensor] | None = None,
     primitives: Mapping[int, Meet] = PRIMITIVES,
+    kinds: tuple[int, ...] | None = None,
 ) -> tuple[Tensor, Tensor]:
     """How much light falls on what is seen: [B, H, W] each, mean over the lights.
 
@@ -145,7 +151,9 @@ def shade(
     # few pairs take less time than starting one more set of kernels; many would fill the memory
     at_once = max(1, _PAIRS // max(1, solids.kind.numel() * size.shape[1]))
     for rows in lamps.rows.split(at_once, dim=1):
-        open_, ray = unblocked(point, normal, size, solids, Lamps(rows), meshes, primitives)
+        open_, ray = unblocked(
+            *(point, normal, size, solids, Lamps(rows), meshes, primitives, kinds)
+        )
         cosine = (ray * normal[:, None]).sum(-1) / ray.norm(dim=-1).clamp_min(1e-6)
         free, lit = free + open_.sum(1), lit + (open_ * cosine.clamp_min(0.0)).sum(1)
     count = max(1, lamps.rows.shape[1])
@@ -161,6 +169,7 @@ def unblocked(
     lamps: Lamps,
     meshes: Mapping[int, Tensor] | None = None,
     primitives: Mapping[int, Meet] = PRIMITIVES,
+    kinds: tuple[int, ...] | None = None,
 ) -> tuple[Tensor, Tensor]:
     """How much of L lights reaches points.
 
@@ -176,7 +185,7 @@ def unblocked(
     ray = torch.where(lamps.directional[..., None, None] > 0, far, lamps.pos[:, :, None] - start)
     shape = ray.shape[:3]
     eye = start.expand_as(ray).flatten(1, 2)
-    t, inside, _ = _meet(solids, eye, ray.flatten(1, 2), meshes or {}, primitives, False)
+    t, inside, _ = _meet(solids, eye, ray.flatten(1, 2), meshes or {}, primitives, kinds, False)
     width = _EDGE * size[:, None].expand(shape).flatten(1)[:, None]
     blocked = torch.where((t > _NEAR) & (t < 1.0), torch.sigmoid(inside / width), 0.0)
     passed = (1.0 - blocked).prod(1).unflatten(-1, shape[1:])
@@ -202,12 +211,15 @@ def _meet(
     ray: Tensor,
     meshes: Mapping[int, Tensor],
     primitives: Mapping[int, Meet],
+    kinds: tuple[int, ...] | None = None,
     normals: bool = True,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """t, inside, and normals in the world frame, of every geom and ray (from `eye` [B, P, 3]).
 
     Where they are not wanted, normals are zeros.
     """
+    if kinds is not None and MESH not in kinds:
+        return _meet_alike(solids, eye, ray, primitives, kinds, normals)
     shape = (*solids.kind.shape, ray.shape[1])
     t, inside = ray.new_zeros(shape), ray.new_full(shape, -1.0)
     normal = ray.new_zeros((*(shape if normals else [1] * 3), 3))
@@ -229,6 +241,35 @@ def _meet(
         if normals:
             normal = normal.index_put(where, (found[2] @ solids.rot[b, g].T)[None])
     return t, inside, normal
+
+
+def _meet_alike(
+    solids: Solids,
+    eye: Tensor,
+    ray: Tensor,
+    primitives: Mapping[int, Meet],
+    kinds: tuple[int, ...],
+    normals: bool,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """`_meet` of primitives whose types [G] are the same in every view."""
+    count = len(ray)
+    places = {kind: [g for g, k in enumerate(kinds) if k == kind] for kind in sorted(set(kinds))}
+    parts: list[tuple[Tensor, ...]] = []
+    for kind, chosen in places.items():
+        index = constant(tuple(chosen), solids.kind)
+        fields = solids.pos, solids.rot, solids.size
+        pos, rot, size = (field[:, index].flatten(0, 1) for field in fields)
+
+        def each(values: Tensor, number: int = len(chosen)) -> Tensor:
+            return values[:, None].expand(-1, number, -1, -1).flatten(0, 1)
+
+        found = primitives[kind]((each(eye) - pos[:, None]) @ rot, each(ray) @ rot, size)
+        wanted = (*found[:2], found[2] @ rot.transpose(-1, -2)) if normals else found[:2]
+        parts.append(tuple(v.unflatten(0, (count, -1)) for v in wanted))
+    placed = [g for chosen in places.values() for g in chosen]
+    order = constant(tuple(np.argsort(placed).tolist()), solids.kind)
+    t, inside, *more = (torch.cat(field, 1)[:, order] for field in zip(*parts, strict=True))
+    return t, inside, more[0] if more else ray.new_zeros(1, 1, 1, 3)
 
 
 def _local(solids: Solids, eye: Tensor, ray: Tensor, b: Tensor, g: Tensor) -> tuple[Tensor, Tensor]:

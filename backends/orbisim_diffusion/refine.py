@@ -31,9 +31,9 @@ from orbisim_diffusion.synthesis import Eye
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
-_NOISE = 0.02
+NOISE = 0.02
 """Of a pixel's value, 0 to 1; what drawing cannot say of a rendered image is 0.03 rms."""
-_ALIKE = 4.0
+ALIKE = 4.0
 """Neighbouring pixels err together: so many count as one where uncertainties are stated."""
 _SEEN_PIXELS, _SEEN_SHARE, EXPLAINED = 6.0, 0.15, 0.5
 """What counts as seen: at least so many pixels (of 128 x 128) of an object that are right with it
@@ -41,8 +41,10 @@ and wrong without, that share of its outline, and that share of the improvement 
 match would be."""
 _RIGHT = 0.1
 """Difference of a pixel's value from which on it is wrong."""
-_BIAS = 0.2
-"""Pixels by which outlines are off whatever the curvature says: they are drawn otherwise."""
+_BIAS, _WANDER = 0.2, 0.08
+"""Pixels by which outlines are off whatever the curvature says, since they are drawn otherwise; and
+how much of that changes from frame to frame as outlines cross pixels (0.05 in films of a sliding
+block that end at rest). The rest is common to a film: motions between its frames do not have it."""
 _LIES, _FREE = 0.9, 0.15
 """A body that rests on a surface and explains so much of the improvement does rest. Else it may be
 anywhere, if that lowers the cost by such a share."""
@@ -62,12 +64,14 @@ class Pose(NamedTuple):
     Attributes:
       qpos: [7] of its free joint. seen: whether the frame shows it. explained: share of the
         improvement that a perfect match would be. std: [6] of position, m, and turn, rad.
+      jitter: [6] the part of `std` that changes from frame to frame.
     """
 
     qpos: Floats
     seen: bool
     explained: float
     std: Floats
+    jitter: Floats = np.full(6, np.inf)
 
 
 class Frame(NamedTuple):
@@ -255,7 +259,7 @@ class Refiner:
             pixels,
             qpos[None],
             directions,
-            noise=_NOISE * np.sqrt(_ALIKE),
+            noise=NOISE * np.sqrt(ALIKE),
             prior=prior,
             geoms=geoms,
             steps=steps,
@@ -332,15 +336,16 @@ class Refiner:
                 chosen, k, row = loose, 6, 0
                 seen, explained = self._judged(scene, loose.qpos[0], geoms, pixels)
         variance = np.linalg.inv(chosen.precision[row] + 1e-6 * np.eye(k))
-        spread = np.sqrt(_ALIKE * np.diag(variance))
+        spread = np.sqrt(ALIKE * np.diag(variance))
         if k == 3:  # how a body at rest lies is known
             spread = np.array([spread[0], spread[1], 0.0, 0.0, 0.0, spread[2]])
-        std = np.hypot(spread, self._bias(body, chosen.qpos[row, body.qpos : body.qpos + 3]))
-        return Pose(chosen.qpos[row, body.qpos : body.qpos + 7], seen, explained, std)
+        pose = chosen.qpos[row, body.qpos : body.qpos + 7]
+        bias, wander = (self.outline(body, pose[:3], part) for part in (_BIAS, _WANDER))
+        return Pose(pose, seen, explained, np.hypot(spread, bias), np.hypot(spread, wander))
 
-    def _bias(self, body: Body, place: Floats) -> Floats:
-        """[6] m and rad that stand for `_BIAS` pixels."""
-        metres = _BIAS * float(np.linalg.norm(place - self._eye)) / self.size
+    def outline(self, body: Body, place: Floats, pixels: float = _BIAS) -> Floats:
+        """[6] m and rad that stand for so many pixels, by default what outlines are off."""
+        metres = pixels * float(np.linalg.norm(place - self._eye)) / self.size
         metres /= float(self.view.focal[0, 1])
         return np.repeat([metres, metres / max(float(body.half.max()), 1e-3)], 3)
 
@@ -364,7 +369,7 @@ class Refiner:
             pixels,
             states,
             ways,
-            noise=_NOISE,
+            noise=NOISE,
             geoms=geoms,
             steps=steps,
         )

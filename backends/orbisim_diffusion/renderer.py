@@ -24,9 +24,10 @@ from orbisim_diffusion.autoencoder import to_bytes, to_float
 from orbisim_diffusion.checkpoint import Checkpoint, load_checkpoint
 from orbisim_diffusion.config import MOST_CONTEXT, PATCH
 from orbisim_diffusion.denoiser import Condition
-from orbisim_diffusion.kinematics import Kinematics, Poses
+from orbisim_diffusion.kinematics import Kinematics
 from orbisim_diffusion.loop import mixed
 from orbisim_diffusion.model import MOST_STEPS, Painter
+from orbisim_diffusion.playback import Recorded
 from orbisim_diffusion.scope import scene_concerns, scene_problem, view_problem
 from orbisim_diffusion.shapes import PRIMITIVES, compiled_primitives
 from orbisim_diffusion.solids import View
@@ -63,6 +64,9 @@ class DiffusionRenderer(Renderer):
       device: `cpu`, `cuda`, `cuda:1`; None for the GPU, if there is one.
       compiled: whether torch compiles the ray casting: half a minute at the first image, then fewer
         and larger kernels.
+      graph: whether a GPU's work is recorded once for each number of worlds, length of context and
+        size of image, and played back as a whole (a CUDA graph): nothing is started kernel by
+        kernel then. The images are the same.
     """
 
     name = "diffusion"
@@ -78,6 +82,7 @@ class DiffusionRenderer(Renderer):
         context: bool = True,
         device: str | None = None,
         compiled: bool = False,
+        graph: bool = False,
     ) -> None:
         if not 1 <= steps <= MOST_STEPS:
             raise InputError(f"a sampler takes 1 to {MOST_STEPS} steps; got {steps}")
@@ -86,7 +91,11 @@ class DiffusionRenderer(Renderer):
         self._folder = Path(argument) if argument else None
         self._steps, self._seed, self._context = steps, seed, context
         self._device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
+        if graph and self._device.type != "cuda":
+            raise InputError(f"graph=True records a GPU's work; the device is {self._device}")
         self._primitives = compiled_primitives() if compiled else PRIMITIVES
+        self._graph = graph
+        self._recorded: dict[tuple[Any, ...], Recorded] = {}
         self._checkpoint: Checkpoint | None = None
 
     @property
@@ -124,6 +133,9 @@ class DiffusionRenderer(Renderer):
             text = f"renderer 'diffusion', scene {scene.name!r}: {concern}"
             warnings.warn(text, OutsideTrainingWarning, stacklevel=2)
         self._checkpoint, self.kinematics, self._scene = checkpoint, kinematics, scene
+        self._kinds = tuple(int(kind) for kind in kinematics.rows[:, 0])
+        self._recorded.clear()
+        self._still: dict[int, View] = {}
 
     def render(
         self,
@@ -161,13 +173,10 @@ class DiffusionRenderer(Renderer):
         state = state.numpy()
         with torch.no_grad():
             qpos = torch.as_tensor(state.qpos, dtype=torch.float32, device=self._device)
-            poses = self.kinematics.bodies(qpos)
-            view = self._view(qpos, frame, poses)
-            latents = self._latents(qpos, view, state, frame, poses)
-            with mixed(self._device):
-                images = self.painter.decode(latents)
-            images = resized(images.float(), height, width)
-        return to_bytes(images).cpu().numpy(), self._remembered(state, latents, view)
+            view = self._view(qpos, frame)
+            noise, past = self._noise(state, frame), self._past(state, view, frame)
+            images, latents = self._shown(qpos, noise, past, frame, (height, width))
+        return images.cpu().numpy(), self._remembered(state, latents, view)
 
     def latents(
         self, qpos: Tensor, *, camera: int | str = -1, height: int = 240, width: int = 320
@@ -181,8 +190,9 @@ class DiffusionRenderer(Renderer):
         blank = State(
             np.zeros(count), np.zeros((count, 1)), np.zeros((count, 1)), np.zeros((count, 0))
         )
-        poses = self.kinematics.bodies(qpos)
-        return self._latents(qpos, self._view(qpos, frame, poses), blank, frame, poses)
+        self._view(qpos, frame)
+        noise = self._noise(blank, frame)
+        return self._latents(qpos, noise, noise.new_zeros(count, 0, *noise.shape[1:]), frame)
 
     def remembering(self, state: State, image: npt.NDArray[np.uint8], camera: int | str) -> State:
         """The state with an image [H, W, 3] of it, from wherever, as the frame shown last.
@@ -216,40 +226,86 @@ class DiffusionRenderer(Renderer):
         size = self.checkpoint.config.size
         return Frame(number, size, max(1, round(size * width / height / PATCH)) * PATCH)
 
-    def _view(self, qpos: Tensor, frame: Frame, poses: Poses | None = None) -> View:
-        view = self.kinematics.view(qpos, frame.camera, poses)
-        pos, rot, focal = (v[0].detach().cpu().double().numpy() for v in view[:3])
-        camera = cameras.Camera(pos, rot, (float(focal[0]), float(focal[1])))
-        if problem := view_problem(self.checkpoint.scope, camera):
-            raise InputError(f"renderer 'diffusion', {self.checkpoint.path}: {problem}")
-        return view
+    def _view(self, qpos: Tensor, frame: Frame) -> View:
+        """The cameras of worlds at coordinates [B, nq]; one that stands still is looked up once."""
+        model, camera = self.kinematics.model, frame.camera
+        carried = camera >= 0 and model.body_weldid[model.cam_bodyid[camera]] != 0
+        if carried or camera not in self._still:
+            view = self.kinematics.view(qpos, camera)
+            pos, rot, focal = (v[0].detach().cpu().double().numpy() for v in view[:3])
+            seen = cameras.Camera(pos, rot, (float(focal[0]), float(focal[1])))
+            if problem := view_problem(self.checkpoint.scope, seen):
+                raise InputError(f"renderer 'diffusion', {self.checkpoint.path}: {problem}")
+            if carried:
+                return view
+            self._still[camera] = View(*(field[:1].detach().cpu() for field in view))
+        return View(*(v.expand(len(qpos), *v.shape[1:]) for v in self._still[camera]))
 
-    def _latents(
-        self, qpos: Tensor, view: View, state: State, frame: Frame, poses: Poses
-    ) -> Tensor:
-        """Of all worlds; those with equally many frames to continue are made together."""
+    def _shown(
+        self,
+        qpos: Tensor,
+        noise: Tensor,
+        past: list[list[Tensor]],
+        frame: Frame,
+        size: tuple[int, int],
+    ) -> tuple[Tensor, Tensor]:
+        """Images [B, H, W, 3] of bytes and latents [B, C, h, w] of all worlds.
+
+        Those with equally many frames to continue are made together.
+        """
+        images = torch.empty((len(qpos), *size, 3), dtype=torch.uint8, device=self._device)
+        latents = torch.empty_like(noise)
+        for count in sorted({len(frames) for frames in past}):
+            worlds = [i for i, frames in enumerate(past) if len(frames) == count]
+            some = slice(None) if len(worlds) == len(qpos) else worlds
+            context = noise.new_zeros((len(worlds), 0, *noise.shape[1:]))
+            if count:
+                context = torch.stack([torch.stack(past[i]) for i in worlds])
+            made = self._made((qpos[some], noise[some], context), frame, size)
+            images[some], latents[some] = made
+        return images, latents
+
+    def _made(
+        self, given: tuple[Tensor, Tensor, Tensor], frame: Frame, size: tuple[int, int]
+    ) -> tuple[Tensor, Tensor]:
+        """Images and latents of coordinates, noise and context, played back where recorded."""
+        if not self._graph:
+            return self._drawn(given, frame, size)
+        key = (len(given[0]), given[2].shape[1], frame, size)
+        if key not in self._recorded:
+            before = next(iter(self._recorded.values()), None)
+            self._recorded[key] = Recorded(lambda *x: self._drawn(x, frame, size), given, before)
+        images, latents = self._recorded[key](given)
+        return images, latents
+
+    def _drawn(
+        self, given: tuple[Tensor, ...], frame: Frame, size: tuple[int, int]
+    ) -> tuple[Tensor, Tensor]:
+        qpos, noise, context = given
+        latents = self._latents(qpos, noise, context, frame)
+        with mixed(self._device):
+            images = self.painter.decode(latents)
+        return to_bytes(resized(images.float(), *size)), latents
+
+    def _latents(self, qpos: Tensor, noise: Tensor, context: Tensor, frame: Frame) -> Tensor:
+        """Of worlds with equally many frames [B, K, C, h, w] to continue.
+
+        The host waits for nothing here, so that the work can be recorded.
+        """
+        poses = self.kinematics.bodies(qpos)
+        view = self.kinematics.view(qpos, frame.camera, poses)
         solids, lamps = self.kinematics.solids(qpos, poses), self.kinematics.lamps(len(qpos))
         settings = self.painter.config.denoiser
         maps = condition_maps(
             *(solids, view, lamps, frame.height, frame.width, settings.maps),
-            *(self.kinematics.meshes, self._primitives),
+            *(self.kinematics.meshes, self._primitives, self._kinds),
         )
         tokens, there = tokens_of(solids, view, settings)
-        past = self._past(state, view, self.painter.shape(1, maps)[1:])
-        noise = self._noise(state, self.painter.shape(len(qpos), maps))
-        found: list[tuple[int, Tensor]] = []
-        for count in sorted({len(frames) for frames in past}):
-            worlds = [i for i, frames in enumerate(past) if len(frames) == count]
-            frames = [torch.stack([past[i][k] for i in worlds]) for k in range(count)]
-            given = Condition(
-                *self.painter.history(frames, len(worlds), maps),
-                *(maps[worlds], tokens[worlds], there[worlds]),
-            )
-            # half precision is for the network alone: poses and rays need all their digits
-            with nullcontext() if torch.is_grad_enabled() else mixed(self._device):
-                made = self.painter.paint(given, noise[worlds], self._steps).float()
-            found += zip(worlds, made, strict=True)
-        return torch.stack([latent for _, latent in sorted(found, key=lambda pair: pair[0])])
+        history = self.painter.history(context.unbind(1), len(qpos), maps)
+        # half precision is for the network alone: poses and rays need all their digits
+        with nullcontext() if torch.is_grad_enabled() else mixed(self._device):
+            made = self.painter.paint(Condition(*history, maps, tokens, there), noise, self._steps)
+        return made.float()
 
     def _kept(self, state: State, view: View, shape: Sequence[int]) -> list[list[int]]:
         """For each world the places of frames to continue: earlier ones, of this camera.
@@ -266,14 +322,19 @@ class DiffusionRenderer(Renderer):
         earlier = memory[TIMES] < np.asarray(state.time)[:, None] - 1e-9
         return [np.flatnonzero(row).tolist() for row in same & earlier]
 
-    def _past(self, state: State, view: View, shape: Sequence[int]) -> list[list[Tensor]]:
+    def _past(self, state: State, view: View, frame: Frame) -> list[list[Tensor]]:
         """For each world the latents to continue, oldest first."""
-        kept = self._kept(state, view, shape)
+        kept = self._kept(state, view, self._shape(frame))
         if not any(kept):
             return [[]] * state.nworld
         latents = np.asarray(state.memory[LATENTS], np.float32)
         stored = torch.as_tensor(latents, device=self._device)  # one copy for all worlds
         return [[stored[world, k] for k in places] for world, places in enumerate(kept)]
+
+    def _shape(self, frame: Frame) -> tuple[int, int, int]:
+        """[C, h, w] of a frame's latents."""
+        channels = self.painter.config.autoencoder.channels
+        return channels, frame.height // PATCH, frame.width // PATCH
 
     def _remembered(self, state: State, latents: Tensor, view: View) -> dict[str, npt.NDArray[Any]]:
         """The memory with these latents after what is still earlier."""
@@ -290,13 +351,13 @@ class DiffusionRenderer(Renderer):
             frames[world, len(last)], times[world, len(last)] = made[world], state.time[world]
         return {LATENTS: frames, TIMES: times, VIEWS: views}
 
-    def _noise(self, state: State, shape: tuple[int, ...]) -> Tensor:
+    def _noise(self, state: State, frame: Frame) -> Tensor:
         """Unit noise [B, C, h, w]: a function of the seed and of each world's time."""
         rows = []
         for time in np.asarray(state.time, np.float64):
             microseconds = round(abs(float(time)) * 1e6) % 2**40
             rng = np.random.default_rng([self._seed, microseconds])
-            rows.append(rng.standard_normal(shape[1:], np.float32))
+            rows.append(rng.standard_normal(self._shape(frame), np.float32))
         return torch.as_tensor(np.stack(rows), device=self._device)
 
 

@@ -27,7 +27,7 @@ _ENDLESS = 1e3
 
 def plane(origin: Tensor, ray: Tensor, size: Tensor) -> Hit:
     """The rectangle z = 0 with half sizes x and y; 0 for endless. Seen from above only."""
-    down = torch.where(ray[..., 2].abs() < _TINY, ray.new_tensor(-_TINY), ray[..., 2])
+    down = torch.where(ray[..., 2].abs() < _TINY, -_TINY, ray[..., 2])
     t = -origin[..., 2] / down
     point = origin + t[..., None] * ray
     half = torch.where(size[:, None, :2] > 0, size[:, None, :2], _ENDLESS)
@@ -189,7 +189,7 @@ def _ball(origin: Tensor, ray: Tensor, radius: Tensor) -> Hit:
 
 def _slab(origin: Tensor, ray: Tensor, half: Tensor) -> tuple[Tensor, Tensor]:
     """Where rays enter and leave -half to half."""
-    safe = torch.where(ray.abs() < _TINY, ray.new_tensor(_TINY), ray)
+    safe = torch.where(ray.abs() < _TINY, _TINY, ray)
     centre, reach = -origin / safe, half / safe.abs()
     return centre - reach, centre + reach
 

@@ -5,6 +5,7 @@ Shapes: B views, G geoms.
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import torch
@@ -80,6 +81,19 @@ class View(NamedTuple):
     def at(self, index: Tensor | slice) -> View:
         """The same fields at an index of the leading axis."""
         return View(*(field[index] for field in self))
+
+
+def constant(values: tuple[float, ...], like: Tensor) -> Tensor:
+    """Numbers as a tensor of the type and on the device of another one, copied there once.
+
+    A copy from the host waits for all that the device was told to do.
+    """
+    return _constant(values, like.dtype, like.device)
+
+
+@functools.lru_cache(maxsize=64)
+def _constant(values: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
+    return torch.tensor(values, dtype=dtype, device=device)
 
 
 def rays(view: View, height: int, width: int) -> Tensor:

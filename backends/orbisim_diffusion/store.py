@@ -204,13 +204,17 @@ def condition_maps(
     maps: str,
     meshes: Meshes = None,
     primitives: Mapping[int, Meet] = PRIMITIVES,
+    kinds: tuple[int, ...] | None = None,
 ) -> Tensor:
-    """Spatial condition maps [B, M, H, W] of a kind (see `DenoiserConfig.maps`)."""
+    """Spatial condition maps [B, M, H, W] of a kind (see `DenoiserConfig.maps`).
+
+    `kinds`: see `orbisim_diffusion.raycast.cast`.
+    """
     if maps == "none":
         return solids.pos.new_zeros(len(solids.pos), 1, height, width)
     if maps == "heatmaps":
         return heatmaps(solids, view, height, width)
-    return geometry_maps(solids, view, lamps, height, width, meshes, primitives)
+    return geometry_maps(solids, view, lamps, height, width, meshes, primitives, kinds)
 
 
 def tokens_of(solids: Solids, view: View, config: DenoiserConfig) -> tuple[Tensor, Tensor]:

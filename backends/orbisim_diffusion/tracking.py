@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -76,16 +77,26 @@ def follow(refiner: Refiner, frames: npt.NDArray[np.uint8], read: Reading | None
     return found
 
 
-def recording_of(scene: Scene, refiner: Refiner, times: Floats, found: list[Frame]) -> Recording:
+def recording_of(
+    scene: Scene,
+    refiner: Refiner,
+    times: Floats,
+    found: list[Frame],
+    looks: Sequence[Any] | None = None,
+) -> Recording:
     """What frames show, as signals; joints and objects have NaN where they are not seen.
 
-    `metadata` has `noise`, the median standard deviation of each signal, and `not_seen`, the
-    stretches in which the joints or an object are not seen.
+    `metadata` has `noise`, the median standard deviation of each signal from frame to frame,
+    `offset`, that of what all frames may be off together, and `not_seen`, the stretches in which
+    the joints or an object are not seen. With `looks` (one of `orbisim_diffusion.looks.Look` for
+    each free body) it has them, too, by the bodies' names; standard deviations of what was not seen
+    are null.
     """
     model = scene.model
     qpos = np.stack([one.qpos for one in found])
     signals: dict[str, Floats] = {}
     noise: dict[str, float] = {}
+    offset: dict[str, float] = {}
     hidden: list[dict[str, Any]] = []
     stds = np.stack([one.joints_std for one in found])
     shown, names = np.array([one.joints_seen for one in found]), []
@@ -104,14 +115,33 @@ def recording_of(scene: Scene, refiner: Refiner, times: Floats, found: list[Fram
         group = like_turns(body.half) if body.box else np.eye(3)[None]
         turn = _turns(qpos[:, body.qpos + 3 : body.qpos + 7], seen, group)
         signals[f"xpos/{name}"], signals[f"xquat/{name}"] = place, turn
+        jitter = np.stack([pose.jitter for pose in poses])[seen]
         spread = np.stack([pose.std for pose in poses])[seen]
         if len(spread):
-            noise[f"xpos/{name}"] = float(np.median(spread[:, :3].max(1)))
-            noise[f"xquat/{name}"] = float(np.median(spread[:, 3:].max(1)))
+            common = np.sqrt(np.maximum(spread**2 - jitter**2, 0.0))
+            for signal, axes in (("xpos", slice(0, 3)), ("xquat", slice(3, 6))):
+                noise[f"{signal}/{name}"] = float(np.median(jitter[:, axes].max(1)))
+                offset[f"{signal}/{name}"] = float(np.median(common[:, axes].max(1)))
         hidden += [{"body": name, **stretch} for stretch in _stretches(times, ~seen)]
-    return Recording(
-        times, signals, metadata={"noise": noise, "not_seen": hidden}, source=f"{scene.name} seen"
-    )
+    metadata: dict[str, Any] = {"noise": noise, "offset": offset, "not_seen": hidden}
+    if looks is not None:
+        names = [str(name).split("/")[1] for name in signals if name.startswith("xpos/")]
+        metadata["looks"] = {n: _worn(look) for n, look in zip(names, looks, strict=True)}
+    return Recording(times, signals, metadata=metadata, source=f"{scene.name} seen")
+
+
+def _worn(look: Any) -> dict[str, list[float | None]]:
+    """A look as JSON has it: half sizes, m, colour, and their standard deviations."""
+    fields = {
+        "half_size": look.half,
+        "half_size_std": look.half_std,
+        "color": look.colour,
+        "color_std": look.colour_std,
+    }
+    return {
+        name: [round(float(v), 6) if np.isfinite(v) else None for v in values]
+        for name, values in fields.items()
+    }
 
 
 def _expected(found: list[Frame], columns: npt.NDArray[np.int64]) -> Floats:

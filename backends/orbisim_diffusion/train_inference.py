@@ -25,10 +25,11 @@ from orbisim_diffusion.inference import (
 )
 from orbisim_diffusion.loop import Kept, Loop, mixed
 from orbisim_diffusion.measures import spread
+from orbisim_diffusion.stills import SUFFIX, load_stills
 from orbisim_diffusion.store import Store, load
 from orbisim_diffusion.training import Run, encoded
 
-TRAIN = TrainConfig(batch=256, rate=1e-3, warmup=200)
+TRAIN = TrainConfig(batch=512, rate=1e-3, warmup=200)
 _SAME_VIEW = 1e-3
 """m, and of matrices' entries: cameras of collections that stand still differ by rounding only."""
 _AGAIN = 0.5
@@ -52,8 +53,9 @@ def tune(
     """Trains StaInf on the frozen encoder of a checkpoint and adds it there.
 
     Args:
-      folder: of the checkpoint. data: episode files with images and a robot. held: files to
-        measure on; the data themselves if empty. run: see `Run`.
+      folder: of the checkpoint. data: episode files with images and a robot, or files of stills
+        (`orbisim_diffusion.stills`). held: files to measure on; the data themselves if empty.
+      run: see `Run`.
       device: where to compute. workers: processes that read.
       start: checkpoint whose StaInf is gone on with. report: is told how it goes.
 
@@ -69,7 +71,7 @@ def tune(
     autoencoder = point.autoencoder.to(on)
 
     def seen(paths: Sequence[Path]) -> Store:
-        store = encoded(autoencoder, load(paths, on, workers=workers))
+        store = encoded(autoencoder, _loaded(paths, on, workers))
         if "robot/qpos" not in store.extras:
             raise InputError(f"{paths[0]}: episodes of a robot's task are needed; it has no robot")
         return dataclasses.replace(store, frames=store.frames[:0])
@@ -89,6 +91,17 @@ def tune(
     }
     add_part(folder, INFERENCE, model, metrics)
     return metrics
+
+
+def _loaded(paths: Sequence[Path], device: torch.device, workers: int) -> Store:
+    stills = [str(path).endswith(SUFFIX) for path in paths]
+    if not any(stills):
+        return load(paths, device, workers=workers)
+    if not all(stills):
+        raise InputError(
+            f"{paths[stills.index(False)]}: episodes and stills are not mixed; give one kind"
+        )
+    return load_stills(paths, device)
 
 
 def _begun(start: Path, folder: Path) -> StateInference:

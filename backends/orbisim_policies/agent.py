@@ -16,9 +16,8 @@ from orbisim.errors import InputError
 from orbisim.scene import load_scene
 from orbisim.state import State
 from orbisim.trajectory import Trajectory
-from orbisim_policies.checkpoint import check_scene, load_policy, read_manifest
+from orbisim_policies.checkpoint import AnyPolicy, check_scene, load_policy, read_manifest
 from orbisim_policies.evaluate import as_float
-from orbisim_policies.network import Policy
 from orbisim_policies.problem import Moment, Problem, Starts
 from orbisim_policies.problems import make_problem
 from orbisim_policies.zoo import resolved
@@ -33,7 +32,7 @@ class Agent:
       starts: of the episodes that were made last.
     """
 
-    policy: Policy
+    policy: AnyPolicy
     problem: Problem
     starts: Starts | None = None
 
@@ -75,13 +74,13 @@ class Agent:
         state = episodes.initial
         command, params = as_float(starts.command), as_float(starts.params)
         score = problem.begin(as_float(state.qpos), as_float(state.qvel), command)
-        pieces, controls = [], []
+        pieces, controls, policy = [], [], self.policy.begin(len(score))
         for step in range(max(1, round(duration / problem.timestep))):
             qpos, qvel = as_float(state.qpos), as_float(state.qvel)
             time = torch.full((len(qpos),), min(step / problem.steps, 1.0))
             with torch.no_grad():
                 view = problem.observe(Moment(qpos, qvel, command, params, score, time))
-                control, command = problem.control(command, self.policy(view))
+                control, command = problem.control(command, policy(view))
             held = np.repeat(control.double().numpy()[:, None], round(ratio), axis=1)
             pieces.append(engine.rollout(state, held))
             controls.append(held)

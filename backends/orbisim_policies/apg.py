@@ -179,6 +179,14 @@ class Apg:
             torch.stack([torch.where(fell, best, level), best, scale * (1.0 - 0.5 * fell.float())])
         )
 
+    true_steps = 0
+    """Of C MuJoCo that it makes itself."""
+
+    @property
+    def current(self) -> Policy:
+        """The policy as it is now."""
+        return self.policy
+
     @property
     def chosen(self) -> Policy:
         """The policy to keep: over whole episodes the best by its objective, else the last."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import torch
+from orbisim_world_model.rotation import product, rotate
 from torch import Tensor
 
 from orbisim.tasks import assets
@@ -17,6 +18,9 @@ from orbisim.tasks.arm import ArmConfig
 
 class ArmKinematics:
     """Pose and Jacobian of an arm's end effector, as a product of exponentials.
+
+    Products are multiplications and sums, which a compiler joins with what is around them; each
+    batched product of small matrices would be a kernel of its own.
 
     Args:
       config: of the arm.
@@ -44,6 +48,7 @@ class ArmKinematics:
         self.low, self.high = put(model.jnt_range[:count, 0]), put(model.jnt_range[:count, 1])
         self._eye = torch.eye(6, device=device) * config.damping**2
         self._skew = torch.stack([_skew(axis) for axis in self._axis])
+        self._square, self._one = self._skew @ self._skew, torch.eye(3, device=device)
 
     def pose(self, q: Tensor) -> tuple[Tensor, Tensor]:
         """Position [B, 3], m, and rotation matrix [B, 3, 3] of the end effector."""
@@ -53,20 +58,20 @@ class ArmKinematics:
     def _chain(self, q: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Position, rotation, and the Jacobian [B, 6, joints] (translation, then rotation)."""
         s, c = q.sin()[..., None, None], q.cos()[..., None, None]
-        turns = torch.eye(3, device=q.device) + s * self._skew + (1 - c) * self._skew @ self._skew
-        rot = torch.eye(3, device=q.device).expand(len(q), 3, 3)
+        turns = self._one + s * self._skew + (1 - c) * self._square
+        rot = self._one.expand(len(q), 3, 3)
         origin = q.new_zeros((len(q), 3))
         axes, anchors = [], []
         for j in range(q.shape[1]):
-            anchors.append(origin + (rot @ self._anchor[j]))
-            axes.append(rot @ self._axis[j])
-            rot = rot @ turns[:, j]
-            origin = anchors[-1] - rot @ self._anchor[j]
-        tip = origin + rot @ self._tip
+            anchors.append(origin + rotate(rot, self._anchor[j]))
+            axes.append(rotate(rot, self._axis[j]))
+            rot = product(rot, turns[:, j])
+            origin = anchors[-1] - rotate(rot, self._anchor[j])
+        tip = origin + rotate(rot, self._tip)
         axis, anchor = torch.stack(axes, -1), torch.stack(anchors, -1)  # [B, 3, joints]
         arm = tip[..., None] - anchor
         linear = torch.linalg.cross(axis, arm, dim=1)
-        return tip, rot @ self._rot, torch.cat([linear, axis], dim=1)
+        return tip, product(rot, self._rot), torch.cat([linear, axis], dim=1)
 
     @torch.no_grad()  # type: ignore[untyped-decorator]
     def descend(
@@ -83,7 +88,7 @@ class ArmKinematics:
         goal, inverse = pointing_down(yaw), None
         for _ in range(iterations):
             tip, rot, jacobian = self._chain(q)
-            turn = goal @ rot.transpose(1, 2)
+            turn = product(goal, rot.transpose(1, 2))
             skew = 0.5 * torch.stack(
                 [
                     turn[:, 2, 1] - turn[:, 1, 2],
@@ -96,9 +101,9 @@ class ArmKinematics:
             cosine = (turn.diagonal(dim1=1, dim2=2).sum(1, keepdim=True) - 1) / 2
             angle = torch.atan2(size, cosine)
             error = torch.cat([pos - tip, skew * angle / size.clamp_min(1e-9)], 1)
-            normal = jacobian @ jacobian.transpose(1, 2) + self._eye
-            inverse = jacobian.transpose(1, 2) @ inverse_of_positive(normal)
-            q = (q + (inverse @ error[..., None])[..., 0]).clamp(self.low, self.high)
+            normal = product(jacobian, jacobian.transpose(1, 2)) + self._eye
+            inverse = product(jacobian.transpose(1, 2), inverse_of_positive(normal))
+            q = (q + rotate(inverse, error)).clamp(self.low, self.high)
         assert inverse is not None
         return q, inverse
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -21,11 +22,12 @@ from orbisim.files.writing import make_folder
 from orbisim.vector.stable_baselines import AlikeWorlds
 from orbisim.version import VERSION
 from orbisim_policies import learner_state
-from orbisim_policies.checkpoint import save_policy
+from orbisim_policies.checkpoint import load_policy, save_policy
 from orbisim_policies.evaluate import in_mujoco, starts_of, summary
 from orbisim_policies.network import NetworkConfig, Policy
 from orbisim_policies.problem import Problem, Starts
 from orbisim_policies.run import (
+    DTYPES,
     METRICS,
     Report,
     Run,
@@ -35,7 +37,7 @@ from orbisim_policies.run import (
     draw_curves,
     training_seeds,
 )
-from orbisim_policies.true import TrueWorlds
+from orbisim_policies.successive import SuccessiveEpisodes
 
 try:
     from stable_baselines3 import PPO, SAC
@@ -53,6 +55,7 @@ class Baseline:
       batch: worlds at once. rate: of Adam. network: hidden widths, as the others have.
       window: control steps of each world between updates of PPO.
       curiosity: weight of the intrinsic reward of `ppo_rnd`.
+      updates: of SAC after a control step in every world; one for eight worlds if 0.
     """
 
     method: str
@@ -61,21 +64,18 @@ class Baseline:
     network: NetworkConfig = dataclasses.field(default_factory=NetworkConfig)
     window: int = 128
     curiosity: float = 0.05
+    updates: int = 0
 
 
 LINE = 4096
 """Control steps between lines of metrics, the same in a training that was killed on its way: one of
 PPO's rollouts in 32 worlds."""
 
-_DTYPES = (torch.float32, torch.float64, torch.int64, torch.uint8, torch.bool)
-"""Of what a training goes on from."""
-
 
 class ProblemVecEnv(AlikeWorlds):
-    """A problem's episodes in C MuJoCo, as Stable-Baselines3 sees them.
+    """`SuccessiveEpisodes` as Stable-Baselines3 sees them.
 
-    A world that diverges, or whose reward is not finite, begins anew; the others go on. Its last
-    reward is 0, `infos[i]["diverged"]` is there, and `diverged` counts it.
+    `infos[i]["diverged"]` is there for a world that did, and `diverged` counts it.
 
     Args:
       problem: on the CPU. nworld: number of worlds.
@@ -86,12 +86,10 @@ class ProblemVecEnv(AlikeWorlds):
     def __init__(
         self, problem: Problem, nworld: int, starts: Starts, seed: int = 0, nthread: int = 0
     ) -> None:
-        self.problem, self.starts = problem, starts
-        self.worlds = TrueWorlds(problem, nworld, nthread)
-        self._seed, self._draws = seed, 0
-        self._index = np.zeros(nworld, np.int64)
+        self.problem = problem
+        self.episodes = SuccessiveEpisodes(problem, nworld, starts, seed, nthread)
+        self.worlds = self.episodes.worlds
         self._action: Any = None
-        self._before = torch.zeros(nworld)
         box = gymnasium.spaces.Box
         super().__init__(
             nworld,
@@ -106,9 +104,9 @@ class ProblemVecEnv(AlikeWorlds):
 
     def reset(self) -> npt.NDArray[np.float32]:
         """An episode in every world."""
-        self._begin(np.arange(self.num_envs))
+        view = self.episodes.reset()
         self.reset_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        return self.worlds.observation().numpy()
+        return view.numpy()
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
         """Keeps the actions for `step_wait`."""
@@ -116,67 +114,34 @@ class ProblemVecEnv(AlikeWorlds):
 
     def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
         """One control step in every world; those whose episode ends begin the next one."""
-        lost = self.worlds.step(self._action)
-        parts = self.worlds.worth()
-        total = parts.sum(1)
-        over = self.worlds.over
-        if self.problem.sparse:
-            reward = np.where(over, total.numpy(), 0.0)
-        else:
-            reward = (total - self._before).numpy() * self.problem.steps
-            self._before = total.clone()
-        broken = ~np.isfinite(reward) & ~lost
-        self.worlds.diverged += broken
-        lost |= broken
-        reward = np.where(lost, 0.0, reward)
-        done = over | lost
-        view = torch.nan_to_num(self.worlds.observation()).numpy()
+        turn = self.episodes.step(self._action)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        for world in np.flatnonzero(done):
-            cut = bool(lost[world]) or not self.problem.sparse
-            infos[world] = {"terminal_observation": view[world], "TimeLimit.truncated": cut}
-            if lost[world]:
+        for world in np.flatnonzero(turn.done):
+            last, cut = turn.last[world].numpy(), bool(turn.cut[world])
+            infos[world] = {"terminal_observation": last, "TimeLimit.truncated": cut}
+            if turn.lost[world]:
                 infos[world]["diverged"] = True
             else:
-                names = zip(self.problem.parts, parts[world].tolist(), strict=True)
+                names = zip(self.problem.parts, turn.parts[world].tolist(), strict=True)
                 infos[world]["parts"] = dict(names)
-        if done.any():
-            self._begin(np.flatnonzero(done))
-            view = self.worlds.observation().numpy()
-        return view, reward.astype(np.float32), done, infos
+        return turn.view.numpy(), turn.reward, turn.done, infos
 
     def state(self) -> dict[str, Tensor]:
         """All that episodes go on from, by name."""
-        mine = {
-            "index": torch.as_tensor(self._index),
-            "before": self._before,
-            "draws": torch.tensor(self._draws),
-        }
-        return mine | self.worlds.state()
+        return self.episodes.state()
 
     def restore(self, tensors: Mapping[str, Tensor]) -> None:
         """Takes what `state` gave."""
-        self._index = tensors["index"].numpy()
-        self.worlds.begin(np.arange(self.num_envs), self.starts.at(self._index))
-        self.worlds.restore(tensors)
-        self._before = tensors["before"].clone()
-        self._draws = int(tensors["draws"])
+        self.episodes.restore(tensors)
 
     def close(self) -> None:
         """Frees the worlds."""
-        self.worlds.close()
+        self.episodes.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """An attribute of each world: one for all."""
         value = None if attr_name == "render_mode" else getattr(self, attr_name)
         return [value for _ in self._get_indices(indices)]
-
-    def _begin(self, worlds: npt.NDArray[np.int64]) -> None:
-        rng = np.random.default_rng((self._seed, self._draws))
-        self._draws += 1
-        self._index[worlds] = rng.integers(len(self.starts), size=len(worlds))
-        self.worlds.begin(worlds, self.starts.at(self._index[worlds]))
-        self._before[torch.as_tensor(worlds)] = 0.0
 
 
 class Curiosity:
@@ -246,6 +211,7 @@ class _Progress(BaseCallback):
         self._settings = json.loads(json.dumps(settings))
         self._parts: list[dict[str, float]] = []
         self._spent, self._logged, self.stopped = 0.0, 0, False
+        self.best, self.best_at, self._check_steps = -math.inf, 0, 0
         self._began = self._checked = self._saved = time.monotonic()
 
     @property
@@ -259,7 +225,7 @@ class _Progress(BaseCallback):
         Raises:
           InputError: what stands in the folder is damaged or of another training.
         """
-        out, found = self._run.out, load_progress(self._run.out, _DTYPES)
+        out, found = self._run.out, load_progress(self._run.out, DTYPES)
         if found is None:
             return 0  # killed before the first save: the same as a fresh start
         notes = found[1]
@@ -278,6 +244,9 @@ class _Progress(BaseCallback):
             learner_state.restore(model, _part(tensors, "learner"), notes["learner"])
             self._logged = int(notes["logged"])
             self._parts = [dict(part) for part in notes["parts"]]
+            self._check_steps, self.best_at = int(notes["check"][0]), int(notes["check"][1])
+            if self._check_steps:
+                self.best = float(notes["check"][2])
         except (KeyError, RuntimeError, TypeError, ValueError) as error:
             raise InputError(f"{out}: its training cannot be gone on with ({error})") from None
         self._spent = float(notes["seconds"])
@@ -292,6 +261,8 @@ class _Progress(BaseCallback):
         together = {f"{kind}/{n}": t for kind, part in parts.items() for n, t in part.items()}
         where = {"seed": self._run.seed, "step": notes["timesteps"], "seconds": self.elapsed}
         where |= {"logged": self._logged, "parts": self._parts}
+        best = self.best if self._check_steps else 0.0  # JSON has no infinity
+        where |= {"check": [self._check_steps, self.best_at, best]}
         save_progress(
             self._run.out, together, {"config": self._settings, **where, "learner": notes}
         )
@@ -316,7 +287,7 @@ class _Progress(BaseCallback):
         """A line of metrics."""
         done, seconds = int(self.model.num_timesteps), round(self.elapsed, 3)
         self._logged = done
-        line: dict[str, Any] = {"step": done, "seconds": seconds}
+        line: dict[str, Any] = {"step": done, "seconds": seconds, "true_steps": done}
         for name in self._problem.parts if self._parts else ():
             line[name] = float(np.mean([part[name] for part in self._parts]))
         self._parts.clear()
@@ -325,11 +296,36 @@ class _Progress(BaseCallback):
             policy = self._policy_of(self.model)
             found = in_mujoco(self._problem, policy, starts, self._run.nthread)
             known = summary(self._problem, starts, *found[:2])
-            line |= {f"success_{n}": row["share"] for n, row in known["success"].items()}
-            line |= {f"true_{n}": row["mean"] for n, row in known["reward"].items()}
+            means = {f"true_{n}": row["mean"] for n, row in known["reward"].items()}
+            line |= {f"success_{n}": row["share"] for n, row in known["success"].items()} | means
+            self._check_steps += self._run.check * self._problem.steps
+            if sum(means.values()) > self.best:
+                self.best, self.best_at = sum(means.values()), done
+                save_policy(self._run.out, policy, self._problem, self.notes(False))
             self._checked = time.monotonic()
         append_metrics(self._run.out, line)
         self._report(line)
+
+    def notes(self, finished: bool) -> dict[str, Any]:
+        """What a manifest says of the training so far."""
+        worlds = self.training_env.worlds
+        check: dict[str, Any] = {"episodes": self._run.check, "true_steps": self._check_steps}
+        if self._check_steps:
+            check |= {"reward": self.best, "step": self.best_at}
+        return {
+            **self._settings,
+            "true_steps": int(worlds.steps),
+            "check": check,
+            "training": {
+                "seed": self._run.seed,
+                "step": int(self.model.num_timesteps),
+                "seconds": round(self.elapsed, 1),
+                "device": "cpu",
+                "finished": finished,
+                "diverged": int(worlds.diverged.sum()),
+            },
+            "versions": {"torch": torch.__version__, "orbisim": VERSION},
+        }
 
 
 def train_baseline(
@@ -361,21 +357,11 @@ def train_baseline(
         if not progress.stopped:
             progress.save()
         progress.log(run.check > 0)
-        policy = policy_of(model)
-        notes = {
-            **settings,
-            "true_steps": int(environment.worlds.steps),
-            "training": {
-                "seed": run.seed,
-                "step": int(model.num_timesteps),
-                "seconds": round(progress.elapsed, 1),
-                "device": "cpu",
-                "finished": True,
-                "diverged": int(environment.diverged.sum()),
-            },
-            "versions": {"torch": torch.__version__, "orbisim": VERSION},
-        }
-        save_policy(run.out, policy, problem, notes)
+        kept = policy_of(model)
+        if run.check and progress.best > -math.inf:  # the best by its live estimates
+            kept = load_policy(run.out, problem)
+        notes = progress.notes(True)
+        save_policy(run.out, kept, problem, notes)
         draw_curves(run.out)
         environment.close()
     return {"task": problem.name, **notes}
@@ -394,7 +380,7 @@ def _learner(
             learning_rate=config.rate,
             gamma=discount,
             train_freq=1,
-            gradient_steps=max(1, config.batch // 8),
+            gradient_steps=config.updates or max(1, config.batch // 8),
             policy_kwargs={"net_arch": hidden},
             seed=seed,
             device="cpu",

@@ -16,8 +16,11 @@ from orbisim.errors import InputError
 from orbisim.files.reading import read_json, size_of
 from orbisim.files.writing import make_folder, writing
 from orbisim.scene import Scene
+from orbisim_policies.latent import LatentConfig, LatentPolicy
 from orbisim_policies.network import NetworkConfig, Policy
 from orbisim_policies.problem import Problem
+
+AnyPolicy = Policy | LatentPolicy
 
 SCHEMA = "orbisim.policy/1"
 MANIFEST, WEIGHTS = "manifest.json", "policy.safetensors"
@@ -25,17 +28,21 @@ MANIFEST, WEIGHTS = "manifest.json", "policy.safetensors"
 
 @dataclasses.dataclass(frozen=True)
 class Known:
-    """What a manifest must say of a policy."""
+    """What a manifest must say of a policy.
+
+    Either `network`, of one that remembers nothing, or `latent` (DreamerV3).
+    """
 
     task: str
     scene_hash: str
     observations: int
     actions: int
     steps: int
-    network: NetworkConfig
+    network: NetworkConfig | None = None
+    latent: LatentConfig | None = None
 
 
-def save_policy(folder: Path, policy: Policy, problem: Problem, notes: dict[str, Any]) -> None:
+def save_policy(folder: Path, policy: AnyPolicy, problem: Problem, notes: dict[str, Any]) -> None:
     """Writes a policy; a reader never sees half of one.
 
     Args:
@@ -49,9 +56,11 @@ def save_policy(folder: Path, policy: Policy, problem: Problem, notes: dict[str,
         problem.observations,
         problem.actions,
         problem.steps,
-        policy.config,
+        policy.config if isinstance(policy, Policy) else None,
+        policy.config if isinstance(policy, LatentPolicy) else None,
     )
-    header = {"schema": SCHEMA, **dataclasses.asdict(known), **notes}
+    fields = {name: value for name, value in dataclasses.asdict(known).items() if value is not None}
+    header = {"schema": SCHEMA, **fields, **notes}
     tensors = {n: t.detach().float().cpu().contiguous() for n, t in policy.state_dict().items()}
     with (
         writing(folder / MANIFEST, announce=False) as manifest,
@@ -77,7 +86,7 @@ def read_manifest(folder: str | Path) -> dict[str, Any]:
     return manifest
 
 
-def load_policy(folder: str | Path, problem: Problem) -> Policy:
+def load_policy(folder: str | Path, problem: Problem) -> AnyPolicy:
     """Reads a policy for a problem.
 
     Raises:
@@ -94,7 +103,14 @@ def load_policy(folder: str | Path, problem: Problem) -> Policy:
             f"{path}: a policy from {sizes[0]} observations to {sizes[1]} actions; {problem.name} "
             f"has {problem.observations} and {problem.actions}"
         )
-    policy = Policy(*sizes, known.network)
+    if (known.network is None) == (known.latent is None):
+        raise InputError(f"{path}: a policy has either a 'network' or a 'latent' entry")
+    policy: AnyPolicy
+    if known.latent is not None:
+        policy = LatentPolicy(*sizes, known.latent)
+    else:
+        assert known.network is not None
+        policy = Policy(*sizes, known.network)
     weights = Path(folder) / WEIGHTS
     try:
         size_of(weights)

@@ -59,6 +59,14 @@ class Cloning:
         self.done += 1
         return loss.detach()
 
+    true_steps = 0
+    """Of C MuJoCo that it makes itself."""
+
+    @property
+    def current(self) -> Policy:
+        """The policy as it is now."""
+        return self.policy
+
     @property
     def chosen(self) -> Policy:
         """The policy to keep."""

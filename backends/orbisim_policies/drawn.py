@@ -133,6 +133,10 @@ class DrawnProblem(Problem):
         """See `Problem.observe`; without what was drawn."""
         return self._problem.observe(moment._replace(params=moment.params[:, :-1]))
 
+    def unseen(self, params: Tensor) -> Tensor:
+        """See `Problem.unseen`."""
+        return torch.cat([self._problem.unseen(params[:, :-1]), params[:, -1:]], 1)
+
     def control(self, command: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """See `Problem.control`."""
         return self._problem.control(command, action)

@@ -25,9 +25,12 @@ _AT_ONCE = 256  # worlds side by side: more make no thread busier and take memor
 
 def starts_of(problem: Problem, episodes: int, seed: int, purpose: str = "evaluation") -> Starts:
     """Where the episodes of a seed begin; those of one purpose are never those of another."""
-    return problem.draw(
-        [episode_seed(seed, problem.name, f"policy {purpose}", i) for i in range(episodes)]
-    )
+    return problem.draw(seeds_of(problem, episodes, seed, purpose))
+
+
+def seeds_of(problem: Problem, episodes: int, seed: int, purpose: str = "evaluation") -> list[int]:
+    """Of the episodes of `starts_of`."""
+    return [episode_seed(seed, problem.name, f"policy {purpose}", i) for i in range(episodes)]
 
 
 def wilson(successes: int, count: int) -> tuple[float, float]:
@@ -38,6 +41,12 @@ def wilson(successes: int, count: int) -> tuple[float, float]:
     half /= 1 + z * z / count
     low, high = max(middle - half, 0.0), min(middle + half, 1.0)
     return (low if successes else 0.0), (high if successes < count else 1.0)
+
+
+def begun(act: Any, count: int) -> Act:
+    """What acts through so many episodes from their beginning: a policy may remember."""
+    found: Act = act.begin(count) if hasattr(act, "begin") else act
+    return found
 
 
 def in_mujoco(
@@ -54,9 +63,10 @@ def in_mujoco(
         worlds = TrueWorlds(problem, len(part), nthread)
         worlds.begin(np.arange(len(part)), part)
         alive, end = np.arange(len(part)), part.qpos.copy()
+        playing = begun(act, len(part))
         for _ in range(problem.steps):
             with torch.no_grad():
-                action = act(worlds.observation())
+                action = playing(worlds.observation())
             alive = alive[~worlds.step(action, alive)[alive]]
             end[alive] = worlds.coordinates[0][alive]
             if not len(alive):
@@ -122,7 +132,7 @@ def evaluate(
       nthread: threads that step MuJoCo; 0 for one per usable core.
     """
     drawn = [starts_of(problem, episodes, seed) for seed in seeds]
-    everything = _joined(drawn)
+    everything = joined(drawn)
     qpos, value, lost = in_mujoco(problem, policy.cpu(), everything, nthread)
     result: dict[str, Any] = {
         "schema": "orbisim.eval_policy/1",
@@ -147,7 +157,8 @@ def _parts(count: int, size: int) -> list[slice]:
     return [slice(i * size, (i + 1) * size) for i in range(count)]
 
 
-def _joined(drawn: Sequence[Starts]) -> Starts:
+def joined(drawn: Sequence[Starts]) -> Starts:
+    """One after the other."""
     names = ("qpos", "qvel", "ctrl", "command", "params")
     return Starts(*(np.concatenate([getattr(one, name) for one in drawn]) for name in names))
 

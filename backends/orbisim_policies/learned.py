@@ -46,7 +46,7 @@ class LearnedWorlds:
 
     Args:
       problem: whose scene is stepped.
-      checkpoint: folder of the dynamics; the zoo's that fits if None.
+      checkpoint: folder of the dynamics, or its name in the zoo; the zoo's that fits if None.
       device: where to compute.
 
     Raises:
@@ -59,7 +59,7 @@ class LearnedWorlds:
         self, problem: Problem, checkpoint: str | Path | None, device: torch.device
     ) -> None:
         scene = problem.scene
-        folder = zoo.find(scene)[0] if checkpoint is None else Path(checkpoint)
+        folder = zoo.find(scene)[0] if checkpoint is None else _named(checkpoint)
         found = fit(read_manifest(folder), scene)
         self.folder, self.problem, self.device = folder, problem, device
         self.layout = found.layout
@@ -129,7 +129,7 @@ class LearnedWorlds:
     def _step(self, x: Entities, control: Tensor, context: Context) -> Entities:
         memory = self._memory.expand(len(x.pos), *self._memory.shape[1:])
         after: Entities = self.model(x, memory, control, context).state
-        if self.model.rest is None:
+        if self.model.rest is None or not self.model.training:
             return after
         held = self.model.rest(x, after, context)
         return Entities(*(a + (h - a).detach() for a, h in zip(after, held, strict=True)))
@@ -141,3 +141,9 @@ class LearnedWorlds:
         free_v = torch.cat([x.vel, local], dim=-1).flatten(1)
         qpos = torch.cat([x.q, free_q], dim=1)[:, self._to_qpos]
         return qpos, torch.cat([x.v, free_v], dim=1)[:, self._to_qvel]
+
+
+def _named(checkpoint: str | Path) -> Path:
+    """The folder; the zoo's of that name, if there is no such folder."""
+    path, known = Path(checkpoint), zoo.entries(zoo.FOLDER)
+    return zoo.FOLDER / path if str(checkpoint) in known and not path.exists() else path

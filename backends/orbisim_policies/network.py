@@ -50,6 +50,10 @@ class Policy(nn.Module):
             self.head.weight.mul_(0.1)
             self.head.bias.zero_()
 
+    def begin(self, count: int) -> Policy:
+        """What acts through so many episodes: the policy itself, as it remembers nothing."""
+        return self
+
     def raw(self, observation: Tensor) -> Tensor:
         """Before the bounds."""
         return self.head(self.body(observation))

@@ -112,6 +112,10 @@ class Problem(abc.ABC):
     def observe(self, moment: Moment) -> Tensor:
         """[N, F], of order one."""
 
+    def unseen(self, params: Tensor) -> Tensor:
+        """Parameters [N, P] as known from images: what no image shows has its nominal value."""
+        return params
+
     @abc.abstractmethod
     def control(self, command: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """Controls [N, nu] of actions [N, A], and the command after them."""

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 import torch
+from orbisim_world_model.rotation import rotate
 from torch import Tensor
 
 from orbisim.scene import Scene
@@ -37,6 +38,8 @@ _YAW = 1.6
 """Largest turn of the tool either way, rad: the fingers look the same after pi."""
 _ARM, _CUBE1, _CUBE2 = slice(0, 6), slice(8, 15), slice(15, 22)
 _VEL1, _VEL2 = slice(8, 10), slice(14, 16)
+_NOMINAL = (525.0, 0.4)
+"""Density, kg/m^3, and friction in the middle of what is drawn."""
 _NEAR = 1e-4
 """m, below which distances are not differentiated."""
 
@@ -202,10 +205,15 @@ class PushProblem(Problem):
             1.0 - score[:, :2] / score[:, 2:4],
             time[:, None],
             (params[:, :2] - 0.026) / 0.004,
-            (params[:, 2:4] - 525.0) / 200.0,
-            (params[:, 6:7] - 0.4) / 0.12,
+            (params[:, 2:4] - _NOMINAL[0]) / 200.0,
+            (params[:, 6:7] - _NOMINAL[1]) / 0.12,
         ]
         return torch.cat(parts, 1).clamp(-8.0, 8.0)
+
+    def unseen(self, params: Tensor) -> Tensor:
+        """See `Problem.unseen`: sizes are declared; densities and friction are the nominal ones."""
+        nominal = torch.tensor([*_NOMINAL[:1] * 2, *_NOMINAL[1:] * 3]).to(params)
+        return torch.cat([params[:, :2], nominal.expand(len(params), -1)], 1)
 
     def control(self, command: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """Joint targets by damped least squares, and the gripper closed."""
@@ -220,7 +228,7 @@ class PushProblem(Problem):
         found = torch.maximum(torch.minimum(found, before + stride), before - stride).detach()
         pose = torch.cat([pos, torch.zeros_like(pos[:, :2]), yaw[:, None]], 1)
         # the value is `found`; its derivative is that of the inverse kinematics
-        target = found + (inverse @ (pose - pose.detach())[..., None])[..., 0]
+        target = found + rotate(inverse, pose - pose.detach())
         control = torch.cat([target, torch.zeros_like(yaw[:, None])], 1)
         return control, torch.cat([pos, yaw[:, None], found], 1)
 

@@ -115,11 +115,12 @@ def compiled(worlds: LearnedWorlds, policy: Policy, limit: float) -> Acted:
 
 
 @torch.no_grad()  # type: ignore[untyped-decorator]
-def play(worlds: LearnedWorlds, policy: Policy, starts: Pool) -> Running:
+def play(worlds: LearnedWorlds, policy: Any, starts: Pool) -> Running:
     """Whole episodes without noise and without gradients."""
     now = began(worlds, starts)
+    act = policy.begin(len(now.done))
     for _ in range(worlds.problem.steps):
-        now = advanced(worlds, now, policy(observation(worlds, now)), 0.0)
+        now = advanced(worlds, now, act(observation(worlds, now)), 0.0)
     return now
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import json
 import math
@@ -23,7 +24,13 @@ from orbisim.files.writing import make_folder, output_errors, write_bytes, writi
 from orbisim.tasks.sampling import episode_seed
 from orbisim.version import VERSION
 from orbisim_policies.apg import Apg, ApgConfig
-from orbisim_policies.checkpoint import MANIFEST, load_policy, read_manifest, save_policy
+from orbisim_policies.checkpoint import (
+    MANIFEST,
+    AnyPolicy,
+    load_policy,
+    read_manifest,
+    save_policy,
+)
 from orbisim_policies.cloning import CloneConfig, Cloning
 from orbisim_policies.demonstrations import Demonstrations, demonstrate
 from orbisim_policies.evaluate import in_mujoco, starts_of, summary
@@ -34,6 +41,9 @@ from orbisim_policies.push import PushProblem
 
 METRICS, CURVES = "metrics.jsonl", "curves.png"
 Report = Callable[[dict[str, Any]], None]
+
+DTYPES = (torch.float32, torch.float64, torch.int64, torch.uint8, torch.bool)
+"""Of what a training goes on from."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,13 +83,21 @@ class Run:
 
 
 class Trainer(Protocol):
-    """What a training is made of: `Apg`, `Cloning`."""
+    """What a training is made of: `Apg`, `Cloning`, `Dreamer`."""
 
     done: int
 
     @property
-    def chosen(self) -> Policy:
-        """The policy to keep."""
+    def current(self) -> AnyPolicy:
+        """The policy as it is now: live estimates choose among these."""
+
+    @property
+    def chosen(self) -> AnyPolicy:
+        """The policy to keep where nothing is known of it in MuJoCo."""
+
+    @property
+    def true_steps(self) -> int:
+        """Control steps of C MuJoCo that it has made itself."""
 
     def step(self, progress: float) -> Tensor:
         """One iteration; what is logged of it."""
@@ -95,14 +113,14 @@ def train_apg(
     problem: Problem,
     config: ApgConfig,
     run: Run,
-    checkpoint: Path | None = None,
+    checkpoint: str | Path | None = None,
     report: Report = lambda _: None,
 ) -> dict[str, Any]:
     """Trains a policy by analytic gradients through the learned step; returns its manifest.
 
     Args:
       problem: on the CPU. config: of the training. run: budgets and folders.
-      checkpoint: folder of the dynamics; the zoo's that fits if None.
+      checkpoint: folder of the dynamics, or its name in the zoo; the zoo's that fits if None.
       report: called with each line of metrics.
 
     Raises:
@@ -117,6 +135,8 @@ def train_apg(
     seeds = training_seeds(problem, run)
     pool = worlds.pool(problem.draw(seeds))
     start = load_policy(run.start, problem) if run.start else None
+    if start is not None and not isinstance(start, Policy):
+        raise InputError(f"{run.start}: --start needs a policy without a memory; got DreamerV3's")
     speed = {"graph": run.graph, "compiled": run.compiled}
     trainer = Apg(worlds, pool, config, seed=run.seed, policy=start, **speed)
     names = ("objective", "finite", "value_loss", *problem.parts)
@@ -128,7 +148,7 @@ def train_apg(
         "start": run.start.name if run.start else "",
         **problem.conditions,
     }
-    return _train(trainer, problem, run, clock, names, notes, report)
+    return train_with(trainer, problem, run, clock, names, notes, report)
 
 
 def train_clone(
@@ -155,7 +175,7 @@ def train_clone(
         "true_steps": shown.steps,
         **problem.conditions,
     }
-    return _train(trainer, problem, run, clock, ("loss",), notes, report)
+    return train_with(trainer, problem, run, clock, ("loss",), notes, report)
 
 
 def training_seeds(problem: Problem, run: Run) -> list[int]:
@@ -179,7 +199,7 @@ def check_run(run: Run) -> None:
         )
 
 
-def _train(
+def train_with(
     trainer: Trainer,
     problem: Problem,
     run: Run,
@@ -188,11 +208,19 @@ def _train(
     notes: dict[str, Any],
     report: Report,
 ) -> dict[str, Any]:
+    """A whole training; returns its manifest.
+
+    Args:
+      trainer: makes the iterations. problem: on the CPU. run: what is asked for.
+      clock: its budgets. names: of what an iteration gives.
+      notes: of the manifest, the same when a training goes on.
+      report: called with each line of metrics.
+    """
     with claimed(make_folder(run.out), "another training", "wait for it, or choose another --out"):
         _resume(trainer, clock, run, notes)
         begin_metrics(run.out / METRICS, clock.done)
         rows: list[Tensor] = []
-        keeper = _Keeper(problem, run, notes)
+        keeper = _Keeper(problem, run, notes, trainer)
         saved = checked = time.monotonic()
         while clock.progress < 1.0:
             rows.append(trainer.step(clock.progress).reshape(-1))
@@ -201,13 +229,17 @@ def _train(
             if clock.done % run.log_every == 0:
                 checks = {}
                 if run.check and now - checked > run.check_every:
-                    checks, checked = keeper.check(trainer.chosen, clock), time.monotonic()
-                _log(rows, names, clock, run, checks, report)
+                    checks, checked = keeper.check(trainer.current, clock), time.monotonic()
+                _log(rows, names, clock, keeper, checks, report)
             if now - saved > run.save_every:
                 _save(trainer, clock, keeper, False)
                 saved = time.monotonic()
-        checks = keeper.check(trainer.chosen, clock) if run.check else {}
-        _log(rows, names, clock, run, checks, report)
+        checks, last = {}, trainer.current
+        if run.check and (best := trainer.chosen) is not last:
+            checks = keeper.check(best, clock)
+        if run.check:
+            checks = keeper.check(last, clock)
+        _log(rows, names, clock, keeper, checks, report)
         manifest = _save(trainer, clock, keeper, True)
         draw_curves(run.out)
     return manifest
@@ -219,20 +251,24 @@ class _Keeper:
     Without estimates it is the one that the training chooses itself.
     """
 
-    def __init__(self, problem: Problem, run: Run, notes: dict[str, Any]) -> None:
-        self.problem, self.run, self.notes = problem, run, notes
+    def __init__(self, problem: Problem, run: Run, notes: dict[str, Any], trainer: Trainer) -> None:
+        self.problem, self.run, self.notes, self.trainer = problem, run, notes, trainer
         self.best, self.steps, self.at = -math.inf, 0, 0
         if run.resume and (run.out / MANIFEST).exists():
             known = read_manifest(run.out).get("check", {})
             self.best, self.steps = known.get("reward", -math.inf), known.get("true_steps", 0)
             self.at = known.get("step", 0)
 
-    def check(self, policy: Policy, clock: Clock) -> dict[str, Any]:
+    @property
+    def true_steps(self) -> int:
+        """Control steps of C MuJoCo that the training has used."""
+        return int(self.notes["true_steps"]) + self.trainer.true_steps
+
+    def check(self, policy: AnyPolicy, clock: Clock) -> dict[str, Any]:
         """A live estimate: success and reward over a few episodes, the same each time."""
         problem, run = self.problem, self.run
         starts = starts_of(problem, run.check, run.seed, "checks")
-        copied = Policy(problem.observations, problem.actions, policy.config)
-        copied.load_state_dict({n: t.detach().cpu() for n, t in policy.state_dict().items()})
+        copied = copy.deepcopy(policy).cpu()
         found = summary(problem, starts, *in_mujoco(problem, copied, starts, run.nthread)[:2])
         self.steps += run.check * problem.steps
         shares = {f"success_{name}": row["share"] for name, row in found["success"].items()}
@@ -242,7 +278,7 @@ class _Keeper:
             self.write(copied, clock, False)
         return {**shares, **means}
 
-    def write(self, policy: Policy, clock: Clock, finished: bool) -> dict[str, Any]:
+    def write(self, policy: AnyPolicy, clock: Clock, finished: bool) -> dict[str, Any]:
         """Writes the policy; returns its manifest."""
         manifest = self.manifest(clock, finished)
         save_policy(self.run.out, policy, self.problem, manifest)
@@ -254,6 +290,7 @@ class _Keeper:
         check = {"episodes": run.check, "true_steps": self.steps}
         return {
             **self.notes,
+            "true_steps": self.true_steps,
             "check": {**check, **({"reward": self.best, "step": self.at} if self.steps else {})},
             "training": {
                 "seed": run.seed,
@@ -270,13 +307,14 @@ def _log(
     rows: list[Tensor],
     names: Sequence[str],
     clock: Clock,
-    run: Run,
+    keeper: _Keeper,
     checks: dict[str, Any],
     report: Report,
 ) -> None:
     if not rows and not checks:
         return
     line: dict[str, Any] = {"step": clock.done, "seconds": round(clock.elapsed, 3)}
+    line["true_steps"] = keeper.true_steps
     if rows:
         table = torch.stack(rows).double().cpu()
         fine = table[table.isfinite().all(1)]
@@ -288,7 +326,7 @@ def _log(
             )
         mean = fine.mean(0).tolist()
         line |= dict(zip(names, mean, strict=True)) | {"skipped": len(table) - len(fine)}
-    append_metrics(run.out, {**line, **checks})
+    append_metrics(keeper.run.out, {**line, **checks})
     report({**line, **checks})
 
 
@@ -309,7 +347,7 @@ def begin_metrics(path: Path, done: int) -> None:
 
 
 def _resume(trainer: Trainer, clock: Clock, run: Run, notes: dict[str, Any]) -> None:
-    found = load_progress(run.out) if run.resume else None
+    found = load_progress(run.out, DTYPES) if run.resume else None
     if found is None:
         return  # killed before the first save: the same as a fresh start
     tensors, known = found
@@ -371,4 +409,4 @@ def draw_curves(out: Path) -> None:
         figure.savefig(part, dpi=120)
 
 
-_AXES = ("step", "seconds", "value_loss", "skipped", "finite")
+_AXES = ("step", "seconds", "true_steps", "value_loss", "skipped", "finite")

@@ -9,13 +9,15 @@ from typing import Any
 
 import torch
 
-from orbisim.errors import InputError
+from orbisim.errors import InputError, MissingDependencyError
+from orbisim.host.cpus import usable_cpus
 from orbisim.vector.randomization import intervals
 from orbisim_policies import evaluate as evaluation
 from orbisim_policies.apg import ApgConfig
 from orbisim_policies.checkpoint import load_policy, read_manifest
 from orbisim_policies.cloning import CloneConfig
 from orbisim_policies.drawn import DrawnProblem
+from orbisim_policies.dreamer import DreamerConfig, train_dreamer
 from orbisim_policies.learned import LearnedWorlds
 from orbisim_policies.problem import Problem
 from orbisim_policies.problems import make_problem
@@ -47,12 +49,6 @@ def train(
     def report(line: dict[str, Any]) -> None:
         note(sentence(line))
 
-    if method == "dreamer":
-        raise InputError(
-            "--method dreamer: DreamerV3 is not part of OrbiSim (docs/policies.md says what was "
-            "tried); use ppo, ppo_rnd or sac, or give orbisim.vector.gym(...) to a package that "
-            "has it, as sheeprl or ray[rllib]"
-        )
     backend = options["backend"] or ("learned" if method == "apg" else "mujoco")
     kind, _, path = backend.partition(":")
     if kind != ("learned" if method == "apg" else "mujoco"):
@@ -62,7 +58,7 @@ def train(
         )
     if method == "apg":
         config = _changed(ApgConfig(), options)
-        return train_apg(problem, config, run, Path(path) if path else None, report)
+        return train_apg(problem, config, run, path or None, report)
     if run.start is not None:
         raise InputError(f"--start is for --method apg; got {method}")
     if method == "bc":
@@ -71,6 +67,8 @@ def train(
         if not isinstance(problem, PushProblem):
             raise InputError(f"there is no script to imitate in {problem.name}; use task:push")
         return train_clone(problem, _changed(CloneConfig(), options), run, report)
+    if method == "dreamer":
+        return train_dreamer(problem, _changed(DreamerConfig(), options), run, report)
     from orbisim_policies.baselines import Baseline, train_baseline
 
     baseline = _changed(Baseline(method), options)
@@ -87,6 +85,8 @@ def evaluate(
     model: str,
     threads: int,
     device: str,
+    observe: str = "state",
+    camera: str = "side",
 ) -> dict[str, Any]:
     """Evaluates a policy as the command line says."""
     folder = resolved(folder)
@@ -94,6 +94,10 @@ def evaluate(
     steps = int(manifest.get("steps", 0)) or None
     plain = make_problem(task or str(manifest.get("task")), steps)
     policy, problem = load_policy(folder, plain), _drawn(plain, randomize, min(seeds))
+    if observe != "state":
+        return _from_pixels(
+            folder, manifest, policy, problem, episodes, seeds, observe, camera, threads
+        )
     worlds = None if model == "none" else _model(model, problem, torch.device(device))
     result = evaluation.evaluate(
         problem, policy, episodes=episodes, seeds=seeds, worlds=worlds, nthread=threads
@@ -102,6 +106,44 @@ def evaluate(
         name: manifest[name] for name in ("method", "true_steps") if name in manifest
     }
     return {**result, **known, **problem.conditions, "policy": str(folder)}
+
+
+def _from_pixels(
+    folder: Path,
+    manifest: Mapping[str, Any],
+    policy: Any,
+    problem: Problem,
+    episodes: int,
+    seeds: Sequence[int],
+    observe: str,
+    camera: str,
+    threads: int,
+) -> dict[str, Any]:
+    """Evaluates a policy that sees frames alone."""
+    try:
+        from orbisim_policies.pixels import evaluate_pixels
+    except ImportError as error:
+        raise MissingDependencyError("--observe from frames", "vision", str(error)) from error
+    every = [number for seed in seeds for number in evaluation.seeds_of(problem, episodes, seed)]
+    found = evaluate_pixels(
+        problem,
+        policy,
+        every,
+        camera=camera,
+        how=observe,
+        workers=threads or usable_cpus(),
+    )
+    return {
+        "schema": "orbisim.eval_policy/1",
+        "task": problem.name,
+        "seeds": list(seeds),
+        "episodes_per_seed": episodes,
+        "observe": observe,
+        "diverged": found.pop("diverged"),
+        "mujoco": found,
+        "method": manifest.get("method"),
+        "policy": str(folder),
+    }
 
 
 def _drawn(problem: Problem, report: Path | None, seed: int) -> Problem:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from orbisim_world_model.entities import Entities, Hand
 from orbisim_world_model.families import AnyFit, engine_for, fit_any, read_any
 from orbisim_world_model.guard import blanked
 from orbisim_world_model.native.translate import UntranslatableError
+from orbisim_world_model.policy_update import PolicyUpdate
 from orbisim_world_model.properties import Values, with_object, with_world
 from orbisim_world_model.spread import LEVEL
 from orbisim_world_model.stepper import Speedups
@@ -320,6 +321,40 @@ class LearnedBackend(Backend):
             raise UnsupportedSceneError(self.scene.source, "there is no hand of a robot")
         x = self.entities(state)
         return Hand(x.hand_pos, x.hand_rot, x.hand_vel, x.hand_ang)
+
+    def policy_update(
+        self,
+        state: State,
+        policy: torch.nn.Module,
+        loss: Callable[[Entities], torch.Tensor],
+        *,
+        window: int,
+        rate: float = 1e-3,
+    ) -> PolicyUpdate:
+        """What updates a policy by the gradient through a window of steps, many times a second.
+
+        Each call of the result, with `entities(state)` of as many worlds, is one update.
+
+        Args:
+          state: worlds and their descriptors.
+          policy: a module from `Entities` to controls [nworld, nu].
+          loss: from the `Entities` at the window's end to [nworld].
+          window: control steps. rate: of AdamW.
+
+        Raises:
+          UnsupportedSceneError: the checkpoint is of a cloth.
+        """
+        engine = self.engine
+        return PolicyUpdate(
+            engine.checkpoint.model,
+            policy,
+            loss,
+            engine.context(state),
+            engine.device,
+            window=window,
+            rate=rate,
+            compiler=engine.stepper.speedups.compiled,
+        )
 
     # -- inner workings ------------------------------------------------------------------------
 

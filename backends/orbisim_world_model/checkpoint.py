@@ -112,6 +112,8 @@ def load_for(folder: str | Path, layout: Layout) -> Checkpoint:
     known = []
     for number, view in enumerate(variants(manifest)):
         theirs = Layout.from_dict(view["layout"], f"{folder}: layout")
+        if theirs.articulated and layout.articulated:
+            return load_checkpoint(folder, layout, number)
         robot = (theirs.robot, theirs.nu, bool(theirs.objects), bool(theirs.parts)) == (
             layout.robot,
             layout.nu,
@@ -170,7 +172,8 @@ def load_checkpoint(
 
 def _built(layout: Layout, config: ModelConfig, manifest: dict[str, Any]) -> Dynamics:
     """An untrained model as a manifest describes it."""
-    model = Dynamics(layout, config).build(int(manifest["controls"]))
+    controls = layout.nu if layout.articulated else int(manifest["controls"])
+    model = Dynamics(layout, config).build(controls)
     known = manifest.get("uncertainty")
     return model if known is None else model.with_spread(int(known["width"]))
 

@@ -13,7 +13,8 @@ from orbisim_world_model.cloth.comparison import compare_cloths
 from orbisim_world_model.evaluate import BURN, HORIZONS, constant_velocity, evaluate
 from orbisim_world_model.families import is_cloth
 from orbisim_world_model.manifest import read_manifest
-from orbisim_world_model.packing import read_data
+from orbisim_world_model.pack import Pack
+from orbisim_world_model.packing import read_data, with_limbs
 
 
 def compare_checkpoints(
@@ -53,7 +54,7 @@ def compare_checkpoints(
         )
     baseline = str(read_manifest(folders[0])["model"].get("baseline", "none"))
     pack = read_data(data, baseline=baseline, scene=scene).to(device)
-    checkpoints = [load_for(folder, pack.layout) for folder in folders]
+    checkpoints = [load_for(folder, _seen(folder, pack, scene).layout) for folder in folders]
     parts = {"all": pack}
     if by_group:
         for number, name in enumerate(pack.notes["groups"]):
@@ -65,7 +66,11 @@ def compare_checkpoints(
     for name, part in parts.items():
         found = {
             _name(c, checkpoints): evaluate(
-                c.model.to(part.device), part, steps, burn=burn, limit=limit
+                c.model.to(part.device),
+                _seen(c.path, part, scene),
+                steps,
+                burn=burn,
+                limit=limit,
             )
             for c in checkpoints
         }
@@ -79,6 +84,12 @@ def compare_checkpoints(
         "parameters": {_name(c, checkpoints): c.manifest["parameters"] for c in checkpoints},
         "groups": groups,
     }
+
+
+def _seen(folder: Path, pack: Pack, scene: str | None) -> Pack:
+    """The episodes as a checkpoint sees them."""
+    limbs = read_manifest(folder)["model"].get("articulated")
+    return with_limbs(pack, scene) if limbs else pack
 
 
 def _name(checkpoint: Checkpoint, among: Sequence[Checkpoint]) -> str:

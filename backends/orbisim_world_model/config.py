@@ -38,6 +38,8 @@ class ModelConfig:
       apart: undo overlaps of boxes beyond those of the training data.
       geometry: parts of mechanisms are known by the tokens of their shapes.
       joints: ... and by the metadata of their joints (see `parts.JOINT`).
+      articulated: every joint of a robot is a token, and nothing belongs to one robot alone (see
+        `articulation`); for scenes without free bodies.
       linear: the robot's change is a linear function of what is seen of it and of the control,
         fitted to the data by least squares, and what the network adds to it.
     """
@@ -63,6 +65,7 @@ class ModelConfig:
     geometry: bool = True
     joints: bool = True
     linear: bool = False
+    articulated: bool = False
     baseline: Literal["none", "mujoco"] = "none"
 
 

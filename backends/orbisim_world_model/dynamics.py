@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from orbisim.errors import InputError
+from orbisim_world_model.articulation import LIMB_OUTPUTS
 from orbisim_world_model.config import ModelConfig
 from orbisim_world_model.contacts import SEEN, Contacts, Geometry
 from orbisim_world_model.entities import Context, Entities
@@ -22,6 +24,7 @@ from orbisim_world_model.network.monolith import GlobalNetwork
 from orbisim_world_model.network.objects import ObjectCentricNetwork
 from orbisim_world_model.network.still import StillNetwork
 from orbisim_world_model.normalization import Normalizer
+from orbisim_world_model.parts import OUTPUTS
 from orbisim_world_model.rest import Rest
 from orbisim_world_model.rotation import rotate_back, to_matrix
 from orbisim_world_model.spread import Spread
@@ -107,6 +110,11 @@ class Dynamics(nn.Module):
         self.rest = Rest(layout) if config.rest and Rest.suits(layout) else None
         chosen = config.boxes or config.apart
         self.contacts = Contacts(layout) if chosen and Contacts.suits(layout) else None
+        if config.articulated and config.kind == "objects" and not layout.articulated:
+            raise InputError(
+                "a model of limbs needs scenes of robots without free bodies, read as limbs "
+                f"(packing.with_limbs); this layout has {len(layout.objects)} objects"
+            )
         if layout.parts and not (
             config.extended
             and config.residual
@@ -166,6 +174,12 @@ class Dynamics(nn.Module):
         self.spread = Spread(self.sizes, width)
         return self
 
+    def with_rest(self) -> Dynamics:
+        """Also keeps boxes at rest (see `rest`), which needs no weights."""
+        self.config = dataclasses.replace(self.config, rest=True)
+        self.rest = Rest(self.layout) if Rest.suits(self.layout) else None
+        return self
+
     # -- one step ------------------------------------------------------------------------------
 
     def initial_memory(self, batch: int) -> Tensor:
@@ -222,6 +236,14 @@ class Dynamics(nn.Module):
         self, x: Entities, inputs: Inputs, out: Outputs, context: Context, base: Entities | None
     ) -> Step:
         mask = context.mask
+        if self.features.limbs is not None:
+            assert inputs.known is not None and out.parts is not None
+            said = out.parts.to(x.q.dtype)
+            if self.config.kind == "constant_velocity":
+                state = x._replace(q=x.q + self.layout.timestep * x.v)
+            else:
+                state = self.features.limbs.advance(x, inputs.known, said, context)
+            return Step(state, out.memory, out.latent, out.penalty)
         if self.config.linear:
             straight = _with_one(inputs) @ self.linear.T
             out = out._replace(robot=out.robot.to(straight.dtype) + straight)
@@ -273,7 +295,15 @@ class Dynamics(nn.Module):
             change = required(x, base, self.layout.timestep, self.config)
             robot = torch.cat([robot, self.base_robot(change.robot)], dim=-1)
             objects = torch.cat([objects, self.base_objects(change.objects)], dim=-1)
-        more: dict[str, Tensor | None] = {}
+        more: dict[str, Any] = {}
+        if see.limbs is not None:
+            known = see.limbs.known(x, control, context)
+            more = {
+                "parts": self.see_parts(see.limbs.seen_of(x, known, context)),
+                "part_attributes": self.see_part_attributes(see.limbs.attributes(context)),
+                "part_mask": context.part_mask,
+                "known": known,
+            }
         if see.parts is not None:
             more = {
                 "parts": self.see_parts(see.parts.features(x, control, context)),
@@ -290,7 +320,21 @@ class Dynamics(nn.Module):
             context.mask,
             contacts,
             **more,
+            scales=context.scales,
         )
+
+    def described(self, context: Context) -> Context:
+        """The same with what the network makes of descriptors alone, for steps that share them."""
+        if not hasattr(self.network, "scales"):
+            return context
+        dtype = self.network.start.dtype
+        seen = self.see_attributes(context.attributes), self.see_world(context.world)
+        return context._replace(scales=self.network.scales(*(part.to(dtype) for part in seen)))
+
+    def tune(self, x: Entities, memory: Tensor, control: Tensor, context: Context) -> None:
+        """Has a network that can be cut in several ways find the fastest for these worlds."""
+        if hasattr(self.network, "tune"):
+            self.network.tune(self._cast(self.inputs(x, control, context)), memory)
 
     def _geometry(self, x: Entities, context: Context) -> Geometry | None:
         if self.contacts is None or not self.config.boxes:
@@ -334,6 +378,13 @@ class Dynamics(nn.Module):
         x, after = self.completed(transitions.x), self.completed(transitions.after)
         control, context, base = transitions.control, transitions.context, transitions.base
         mask, see = context.mask, self.features
+        if see.limbs is not None:
+            there = context.part_mask
+            return {
+                "see_parts": (see.limbs.features(x, control, context), there),
+                "see_part_attributes": (see.limbs.attributes(context), there),
+                "see_world": (context.world, None),
+            }
         rows: dict[str, tuple[Tensor, Tensor | None]] = {
             "see_robot": (see.robot(x), None),
             "see_objects": (see.objects(x, context), mask),
@@ -344,7 +395,7 @@ class Dynamics(nn.Module):
         if self.sizes.edges:
             pairs = None
             if mask is not None:
-                tokens = token_mask(mask, self.layout.has_robot, context.part_mask)
+                tokens = token_mask(mask, self.layout.robot_token, context.part_mask)
                 pairs = tokens[:, :, None] * tokens[:, None, :]
             rows["see_edges"] = self._edges(x, context, self._geometry(x, context)), pairs
         dt = self.layout.timestep
@@ -450,18 +501,18 @@ def _sizes(see: Features, controls: int, contacts: Contacts | None) -> Sizes:
     """Numbers of features, found by asking the functions that make them."""
     layout, config = see.layout, see.config
     x, context = example(layout)
-    pairs = layout.tokens > 1 and config.kind == "objects"
-    outputs = robot_outputs(layout, config) if layout.has_robot else 0
+    pairs = layout.tokens > 1 and config.kind == "objects" and not layout.articulated
+    outputs = robot_outputs(layout, config) if layout.robot_token else 0
     corrects = config.baseline != "none"
     touching = contacts.slots * SEEN if contacts is not None and config.boxes else 0
     return Sizes(
-        robot=see.robot(x).shape[1] + corrects * outputs if layout.has_robot else 0,
+        robot=see.robot(x).shape[1] + corrects * outputs if layout.robot_token else 0,
         objects=see.objects(x, context).shape[2] + corrects * OBJECT_OUTPUTS,
         many=len(layout.objects),
         edges=see.pairs + touching if pairs and config.relative else 0,
         attributes=len(layout.attributes),
         world=len(layout.settings),
-        control=controls + len(see.servos),
+        control=0 if see.limbs is not None else controls + len(see.servos),
         robot_out=outputs,
         objects_out=OBJECT_OUTPUTS,
         **_part_sizes(see, x, context, controls),
@@ -469,10 +520,18 @@ def _sizes(see: Features, controls: int, contacts: Contacts | None) -> Sizes:
 
 
 def _part_sizes(see: Features, x: Entities, context: Context, controls: int) -> dict[str, int]:
+    control = torch.zeros(1, max(controls, see.layout.nu))
+    if see.limbs is not None:
+        return {
+            "parts": len(see.layout.parts),
+            "part_features": see.limbs.features(x, control, context).shape[2],
+            "part_attributes": see.limbs.attributes(context).shape[2],
+            "part_outputs": LIMB_OUTPUTS,
+        }
     if see.parts is None:
         return {}
-    control = torch.zeros(1, max(controls, see.layout.nu))
     return {
+        "part_outputs": OUTPUTS,
         "parts": len(see.layout.parts),
         "part_features": see.parts.features(x, control, context).shape[2],
         "part_attributes": see.parts.attributes(context).shape[2],

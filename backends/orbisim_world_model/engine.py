@@ -15,6 +15,7 @@ from orbisim_world_model.checkpoint import Checkpoint
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.guard import Guard
 from orbisim_world_model.reading import read_attributes, read_settings
+from orbisim_world_model.reading_articulation import limb_rows
 from orbisim_world_model.reading_parts import read_parts
 from orbisim_world_model.spread import factors_of, half_widths
 from orbisim_world_model.stepper import Speedups, Stepper
@@ -48,7 +49,10 @@ class Engine(Stepping):
         self._attributes, self._settings = attributes[None], settings[None]
         self._parts: Tensor | None = None
         if self.layout.parts:
-            rows = read_parts(scene.model, self.layout, scene.source)
+            if self.layout.articulated:
+                rows = limb_rows(scene.model, scene.source)
+            else:
+                rows = read_parts(scene.model, self.layout, scene.source)
             self._parts = torch.as_tensor(rows, dtype=torch.float32).to(self.device)[None]
         self.guard = Guard(self.checkpoint.manifest, self.layout, scene.model)
         if self.native is not None:
@@ -103,7 +107,8 @@ class Engine(Stepping):
         """
         from orbisim_world_model.native import NativeStep
 
-        if self.device.type == "cpu":
+        # limbs' steps have gathers and eliminations, which are not written as C
+        if self.device.type == "cpu" and not self.layout.articulated:
             context = Context(self._attributes, self._settings, None, self._parts)
             self.native = NativeStep(self.stepper.model, context)
 

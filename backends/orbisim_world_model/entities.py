@@ -86,6 +86,8 @@ class Context(NamedTuple):
       mask: [B, N], 1 where there is an object and 0 where there is padding; None for all ones.
       parts: [B, P, D] of the parts of mechanisms (`parts.COLUMNS`); None without.
       part_mask: [B, P], as `mask`; None for all ones.
+      scales: what follows from attributes and world alone, if it was computed beforehand (see
+        `Dynamics.described`).
     """
 
     attributes: Tensor
@@ -93,6 +95,7 @@ class Context(NamedTuple):
     mask: Tensor | None
     parts: Tensor | None = None
     part_mask: Tensor | None = None
+    scales: Tensor | None = None
 
 
 def choose(condition: Tensor, a: Entities, b: Entities) -> Entities:

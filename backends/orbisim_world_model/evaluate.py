@@ -91,10 +91,10 @@ def _errors(model: Dynamics, pack: Pack, horizon: int, burn: int) -> dict[str, T
         found["hand_rotation"] = torch.rad2deg(turn)
         found["hand_velocity"] = (end.hand_vel - there.hand_vel).norm(dim=-1) * 1e3
     if layout.has_robot and model.config.extended:
-        own = list(layout.robot_joints)
+        own = list(range(len(layout.joints)) if layout.articulated else layout.robot_joints)
         found["joint_position"] = (end.q - there.q)[:, own].square().mean(-1).sqrt()
         found["joint_velocity"] = (end.v - there.v)[:, own].square().mean(-1).sqrt()
-        if layout.parts:
+        if layout.parts and not layout.articulated:
             found |= _part_errors(end, there, batch.context, layout)
         found["normalised"] = normalised(predicted, truth, pack)
     return {name: torch.nan_to_num(values, nan=torch.inf) for name, values in found.items()}
@@ -125,12 +125,30 @@ def _part_errors(
 
 def normalised(predicted: Entities, truth: Entities, pack: Pack) -> Tensor:
     """Root mean square over joints and steps up to the horizon, in units of their spread."""
+    if pack.layout.articulated:
+        return _normalised_limbs(predicted, truth, pack)
     keep = [j for j in range(len(pack.layout.joints)) if not pack.layout.ignored[j]]
     spread_q = pack.qpos[:, list(pack.layout.joint_q)].std(0).clamp_min(1e-6)
     spread_v = pack.qvel[:, list(pack.layout.joint_v)].std(0).clamp_min(1e-6)
     dq = ((predicted.q - truth.q) / spread_q)[..., keep]
     dv = (predicted.v - truth.v) / spread_v
     return torch.cat([dq, dv], dim=-1).square().mean((0, 2)).sqrt()
+
+
+def _normalised_limbs(predicted: Entities, truth: Entities, pack: Pack) -> Tensor:
+    """The same of episodes of several robots, each in units of its own data."""
+    ignored = pack.parts[..., pack.layout.part_columns.index("ignored")]
+    there = pack.part_mask
+    whose, squares = pack.robots(), []
+    for field, rows, counts in (("q", pack.qpos, there * (1.0 - ignored)), ("v", pack.qvel, there)):
+        spread = torch.ones_like(there)
+        for robot in whose.unique():
+            mine = whose == robot
+            spread[mine] = rows[pack.rows(mine)].std(0).clamp_min(1e-6)
+        error = ((getattr(predicted, field) - getattr(truth, field)) / spread).square().mean(0)
+        squares.append((error * counts, counts))
+    total = sum(error.sum(1) for error, _ in squares)
+    return (total / sum(count.sum(1) for _, count in squares)).sqrt()
 
 
 def _summary(values: Tensor) -> dict[str, float]:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from orbisim_world_model.articulation import Articulation
 from orbisim_world_model.config import ModelConfig
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.layout import Layout
@@ -45,11 +46,17 @@ class Features(nn.Module):
         self._index("servos", servos)
         self._index("served", [layout.servo[u] for u in servos])
         self.touch = Touch(layout) if config.touch and layout.limbs.joints else None
-        self.parts = Parts(layout, config) if layout.parts else None
+        self.limbs = Articulation(layout, config) if layout.articulated else None
+        self.parts = Parts(layout, config) if layout.parts and not self.limbs else None
         self.register_buffer("corners", torch.tensor(_CORNERS).T.contiguous(), persistent=False)
 
     def robot(self, x: Entities) -> Tensor:
-        """[B, F]: joint coordinates and the hand; the paper's state has the hand alone."""
+        """[B, F]: joint coordinates and the hand; the paper's state has the hand alone.
+
+        Nothing of robots made of limbs.
+        """
+        if self.limbs is not None:
+            return x.q[:, :0]
         if not self.config.extended:
             return x.hand[:, :15]  # position, rotation matrix, linear velocity
         angles = x.q.index_select(1, self.turning)
@@ -86,7 +93,7 @@ class Features(nn.Module):
     @property
     def pairs(self) -> int:
         """How many numbers `edges` gives."""
-        return EDGE_FEATURES + (RELATIONS if self.layout.parts and self.config.joints else 0)
+        return EDGE_FEATURES + (RELATIONS if self.parts is not None and self.config.joints else 0)
 
     def edges(self, x: Entities, context: Context | None = None) -> Tensor:
         """[B, K, K, E]: entity j as entity i sees it from its own frame.
@@ -143,7 +150,12 @@ class Features(nn.Module):
         return pos, turn, vel, ang
 
     def control(self, x: Entities, control: Tensor) -> Tensor:
-        """[B, U + servos]: the control, and how far the joints are from where it wants them."""
+        """[B, U + servos]: the control, and how far the joints are from where it wants them.
+
+        Limbs know their motors' forces instead.
+        """
+        if self.limbs is not None:
+            return control[:, :0]
         if not len(self.servos):
             return control
         distance = control.index_select(1, self.servos) - x.q.index_select(1, self.served)

@@ -10,10 +10,17 @@ import numpy as np
 
 from orbisim.errors import UnsupportedSceneError
 from orbisim.scene import Scene
+from orbisim_world_model.articulation import SEEN
 from orbisim_world_model.layout import Layout
 from orbisim_world_model.manifest import variants
 from orbisim_world_model.parts import BODY, JOINT
 from orbisim_world_model.reading import read_attributes, read_layout, read_settings
+from orbisim_world_model.reading_articulation import (
+    limb_concerns,
+    limb_rows,
+    natural_step,
+    read_articulated,
+)
 from orbisim_world_model.reading_parts import encoder_digest, read_parts
 
 _SLACK = 0.02
@@ -41,6 +48,8 @@ def fit(manifest: dict[str, Any], scene: Scene) -> Fit:
     Raises:
       UnsupportedSceneError: the checkpoint cannot step this scene.
     """
+    if manifest["model"].get("articulated"):
+        return _fit_limbs(manifest, scene)
     refusals = []
     for number, view in enumerate(variants(manifest)):
         try:
@@ -48,6 +57,37 @@ def fit(manifest: dict[str, Any], scene: Scene) -> Fit:
         except UnsupportedSceneError as error:
             refusals.append(error)
     raise refusals[0]
+
+
+def _fit_limbs(manifest: dict[str, Any], scene: Scene) -> Fit:
+    """Any robot of hinges and slides: what matters are the numbers of its limbs."""
+    views = variants(manifest)
+    trained = Layout.from_dict(manifest["layout"])
+    layout = read_articulated(scene.model, natural_step(scene.model), source=scene.source)
+    if (trained.settings, trained.part_columns) != (layout.settings, layout.part_columns):
+        raise UnsupportedSceneError(
+            scene.source,
+            "the checkpoint was trained with other descriptors than this version reads",
+        )
+    concerns = limb_concerns(scene.model)
+    known = [view["ranges"] for view in views]
+    for column, value in zip(layout.settings, read_settings(scene.model, layout), strict=True):
+        both = _union([ranges["settings"][column] for ranges in known])
+        concerns += _outside(f"world setting {column}", value, both)
+    rows = limb_rows(scene.model, scene.source)
+    both = _union([ranges["parts"]["count"] for ranges in known])
+    if not both[0] <= len(rows) <= both[1]:
+        concerns.append(f"{len(rows)} limbs (trained on {both[0]:g} to {both[1]:g})")
+    for joint, row in zip(layout.joints, rows, strict=True):
+        for column in SEEN:
+            both = _union([ranges["parts"][column] for ranges in known])
+            value = row[layout.part_columns.index(column)]
+            concerns += _outside(f"{column} of the limb on joint {joint!r}", value, both)
+    return Fit(layout, tuple(concerns))
+
+
+def _union(bounds: list[list[float]]) -> list[float]:
+    return [min(low for low, _ in bounds), max(high for _, high in bounds)]
 
 
 def _fit(manifest: dict[str, Any], scene: Scene, variant: int) -> Fit:

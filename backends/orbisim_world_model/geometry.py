@@ -91,15 +91,27 @@ class GeometryEncoder(nn.Module):
 
     def forward(self, points: Tensor) -> Tensor:
         """[B, TOKEN - 4] from points with normals [B, POINTS, 6], as `Cloud` has them."""
-        places = points[..., :3]
-        batch = torch.arange(len(points), device=points.device)[:, None]
-        centres = places[batch, farthest(places, CENTRES)]
-        near = torch.cdist(centres, places).topk(NEIGHBOURS, largest=False).indices
-        group = points[batch[..., None], near]
-        offset = group[..., :3] - centres[:, :, None]
-        seen = self.near(torch.cat([offset, group], dim=-1)).amax(dim=2)
+        return self.encoded(*neighbourhoods(points))
+
+    def encoded(self, around: Tensor, centres: Tensor) -> Tensor:
+        """[B, TOKEN - 4] from what `neighbourhoods` gives, which no weight changes."""
+        seen = self.near(around).amax(dim=2)
         features: Tensor = self.out(self.far(torch.cat([seen, centres], dim=-1)).amax(dim=1))
         return features
+
+
+def neighbourhoods(points: Tensor) -> tuple[Tensor, Tensor]:
+    """What centres see: points about them [B, CENTRES, NEIGHBOURS, 9], and centres [B, CENTRES, 3].
+
+    Args:
+      points: [B, POINTS, 6], as `Cloud` has them.
+    """
+    places = points[..., :3]
+    batch = torch.arange(len(points), device=points.device)[:, None]
+    centres = places[batch, farthest(places, CENTRES)]
+    near = torch.cdist(centres, places).topk(NEIGHBOURS, largest=False).indices
+    group = points[batch[..., None], near]
+    return torch.cat([group[..., :3] - centres[:, :, None], group], dim=-1), centres
 
 
 class DistanceHead(nn.Module):

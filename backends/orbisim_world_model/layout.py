@@ -90,7 +90,9 @@ class Layout:
       pads: boxes of the hand.
       parts: joints of mechanisms (indices into `joints`), each with a token of its own; a part
         stands after the one that carries it. part_columns: names of the columns of their
-        descriptors.
+        descriptors. Of an articulated layout they are all joints of a robot.
+      substeps, runge_kutta: how many steps of MuJoCo's make a step, at most, and whether these are
+        of fourth order (an articulated layout's).
     """
 
     nq: int
@@ -121,16 +123,28 @@ class Layout:
     pads: tuple[Pad, ...] = ()
     parts: tuple[int, ...] = ()
     part_columns: tuple[str, ...] = ()
+    substeps: int = 1
+    runge_kutta: bool = False
+
+    @property
+    def articulated(self) -> bool:
+        """Whether the parts are the limbs of a robot (see `articulation`)."""
+        return "control" in self.part_columns
+
+    @property
+    def robot_token(self) -> bool:
+        """Whether the robot as a whole has a token."""
+        return self.has_robot and not self.articulated
 
     @property
     def has_robot(self) -> bool:
-        """Whether there is a robot token."""
+        """Whether there is a robot."""
         return bool(self.joints)
 
     @property
     def tokens(self) -> int:
         """Number of tokens: the robot, if there is one, the objects and the parts."""
-        return int(self.has_robot) + len(self.objects) + len(self.parts)
+        return int(self.robot_token) + len(self.objects) + len(self.parts)
 
     @property
     def robot_joints(self) -> tuple[int, ...]:
@@ -218,6 +232,8 @@ def _indices(layout: Layout, device: str) -> dict[str, Tensor]:
 
 _MOST = 100_000
 """Of coordinates, activations and controls, each."""
+_MOST_SUBSTEPS = 1000
+"""Of MuJoCo's steps in one: the finest scenes take some hundred for a control step."""
 
 
 def _problem(x: Layout) -> str:
@@ -225,6 +241,8 @@ def _problem(x: Layout) -> str:
     for name in ("nq", "nv", "na", "nu"):
         if not 0 <= getattr(x, name) <= _MOST:
             return f"{name} is {getattr(x, name)}; expected 0 to {_MOST}"
+    if not 1 <= x.substeps <= _MOST_SUBSTEPS:
+        return f"substeps is {x.substeps}; expected 1 to {_MOST_SUBSTEPS}"
     if not 0.0 < x.timestep < 1e6:
         return f"timestep is {x.timestep:g} s; expected a duration above 0"
     lengths = {n: len(getattr(x, n)) for n in ("joint_q", "joint_v", "hinge", "bounded", "ignored")}
@@ -292,7 +310,10 @@ def _pads_problem(x: Layout) -> str:
 def _parts_problem(x: Layout) -> str:
     if not x.parts:
         return ""
-    if not x.hand or set(x.parts) & set(x.chain_joints):
+    if x.articulated:
+        if x.parts != tuple(range(len(x.joints))) or x.objects or x.hand or x.na:
+            return "limbs are all joints of a scene without objects, hand and activations"
+    elif not x.hand or set(x.parts) & set(x.chain_joints):
         return "parts need a hand, and are no joints of it"
     if len(set(x.parts)) != len(x.parts) or not set(x.parts) <= set(range(len(x.joints))):
         return "parts name a joint that is not there, or one twice"

@@ -89,6 +89,10 @@ _PART_FLOORS = [1e-4, 1e-3, 1e-5, 1e-4]
 """... of the joints of parts: rad, rad/s, m, m/s."""
 
 
+_LEAST_UNIT = 1e-6
+"""Of limbs' units: padding has none, and counts for nothing."""
+
+
 class Scales(NamedTuple):
     """The typical change over one step, by which errors are divided.
 
@@ -135,8 +139,9 @@ def scaled_state_loss(
             total = total + _part_loss(predicted, x, context, layout, scales.parts, beta)
             q, v = q[own], v[own]
             predicted, x = (s._replace(q=s.q[:, own], v=s.v[:, own]) for s in (predicted, x))
-        total = total + near(predicted.q / q, x.q / q)
-        total = total + near(predicted.v / v, x.v / v)
+        if own:
+            total = total + near(predicted.q / q, x.q / q)
+            total = total + near(predicted.v / v, x.v / v)
         if layout.na:
             total = total + near(predicted.act / scales.act, x.act / scales.act)
     if layout.hand:
@@ -168,8 +173,11 @@ def _part_loss(
 
 
 def _by_type(scales: Tensor, context: Context, layout: Layout) -> Tensor:
-    """[B, P, 2]: of [4], the numbers of hinges or of slides."""
+    """[B, P, 2]: of [4], the numbers of hinges or of slides; limbs have their own."""
     assert context.parts is not None
+    if layout.articulated:
+        first = layout.part_columns.index("unit_q")
+        return context.parts[..., first : first + 2].clamp_min(_LEAST_UNIT)
     hinge = context.parts[..., layout.part_columns.index("type_hinge"), None]
     return hinge * scales[:2] + (1.0 - hinge) * scales[2:]
 

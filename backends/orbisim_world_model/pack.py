@@ -109,6 +109,20 @@ class Pack:
         chosen = {name: getattr(self, name)[episodes] for name in ("start", "length", *_STATIC)}
         return dataclasses.replace(self, **chosen)
 
+    def robots(self) -> Tensor:
+        """[E]: a number for each robot, by what is known of its limbs; 0 without limbs."""
+        if not self.layout.articulated:
+            return torch.zeros_like(self.start)
+        return self.parts.flatten(1).unique(dim=0, return_inverse=True)[1]
+
+    def rows(self, chosen: Tensor) -> Tensor:
+        """Rows of the states of some episodes [E], as a mask over all rows."""
+        found = torch.zeros(len(self.qpos), dtype=torch.bool, device=self.device)
+        for episode in torch.nonzero(chosen)[:, 0].tolist():
+            first = int(self.start[episode])
+            found[first : first + int(self.length[episode]) + 1] = True
+        return found
+
     def split(self, held_out: float, seed: int = 0) -> tuple[Pack, Pack]:
         """Training and held-out episodes, drawn at random; at least one of each."""
         order = np.random.default_rng([seed, 7]).permutation(self.episodes)
@@ -200,7 +214,8 @@ def joined(packs: list[Pack]) -> Pack:
     if len(packs) == 1:
         return packs[0]
     largest = max(packs, key=lambda p: (len(p.layout.objects), len(p.layout.parts)))
-    padded = [_padded(pack, largest.layout) for pack in packs]
+    wanted = _common(packs, largest.layout)
+    padded = [_padded(pack, wanted) for pack in packs]
     offsets = np.cumsum([0] + [len(pack.qpos) for pack in padded])
     names = [name for pack in padded for name in pack.notes["groups"]]
     firsts = np.cumsum([0] + [len(pack.notes["groups"]) for pack in padded])
@@ -212,7 +227,7 @@ def joined(packs: list[Pack]) -> Pack:
     together = {n: torch.cat([getattr(p, n) for p in shifted]) for n in names_of_all}
     sources = [source for pack in packs for source in pack.notes["sources"]]
     notes = {**packs[0].notes, "groups": names, "sources": sources}
-    return Pack(layout=largest.layout, **together, notes=notes)
+    return Pack(layout=wanted, **together, notes=notes)
 
 
 def grouped(packs: list[Pack]) -> list[Pack]:
@@ -220,13 +235,55 @@ def grouped(packs: list[Pack]) -> list[Pack]:
     groups: dict[Any, list[Pack]] = {}
     for pack in packs:
         layout = pack.layout
-        groups.setdefault((layout.robot, layout.nu, layout.hand), []).append(pack)
+        key: Any = (layout.robot, layout.nu, layout.hand)
+        if layout.articulated:  # any robot, if the engine integrates in the same way
+            key = layout.runge_kutta
+        groups.setdefault(key, []).append(pack)
     return [joined(group) for group in groups.values()]
+
+
+def _common(packs: list[Pack], largest: Layout) -> Layout:
+    """The largest layout; of limbs with as many controls and substeps as any has."""
+    layouts = [pack.layout for pack in packs]
+    if not largest.articulated or len({one.joints for one in layouts}) == 1:
+        return largest
+    return dataclasses.replace(
+        largest,
+        joints=tuple(f"limb{number}" for number in range(len(largest.joints))),
+        nu=max(one.nu for one in layouts),
+        substeps=max(one.substeps for one in layouts),
+        timestep=min(one.timestep for one in layouts),
+    )
+
+
+def _padded_limbs(pack: Pack, want: Layout) -> Pack:
+    """With limbs and controls that are not there added; each world knows its own step."""
+    have = pack.layout
+    if have.runge_kutta != want.runge_kutta or have.settings != want.settings:
+        raise InputError(
+            f"scenes do not fit into one batch: {have.joints} and {want.joints} are integrated in "
+            "different ways"
+        )
+    lacking, controls = len(want.parts) - len(have.parts), want.nu - have.nu
+    more = torch.zeros(pack.episodes, lacking, len(want.part_columns))
+    ctrl = _columns(pack.ctrl, controls)
+    return dataclasses.replace(
+        pack,
+        layout=want,
+        qpos=_columns(pack.qpos, lacking),
+        qvel=_columns(pack.qvel, lacking),
+        ctrl=ctrl,
+        action=ctrl,
+        parts=torch.cat([pack.parts, more], dim=1),
+        part_mask=_columns(pack.part_mask, lacking),
+    )
 
 
 def _padded(pack: Pack, layout: Layout) -> Pack:
     """With objects that are not there added, so that it has the larger layout."""
     have, want = pack.layout, layout
+    if have.articulated and want.articulated:
+        return _padded_limbs(pack, want)
     same = (
         have.robot == want.robot
         and have.nu == want.nu

@@ -23,6 +23,7 @@ from orbisim_world_model.fitting import robot_parameters
 from orbisim_world_model.layout import Layout
 from orbisim_world_model.pack import Pack, grouped, hands, joined, no_parts
 from orbisim_world_model.reading import read_layout
+from orbisim_world_model.reading_articulation import limb_rows, read_articulated
 from orbisim_world_model.reading_parts import encoder_digest, read_parts
 from orbisim_world_model.usable import check_numbers
 
@@ -60,6 +61,64 @@ def read_groups(
 ) -> list[Pack]:
     """Like `read_data`, with a pack for each robot that the files have."""
     return grouped(_read(paths, baseline, scene, timestep))
+
+
+def limb_groups(packs: Sequence[Pack], scene: str | None = None) -> list[Pack]:
+    """Data of robots as a model of limbs sees them (see `with_limbs`), as few packs as possible.
+
+    Args:
+      packs: each of one robot.
+      scene: of episodes that were collected from a scene's file.
+    """
+    return grouped([with_limbs(pack, scene) for pack in packs])
+
+
+def with_limbs(pack: Pack, scene: str | None = None) -> Pack:
+    """The episodes of one robot with its limbs as descriptors.
+
+    Args:
+      pack: of a task whose episodes all have the same robot.
+      scene: see `limb_groups`.
+
+    Raises:
+      InputError: it does not say which scene it is of, or has objects.
+      UnsupportedSceneError: limbs do not know all of the scene.
+    """
+    if pack.layout.articulated:
+        return pack
+    sources = pack.notes["sources"]
+    task = str(sources[0].get("task", "")) if sources else ""
+    if pack.layout.objects or pack.layout.parts:
+        raise InputError(
+            f"a model of limbs knows robots alone; {task or 'the data'} have objects or mechanisms"
+        )
+    return as_limbs(pack, _nominal(task, task, scene), task)
+
+
+def as_limbs(pack: Pack, model: mujoco.MjModel, source: str = "") -> Pack:
+    """The episodes of a robot of this model with its limbs as descriptors.
+
+    Raises:
+      UnsupportedSceneError: limbs do not know all of the scene.
+    """
+    layout = read_articulated(model, pack.layout.timestep, source=source)
+    rows = torch.as_tensor(limb_rows(model, source), dtype=torch.float32)
+    row, _ = pack.transitions()
+    for name, values in (("unit_q", pack.qpos), ("unit_v", pack.qvel)):
+        change = (values[row + 1] - values[row]).square().mean(0).sqrt()
+        rows[:, layout.part_columns.index(name)] = change.clamp_min(_LEAST_CHANGE).cpu()
+    count = pack.episodes
+    return dataclasses.replace(
+        pack,
+        layout=layout,
+        hand=pack.hand[:, :0],
+        parts=rows.expand(count, *rows.shape).clone().to(pack.device),
+        part_mask=torch.ones(count, len(rows), device=pack.device),
+    )
+
+
+_LEAST_CHANGE = 1e-5
+"""rad, m, and a second: least unit of a joint that hardly moves in the data."""
 
 
 def _read(

@@ -82,6 +82,8 @@ class Parts(nn.Module):
         super().__init__()
         self.config, self.timestep = config, layout.timestep
         self.kinematics = Kinematics(layout)
+        # a buffer, so that nothing is copied from the host while a CUDA graph is recorded
+        self.register_buffer("unit", torch.tensor([1.0, 0.0, 0.0, 0.0]), persistent=False)
         own = layout.robot_joints
         order = [0] * len(layout.joints)
         for place, joint in enumerate((*own, *layout.parts)):
@@ -160,8 +162,7 @@ class Parts(nn.Module):
         """[B, P, 4]; a part that is not there lies as its parent does."""
         quat = self.column(context, "base_qw", 4)
         empty = (quat.square().sum(-1, keepdim=True) < 0.5).to(quat.dtype)
-        one = quat.new_tensor([1.0, 0.0, 0.0, 0.0])
-        return quat + empty * one
+        return quat + empty * self.unit
 
     def features(self, x: Entities, control: Tensor, context: Context) -> Tensor:
         """[B, P, F]: of the joint, of the part, and of the hand as seen along the joint.

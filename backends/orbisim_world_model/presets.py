@@ -36,6 +36,16 @@ _PARTS: dict[str, dict[str, Any]] = {
     "parts_no_geometry": {"geometry": False},
     "parts_no_joints": {"joints": False},
 }
+_LIMBS = TrainConfig(
+    stages=(
+        Stage(0.3, 1, 4096),
+        Stage(0.4, 8, 1024, autoregressive=True),
+        Stage(0.3, 24, 512, autoregressive=True, full=True),
+    ),
+    noise=0.003,
+    precision="fp32",
+)
+"""As for the suite's robots one by one: little noise, and no rounding of known dynamics."""
 _LOCKS = (
     Stage(0.3, 8, 512),
     Stage(0.4, 32, 256, autoregressive=True),
@@ -62,6 +72,11 @@ PRESETS = {
         _default_with("no_extended", extended=False, control="action"),
         _default_with("no_skip", skip=False),
         _default_with("contacts", boxes=True, impulses=True, apart=True, rest=True),
+        dataclasses.replace(
+            _default_with("limbs", articulated=True, relative=False, contact=False, layers=3),
+            loss=dataclasses.replace(DEFAULT.loss, alignment=0.0, consistency=0.0),
+            train=_LIMBS,
+        ),
         dataclasses.replace(
             _default_with("recurrent", memory="gru"),
             train=dataclasses.replace(DEFAULT.train, stages=PAPER.train.stages),

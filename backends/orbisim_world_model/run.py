@@ -51,7 +51,8 @@ class Run:
       held_out: share of the episodes that is kept for evaluation.
       save_every, log_every: seconds between saves, steps between lines of metrics.
       resume: go on with what stands in `out`.
-      start: checkpoint whose weights are fine-tuned.
+      start: checkpoint whose weights are fine-tuned; of the configuration's model, only `rest` is
+        taken, the others are the checkpoint's own.
       graph: run a training step as one CUDA graph.
       compiled: have torch compile what a training step computes (see `Trainer`).
       horizons, burn: of the evaluation.
@@ -146,6 +147,8 @@ def _train(
     kept, spare = _kept_and_held(packs, held, run, device)
     clock = Clock(run.steps, seconds_for_training(run), most=run.most)
     models = [load_for(run.start, p.layout).model for p in kept] if run.start else None
+    if models and config.model.rest:
+        models = [model.with_rest() for model in models]
     trainer = Trainer(
         kept,
         config,

@@ -26,11 +26,11 @@ UNITS = (1e-3, 0.0174532925)
 """What variances are measured in: 1 mm and 1 degree, in SI units."""
 _FLOOR = 1e-3
 """In `UNITS`: errors below a micrometre and a thousandth of a degree are not told apart."""
-_MOST_GAIN = 2.0
+MOST_GAIN = 2.0
 """Of a variance in one step; one control step of a collision multiplies errors by less."""
 _FAINT = -6.0
 """Bias of the gains from others: a variance of one reaches another at half a percent to begin."""
-_MOST = 1e8
+MOST = 1e8
 """Of a variance, (10 m)^2: from there on nothing is known."""
 
 
@@ -74,7 +74,7 @@ class Spread(nn.Module):
         if self.pair is not None:
             pair = pair + self.pair(inputs.edges)
         pair = silu(self.mix(silu(pair)))  # [B, K, K, width]
-        gain = _MOST_GAIN * torch.sigmoid(self.gain(pair) + self.start)
+        gain = MOST_GAIN * torch.sigmoid(self.gain(pair) + self.start)
         seen = torch.cat([silu(token), pair.sum(2)], dim=-1)
         noise = self.noise(seen).clamp(-20.0, 10.0).exp()
         return gain.unflatten(-1, (2, 2)), noise
@@ -93,7 +93,7 @@ class Spread(nn.Module):
 def propagated(gain: Tensor, noise: Tensor, variance: Tensor) -> Tensor:
     """s_i' = sum_j G_ij s_j + n_i, [B, K, 2]."""
     sent = (gain * variance[:, None, :, None, :]).sum(-1).sum(2)
-    return (sent + noise).clamp(max=_MOST)
+    return (sent + noise).clamp(max=MOST)
 
 
 def half_widths(variance: Tensor, factors: Tensor) -> Tensor:

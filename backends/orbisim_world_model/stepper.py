@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import functools
 import traceback
 import warnings
 from collections.abc import Callable
@@ -19,7 +20,7 @@ from orbisim_world_model.graphs import Graphed
 from orbisim_world_model.network.folded import FoldedNetwork
 from orbisim_world_model.network.objects import ObjectCentricNetwork
 
-Compiler = Literal["fused", "inlined", "tuned"]
+Compiler = Literal["fused", "joined", "inlined", "tuned"]
 Step = Callable[[Entities, Tensor, Tensor, Context], tuple[Entities, Tensor]]
 _FUSED = {"force_pointwise_cat": True}
 _INLINED = {
@@ -30,11 +31,13 @@ _INLINED = {
 }
 _OPTIONS: dict[Compiler, dict[str, Any]] = {
     "fused": _FUSED,
+    "joined": {**_FUSED, "combo_kernels": True},
     "inlined": _INLINED,
     "tuned": {**_INLINED, "max_autotune": True, "coordinate_descent_tuning": True},
 }
-"""Options of torch's compiler: features joined within kernels; computed again rather than stored;
-products chosen by measurement and fused with what follows them."""
+"""Options of torch's compiler: features joined within kernels; kernels that do not depend on each
+other launched as one, half as many for one world; computed again rather than stored; products
+chosen by measurement and fused with what follows them."""
 _GRAPHS = 4
 """How many batch sizes keep their CUDA graph."""
 _RECOMPILATIONS = 1000
@@ -53,12 +56,15 @@ class Speedups:
       folded: compute the network with its weights combined (`network.folded`); None: where that
         is faster.
       precision: of the network, on a GPU; physics is always computed in float32.
+      kernels: compute the network by kernels of our own (`network.fused`), on a GPU in fp16, where
+        they suit it.
       compiled: how torch compiles the step, if it can; None does not compile.
       graphed: one CUDA graph for each number of worlds.
     """
 
     folded: bool | None = None
     precision: Literal["fp16", "bf16", "fp32"] = "fp16"
+    kernels: bool = True
     compiled: Compiler | None = "fused"
     graphed: bool = True
 
@@ -85,8 +91,9 @@ class Stepper:
         self._many = self.model  # for many worlds, where torch does not compile
         if self.on_gpu and self.speedups.folded is None:
             self._many = self._made(model, folded=False)
+        self._kernels = self._with_kernels(model) if self.on_gpu else None
         self._compiler = self.speedups.compiled
-        self._graphs: dict[int, Slot] = {}
+        self._graphs: dict[tuple[int, bool], Slot] = {}
 
     def _made(self, model: Dynamics, folded: bool) -> Dynamics:
         made = copy.deepcopy(model).to(self.device).eval()
@@ -96,6 +103,27 @@ class Stepper:
         if self.on_gpu:
             made.network.to(_TYPES[self.speedups.precision])
         return made
+
+    @property
+    def fastest(self) -> Dynamics:
+        """The model that is used for many worlds, to be compiled with what is around it."""
+        return self.model if self._kernels is None else self._kernels
+
+    def _with_kernels(self, model: Dynamics) -> Dynamics | None:
+        """The model with its network in kernels of our own, where they suit it."""
+        if not self.speedups.kernels or self.speedups.precision != "fp16":
+            return None
+        try:
+            from orbisim_world_model.network.fused import FusedNetwork, FusedSpread
+        except ImportError:  # a torch without triton
+            return None
+        if not FusedNetwork.suits(model.network):
+            return None
+        made = self._made(model, folded=False)
+        made.network = FusedNetwork(model.network).to(self.device, torch.float16)
+        if made.spread is not None and FusedSpread.suits(made.sizes):
+            made.spread = FusedSpread(made.spread, made.sizes).to(self.device)
+        return made.requires_grad_(False)
 
     def __call__(
         self, x: Entities, memory: Tensor, control: Tensor, context: Context
@@ -123,28 +151,54 @@ class Stepper:
 
     def prepared(self, x: Entities, memory: Tensor, control: Tensor, context: Context) -> Slot:
         """The graph for a number of worlds, made when it is first needed."""
-        size = len(x.pos)
-        if size not in self._graphs:
+        key = len(x.pos), _shared(context)
+        if key not in self._graphs:
             if len(self._graphs) >= _GRAPHS:
                 self._graphs.pop(next(iter(self._graphs)))
             with torch.no_grad():
-                self._graphs[size] = self._slot(x, memory, control, context)
-        return self._graphs[size]
+                self._graphs[key] = self._slot(x, memory, control, context)
+        return self._graphs[key]
 
     def _slot(self, x: Entities, memory: Tensor, control: Tensor, context: Context) -> Slot:
-        graphed = self.speedups.graphed
-        if self._compiler is not None:
-            fast = compiled_step(self.model, self._compiler)
+        while True:
+            model = self.model if self._kernels is None else self._kernels
+            describe = functools.partial(_described, model)
+            given = (x, memory, control, describe(context))
+            compiler = self._compiler
+            if compiler is None and model is self.model and len(x.pos) > _FOLDED_UP_TO:
+                model = self._many
+            step = plain_step(model) if compiler is None else compiled_step(model, compiler)
             try:
+                model.tune(*given)
                 with torch._dynamo.config.patch(recompile_limit=_RECOMPILATIONS):
-                    fast(x, memory, control, context)
-                return Slot(fast, True, graphed, x, memory, control, context)
+                    step(*given)
+                if self.device.type == "cuda":  # what fails on the device fails here
+                    torch.cuda.synchronize(self.device)
             except Exception as error:  # compilers fail in many ways; the step itself does not
-                self._compiler = None
-                text = f"step not compiled, it is slower: {cause(error)}"
-                warnings.warn(text, stacklevel=5)
-        step = plain_step(self.model if len(x.pos) <= _FOLDED_UP_TO else self._many)
-        return Slot(step, False, graphed, x, memory, control, context)
+                if compiler is None and self._kernels is None:
+                    raise
+                what = "compiled" if compiler is not None else "computed by our own kernels"
+                warnings.warn(f"step not {what}, it is slower: {cause(error)}", stacklevel=5)
+                if compiler is not None:
+                    self._compiler = None
+                else:
+                    self._kernels, self._compiler = None, self.speedups.compiled
+                continue
+            return Slot(step, describe, compiler is not None, self.speedups.graphed, *given)
+
+
+def _shared(context: Context) -> bool:
+    """Whether all worlds have the same descriptors, by how they lie in memory."""
+    fields = context.attributes, context.world
+    return all(len(field) > 1 and field.stride(0) == 0 for field in fields)
+
+
+def _described(model: Dynamics, context: Context) -> Context:
+    """See `Dynamics.described`; of descriptors that all worlds share, once."""
+    if not _shared(context):
+        return model.described(context)
+    one = context._replace(attributes=context.attributes[:1], world=context.world[:1])
+    return context._replace(scales=model.described(one).scales)
 
 
 class Slot:
@@ -152,6 +206,7 @@ class Slot:
 
     Args:
       step: what the graph is made of.
+      describe: adds to a context what is computed from it once (see `Dynamics.described`).
       compiled: whether torch compiled it.
       graphed: whether to capture a graph.
       x, memory, control, context: values to begin with.
@@ -160,6 +215,7 @@ class Slot:
     def __init__(
         self,
         step: Step,
+        describe: Callable[[Context], Context],
         compiled: bool,
         graphed: bool,
         x: Entities,
@@ -170,8 +226,8 @@ class Slot:
         self.compiled = compiled
         self.x = Entities(*(field.clone() for field in x))
         self.memory, self.control = memory.clone(), control.clone()
-        parts = None if context.parts is None else context.parts.clone()
-        self.context = Context(context.attributes.clone(), context.world.clone(), None, parts)
+        self._describe, self._given = describe, context
+        self.context = Context(*(None if f is None else f.clone() for f in context))
         given = (self.x, self.memory, self.control, self.context)
         self.run: Any = Graphed(lambda: step(*given), lambda: None, graphed)
 
@@ -181,10 +237,11 @@ class Slot:
             mine.copy_(given)
         self.memory.copy_(memory)
         self.control.copy_(control)
-        self.context.attributes.copy_(context.attributes)
-        self.context.world.copy_(context.world)
-        if self.context.parts is not None and context.parts is not None:
-            self.context.parts.copy_(context.parts)
+        if context is not self._given:  # a rollout hands over the same one at every step
+            self._given = context
+            for mine, given in zip(self.context, self._describe(context), strict=True):
+                if mine is not None and given is not None:
+                    mine.copy_(given)
 
 
 def plain_step(model: Dynamics) -> Step:
@@ -200,13 +257,12 @@ def plain_step(model: Dynamics) -> Step:
 
 
 def flat_step(model: Dynamics) -> Callable[..., tuple[Tensor, ...]]:
-    """The step of tensors one by one: entities, memory, control, attributes, world, and parts
-    where there are any."""
+    """The step of tensors one by one: entities, memory, control and the fields of the context."""
     fields = len(Entities._fields)
 
-    def step(*given: Tensor) -> tuple[Tensor, ...]:
-        memory, control, attributes, world, *parts = given[fields:]
-        context = Context(attributes, world, None, *parts)
+    def step(*given: Any) -> tuple[Tensor, ...]:
+        memory, control, *described = given[fields:]
+        context = Context(*described)
         after = model(Entities(*given[:fields]), memory, control, context)
         return (*after.state, after.memory)
 
@@ -225,8 +281,7 @@ def compiled_step(model: Dynamics, compiler: Compiler = "fused") -> Step:
     def step(
         x: Entities, memory: Tensor, control: Tensor, context: Context
     ) -> tuple[Entities, Tensor]:
-        parts = () if context.parts is None else (context.parts,)
-        *state, after = fast(*x, memory, control, context.attributes, context.world, *parts)
+        *state, after = fast(*x, memory, control, *context)
         return Entities(*state), after
 
     return step

@@ -180,12 +180,22 @@ class Trainer:
     def _load(self, stage: Stage) -> None:
         """Fills the buffers with the batch and the random numbers of this step."""
         generator = generator_of(self.device, self.seed, self.clock.done)
-        size = -(-stage.batch // len(self.parts))
-        fresh = [self._drawn(part, stage.length, size, generator) for part in self.parts]
+        sizes = self._shares(stage.batch)
+        fresh = [
+            self._drawn(part, stage.length, size, generator)
+            for part, size in zip(self.parts, sizes, strict=True)
+        ]
         if self._buffers is None or not self.graph:
             self._buffers = fresh
         else:
             _copy(self._buffers, fresh)
+
+    def _shares(self, batch: int) -> list[int]:
+        """Sequences of each part: as many of each robot; of limbs, by how many there are."""
+        if not self.config.model.articulated:
+            return [-(-batch // len(self.parts))] * len(self.parts)
+        counts = [part.windows.count for part in self.parts if part.windows is not None]
+        return [max(1, round(batch * count / sum(counts))) for count in counts]
 
     def _drawn(
         self, part: Part, length: int, size: int, generator: torch.Generator
@@ -206,14 +216,19 @@ class Trainer:
         self.optimizer.zero_grad()
         config, stage = self.config, self.config.train.stages[self._stage]
         losses = []
-        for part, (batch, draws) in zip(self.parts, self._buffers, strict=True):
+        sizes = self._shares(stage.batch)
+        for part, size, (batch, draws) in zip(self.parts, sizes, self._buffers, strict=True):
             objective = Objective(part.model, part.scales, config.loss, config.train.noise)
             total, state = dynamics_loss(
                 objective, batch, draws, self.ratio, stage.warm, self._each, stage.reach
             )
-            (total / len(self.parts)).backward()
+            (total * (size / sum(sizes))).backward()
             losses.append(torch.stack([total.detach(), state.detach()]))
         return torch.stack(losses).mean(0)
+
+
+_FEW = 20_000
+"""Transitions for the scales of limbs, whose Jacobians take some kilobytes a limb."""
 
 
 def new_model(pack: Pack, config: Config, seed: int) -> Dynamics:
@@ -233,7 +248,8 @@ def new_models(packs: Sequence[Pack], config: Config, seed: int) -> list[Dynamic
         if models:
             model.share(models[0])
         models.append(model)
-        row, episode = pack.transitions(200_000 // len(packs))
+        most = _FEW if pack.layout.articulated else 200_000
+        row, episode = pack.transitions(most // len(packs))
         base = pack.predictions(row) if config.model.baseline != "none" else None
         control = pack.controls(config.model)[row]
         context = pack.context(episode)

@@ -102,7 +102,7 @@ def moment_loss(objective: Objective, moment: Moment, context: Context) -> Momen
     model, scales, config, noise = objective
     layout, x = model.layout, moment.truth
     if noise:
-        x = model.completed(perturbed(x, moment.noise * noise, scales))
+        x = model.completed(perturbed(x, moment.noise * noise, scales, _own_units(model, context)))
     if moment.predicted is not None:
         x = choose(moment.chance < moment.ratio, moment.predicted, x)
     step = model(x, moment.memory, moment.control, context, base=moment.base)
@@ -116,7 +116,7 @@ def moment_loss(objective: Objective, moment: Moment, context: Context) -> Momen
     total = state + step.penalty
     if (config.alignment or config.consistency) and model.config.kind != "dreamer":
         objects = model.config.kind == "objects"
-        tokens = token_mask(mask, layout.has_robot, context.part_mask) if objects else None
+        tokens = token_mask(mask, layout.robot_token, context.part_mask) if objects else None
         z = model.encode(target, step.memory, moment.control, context)
         total = total + config.alignment * transition_loss(step.latent, z, tokens)
         total = total + config.consistency * encoding_loss(step.latent, z, tokens)
@@ -169,11 +169,21 @@ def noise_size(layout_joints: int, activations: int, objects: int) -> int:
     return 2 * layout_joints + activations + 12 * objects
 
 
-def perturbed(x: Entities, noise: Tensor, scales: Scales) -> Entities:
-    """The state with noise [B, entries], in units of the scales; rotations stay rotations."""
+def _own_units(model: Dynamics, context: Context) -> Tensor | None:
+    limbs = model.features.limbs
+    return None if limbs is None else limbs.units(context)
+
+
+def perturbed(x: Entities, noise: Tensor, scales: Scales, units: Tensor | None = None) -> Entities:
+    """The state with noise [B, entries], in units of the scales; rotations stay rotations.
+
+    Args:
+      units: [B, J, 2] of positions and velocities of joints, where worlds differ in them.
+    """
     joints, count = x.q.shape[1], x.pos.shape[1]
     dq, dv, dact, rest = noise.split((joints, joints, x.act.shape[1], 12 * count), dim=1)
-    x = x._replace(q=x.q + dq * scales.q, v=x.v + dv * scales.v, act=x.act + dact * scales.act)
+    q, v = (scales.q, scales.v) if units is None else units.unbind(-1)
+    x = x._replace(q=x.q + dq * q, v=x.v + dv * v, act=x.act + dact * scales.act)
     if not count:
         return x
     pos, turn, vel, ang = rest.unflatten(1, (count, 12)).split(3, dim=-1)

@@ -23,13 +23,13 @@ def entries(folder: Path) -> dict[str, dict[str, Any]]:
 def find(scene: Scene, baseline: str = "none") -> tuple[Path, AnyFit]:
     """The checkpoint that fits a scene best, and how it fits.
 
-    One whose training data include the scene's task comes first, then the one with the fewest
-    concerns.
+    One whose training data include the scene's task comes first, then one of the scene's own robot,
+    then the one with the fewest concerns.
 
     Raises:
       UnsupportedSceneError: none fits.
     """
-    fits: list[tuple[tuple[bool, int, str], Path, AnyFit]] = []
+    fits: list[tuple[tuple[bool, bool, int, str], Path, AnyFit]] = []
     known: list[str] = []
     reasons: dict[str, str] = {}
     for name, manifest in entries(FOLDER).items():
@@ -43,7 +43,8 @@ def find(scene: Scene, baseline: str = "none") -> tuple[Path, AnyFit]:
             if scene.source in tasks:  # why others do not fit is no news
                 reasons[name] = error.problem
             continue
-        rank = (scene.source not in tasks, len(found.concerns), name)
+        of_all = bool(manifest["model"].get("articulated"))
+        rank = (scene.source not in tasks, of_all, len(found.concerns), name)
         fits.append((rank, FOLDER / name, found))
     if not fits:
         raise UnsupportedSceneError(scene.source, _none(known, reasons))

@@ -223,6 +223,16 @@ _POLICY = "Example: orbisim eval policy policies/push --episodes 200 --json"
     help="Inside which model to evaluate as well: learned, learned:PATH, or none.",
 )
 @randomize_option
+@click.option(
+    "--observe",
+    type=click.Choice(["state", "infer", "objects", "stainf"]),
+    default="state",
+    show_default=True,
+    help="What the policy sees: the true state, or the one that is read off a camera's frames, by "
+    "a network and a fit (infer), with joints as measured (objects), or by the network alone "
+    "(stainf).",
+)
+@click.option("--camera", default="side", show_default=True, help="Of --observe.")
 @click.option("--threads", default=0, help="Of MuJoCo; 0 for all cores.")
 @device_option
 @json_option
@@ -233,6 +243,8 @@ def policy(
     seeds: tuple[int, ...],
     model: str,
     randomize: Path | None,
+    observe: str,
+    camera: str,
     threads: int,
     device: str | None,
     as_json: bool,
@@ -255,6 +267,8 @@ def policy(
         randomize=randomize,
         threads=threads,
         device=torch_device(device or "cpu"),
+        observe=observe,
+        camera=camera,
     )
     if as_json:
         emit_json(result)

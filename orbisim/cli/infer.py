@@ -32,6 +32,13 @@ from orbisim.errors import InputError, MissingDependencyError, UnsupportedSceneE
     show_default=True,
     help="Fit each frame by analysis by synthesis.",
 )
+@click.option(
+    "--fit",
+    "opened",
+    default="",
+    help="What is not known of the objects: sizes, colors or sizes,colors. They are found from "
+    "what the network reads and the frames themselves.",
+)
 @click.option("--camera", default="", help="Name or number of the camera. Default: the first.")
 @click.option(
     "--pixels",
@@ -49,6 +56,7 @@ def command(
     out: Path,
     checkpoint: Path | None,
     refine: bool,
+    opened: str,
     camera: str,
     pixels: int,
     as_json: bool,
@@ -59,6 +67,9 @@ def command(
     by drawing the scene as it is declared, each frame from the one before. Of a scene that no
     network was trained on, joints start where the first frame is drawn best, and objects from where
     it has their colours. The middle square of each frame is used.
+
+    With `--fit`, sizes and colours of objects are not taken from SCENE but fitted, too; their
+    values stand in the recording's metadata. An object's proportions stay as declared.
 
     Joints and objects have NaN where a frame does not show them. The recording has positions alone:
     `replay` and `diagnose` differentiate and smooth them. Controls of position servos follow from
@@ -73,11 +84,17 @@ def command(
     try:
         from orbisim_diffusion import zoo
         from orbisim_diffusion.estimate import infer, load_inference, read_frames, read_video
+        from orbisim_diffusion.looks import Wardrobe, dress
         from orbisim_diffusion.own import squares
         from orbisim_diffusion.refine import Refiner
         from orbisim_diffusion.tracking import follow, reading, recording_of
     except ImportError as error:
         raise MissingDependencyError("orbisim infer", "learned", str(error)) from error
+    free = {part.strip() for part in opened.split(",") if part.strip()}
+    if free - {"sizes", "colors"}:
+        raise InputError(f"--fit {opened}: expected sizes, colors or sizes,colors")
+    if free and not refine:
+        raise InputError("--fit fits drawings to frames; leave --no-refine out")
     loaded = load_scene(scene)
     if not loaded.model.ncam:
         raise InputError(f"{scene}: declares no camera; add one where the film's camera stood")
@@ -98,7 +115,16 @@ def command(
             point, model = network
             small = squares(frames, point.config.size)
             read = reading(read_frames(small, point, model), len(refiner.scalar.qpos))
-        recording = recording_of(loaded, refiner, times, follow(refiner, frames, read))
+        looks = None
+        if free:
+            if read is None:
+                raise InputError(
+                    f"--fit {opened} starts from what a network reads, and none was trained on "
+                    f"{scene}; train one (orbisim train inference) or declare sizes and colours"
+                )
+            wardrobe = Wardrobe(refiner, "sizes" in free, "colors" in free)
+            looks = dress(wardrobe, frames, read)
+        recording = recording_of(loaded, refiner, times, follow(refiner, frames, read), looks)
     else:
         assert network is not None
         point, model = network
@@ -115,6 +141,7 @@ def command(
         "refined": refine,
         "noise" if refine else "errors_on_test_frames": recording.metadata["noise"],
         "not_seen": recording.metadata.get("not_seen", []),
+        "looks": recording.metadata.get("looks", {}),
         "notes": list(recording.notes),
     }
     if as_json:
@@ -123,6 +150,9 @@ def command(
     note(f"{out}: {len(frames)} frames, {', '.join(result['signals'])}")
     for line in recording.notes:
         note(line)
+    for body, look in result["looks"].items():
+        half, color = (" ".join(f"{v:.4g}" for v in look[name]) for name in ("half_size", "color"))
+        note(f"{body}: half sizes {half} m, color {color}")
     for gap in result["not_seen"]:
         what = gap.get("body") or "what the joints move"
         note(f"warning: {what} is not seen from {gap['from']:.3g} to {gap['to']:.3g} s")

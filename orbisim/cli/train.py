@@ -132,7 +132,7 @@ def dynamics(
         _cloth(data, held_out_data, scene, name, settings, run, as_json)
         return
     from orbisim_world_model.config import replaced
-    from orbisim_world_model.packing import read_groups
+    from orbisim_world_model.packing import limb_groups, read_groups
     from orbisim_world_model.presets import preset
 
     config = replaced(preset(name), settings)
@@ -141,6 +141,9 @@ def dynamics(
     how: Any = {"baseline": config.model.baseline, "scene": scene, "timestep": control_timestep}
     packs = read_groups(data, **how)
     held = read_groups(held_out_data, **how) if held_out_data else None
+    if config.model.articulated:
+        packs = limb_groups(packs, scene)
+        held = limb_groups(held, scene) if held else None
     manifest = training.train(packs, config, run, report=_report, held=held)
     if not manifest:
         return  # another process of the group writes
@@ -397,7 +400,8 @@ _POLICY = "Example: orbisim train policy push --method apg --out policies/push -
 @click.option(
     "--backend",
     default=None,
-    help="What the policy learns in: learned or learned:PATH (apg), mujoco (all others).",
+    help="What the policy learns in: learned, learned:PATH or learned:NAME of the zoo (apg), "
+    "mujoco (all others).",
 )
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder to write to.")
 @click.option("--steps", type=click.IntRange(min=1), default=None, help="Iterations; env steps.")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,26 @@ def identify_classical(
       substeps: of the scene in a step of the grid.
       steps: of the search at most.
     """
+    run = simulated(scene, parameters, grid, substeps)
+
+    def residual(vector: np.ndarray, _: sysid.ParameterDict) -> tuple[list[np.ndarray], None, None]:
+        return [(run(vector) / grid.ctrl.shape[1] ** 0.5).numpy().ravel()], None, None
+
+    start = np.log([parameter.declared for parameter in parameters])
+    with contextlib.redirect_stdout(io.StringIO()):  # it prints each step, whatever it is told
+        result = _searched(parameters, start, residual, steps, {})
+        left = run(result.x)
+        size = max(1.0, 1.48 * float(left[left != 0].abs().median())) if left.any() else 1.0
+        scale = LARGE * size / grid.ctrl.shape[1] ** 0.5
+        robust = {"loss": "cauchy", "f_scale": scale}  # what is far off now is not believed
+        result = _searched(parameters, result.x, residual, steps, robust)
+    return around(run, parameters, np.ravel(result.x), grid, float(result.cost))
+
+
+def simulated(
+    scene: Scene, parameters: Sequence[Parameter], grid: Grid, substeps: int
+) -> Callable[[np.ndarray], Tensor]:
+    """From logarithms [P] of values to errors [windows, R] of C MuJoCo's rollouts, all finite."""
     joints, bodies = counted(scene.model, parameters)
     target, count = torch.as_tensor(grid.target), len(grid.qpos)
 
@@ -43,33 +63,32 @@ def identify_classical(
         state = backend.reset(count).replace(qpos=grid.qpos, qvel=grid.qvel, act=grid.act)
         assert isinstance(state, State)
         path = backend.rollout(state, grid.ctrl, nstep=substeps, sensors=False)
-        return errors(torch.as_tensor(np.asarray(path.qpos)), target, joints, bodies)
+        found = errors(torch.as_tensor(np.asarray(path.qpos)), target, joints, bodies)
+        return found.nan_to_num(1e3, 1e3, -1e3)
 
-    def residual(vector: np.ndarray, _: sysid.ParameterDict) -> tuple[list[np.ndarray], None, None]:
-        found = run(vector).nan_to_num(1e3, 1e3, -1e3)
-        return [(found / grid.ctrl.shape[1] ** 0.5).numpy().ravel()], None, None
+    return run
 
-    start = np.log([parameter.declared for parameter in parameters])
-    with contextlib.redirect_stdout(io.StringIO()):  # it prints each step, whatever it is told
-        result = _searched(parameters, start, residual, steps, {})
-        left = run(result.x).nan_to_num(1e3, 1e3, -1e3)
-        size = max(1.0, 1.48 * float(left[left != 0].abs().median())) if left.any() else 1.0
-        scale = LARGE * size / grid.ctrl.shape[1] ** 0.5
-        robust = {"loss": "cauchy", "f_scale": scale}  # what is far off now is not believed
-        result = _searched(parameters, result.x, residual, steps, robust)
-    z = torch.as_tensor(np.ravel(result.x))[None]
-    left = run(result.x).nan_to_num(1e3, 1e3, -1e3)
+
+def around(
+    run: Callable[[np.ndarray], Tensor],
+    parameters: Sequence[Parameter],
+    logarithms: np.ndarray,
+    grid: Grid,
+    cost: float,
+) -> Estimate:
+    """The estimate at values that a search has found, with intervals."""
+    z, left = torch.as_tensor(logarithms)[None], run(logarithms)
     slopes = torch.stack(
-        [(run(result.x + e) - left) / _STEP for e in _STEP * np.eye(len(z[0]))], -1
+        [(run(logarithms + e) - left) / _STEP for e in _STEP * np.eye(len(logarithms))], -1
     )
-    group = torch.zeros(count, dtype=torch.long)
+    group = torch.zeros(len(grid.qpos), dtype=torch.long)
     width = widths(left, slopes.nan_to_num(0.0), z, group, grid.ctrl.shape[1])
     low, high = (
         torch.log(torch.tensor([getattr(p, end) for p in parameters], dtype=torch.float64))
         for end in ("low", "high")
     )
     below, above = ((z + sign * width).clamp(low, high).exp() for sign in (-1.0, 1.0))
-    return Estimate(z.exp(), below, above, torch.tensor([[float(result.cost)]]))
+    return Estimate(z.exp(), below, above, torch.tensor([[cost]]))
 
 
 def _searched(

@@ -41,7 +41,7 @@ class StackConfig(PickConfig):
     cube_half: Range = (0.0225, 0.0225)
     drop: Range = (0.004, 0.012)
     detour: Range = (0.0, 0.03)
-    noise: Range = (0.0, 0.03)
+    noise: Range = (0.0, 0.02)
 
 
 class Stack(PickAndPlace):

@@ -45,6 +45,10 @@ def test_what_is_missing_is_said_before_anything_is_computed(
     (tmp_path / "film.mp4").write_bytes(b"")
     assert run(["infer", str(tmp_path / "film.mp4"), *end]) == 2
     assert "declares no camera; add one" in capsys.readouterr().err
+    assert run(["infer", str(tmp_path / "film.mp4"), *end, "--fit", "sizes,weights"]) == 2
+    assert "expected sizes, colors or sizes,colors" in capsys.readouterr().err
+    assert run(["infer", str(tmp_path / "film.mp4"), *end, "--fit", "sizes", "--no-refine"]) == 2
+    assert "leave --no-refine out" in capsys.readouterr().err
 
 
 PENDULUM = """
@@ -100,7 +104,9 @@ def test_a_scene_without_a_network_is_read_by_fitting(
     assert run(["infer", video, "--scene", str(scene), *out]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["signals"] == ["ctrl/swing", "qpos/swing", "xpos/cube", "xquat/cube"]
-    assert printed["refined"] and printed["not_seen"] == []
+    assert printed["refined"] and printed["not_seen"] == [] and printed["looks"] == {}
+    assert run(["infer", video, "--scene", str(scene), *out, "--fit", "colors"]) == 2
+    assert "none was trained on" in capsys.readouterr().err
     bound = bind(Recording.load(tmp_path / "rec.npz"), load_scene(scene))
     np.testing.assert_allclose(bound.qpos[:, 1:4], states[:, 1:4], atol=4e-3)
     np.testing.assert_allclose(bound.qpos[:, 0], states[:, 0], atol=0.05)

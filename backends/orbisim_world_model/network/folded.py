@@ -33,20 +33,20 @@ class FoldedNetwork(TokenNetwork):
         self.parts, self.part_condition = network.parts, network.part_condition
         self.start = nn.Parameter(network.start.detach().clone())
         encoder = network.f_enc
-        self.robot = _encoder(encoder.robot, None if self.remembers else self.start[0])
-        self.objects = _encoder(encoder.objects, None if self.remembers else self.start[1])
+        self.robot = encoder_of(encoder.robot, None if self.remembers else self.start[0])
+        self.objects = encoder_of(encoder.objects, None if self.remembers else self.start[1])
         self.moving = None
         if encoder.parts is not None:
-            self.moving = _encoder(encoder.parts, None if self.remembers else self.start[2])
+            self.moving = encoder_of(encoder.parts, None if self.remembers else self.start[2])
         self.edge, self.f_imp = network.f_cp.edge, network.f_imp
         blocks = [block for block in network.f_cp.blocks if isinstance(block, Block)]
         norms = [norm for b in blocks for norm in (b.before_attention, b.before_mixing)]
-        self.modulation = _stacked([norm.modulation for norm in norms])
+        self.modulation = stacked([norm.modulation for norm in norms])
         self.blocks = nn.ModuleList(FoldedBlock(block) for block in blocks)
         self.norm, self.f_rec, self.f_dec = network.f_cp.norm, network.f_rec, network.f_dec
         self.skip = network.f_tra.skip
         layers = network.f_tra.layers
-        self.transition = layers if self.remembers else _same_twice(layers, self.skip)
+        self.transition = layers if self.remembers else transition_of(layers, self.skip)
         self.robot_condition = network.robot_condition
         self.object_condition = network.object_condition
 
@@ -155,13 +155,13 @@ def _linear(weight: Tensor, bias: Tensor) -> nn.Linear:
     return layer
 
 
-def _stacked(layers: list[nn.Linear]) -> nn.Linear:
+def stacked(layers: list[nn.Linear]) -> nn.Linear:
     """One layer that gives the outputs of all of them after one another."""
     weights = torch.cat([layer.weight.detach() for layer in layers])
     return _linear(weights, torch.cat([layer.bias.detach() for layer in layers]))
 
 
-def _encoder(layers: nn.Sequential | None, start: Tensor | None) -> nn.Sequential | None:
+def encoder_of(layers: nn.Sequential | None, start: Tensor | None) -> nn.Sequential | None:
     """A perceptron that begins with the memory; a constant one becomes part of the bias."""
     if layers is None or start is None:
         return layers
@@ -172,7 +172,7 @@ def _encoder(layers: nn.Sequential | None, start: Tensor | None) -> nn.Sequentia
     return nn.Sequential(_linear(weight[:, width:], bias), *list(layers)[1:])
 
 
-def _same_twice(layers: nn.Sequential, skip: bool) -> nn.Sequential:
+def transition_of(layers: nn.Sequential, skip: bool) -> nn.Sequential:
     """The transition where h and e are the same: (W_h + W_e) e."""
     first = layers[0]
     if not skip:

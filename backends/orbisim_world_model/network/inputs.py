@@ -7,6 +7,7 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor
 
+from orbisim_world_model.articulation import Known
 from orbisim_world_model.contacts import Geometry
 
 
@@ -21,6 +22,8 @@ class Inputs(NamedTuple):
       contacts: candidate contacts in SI units, where the model looks for them.
       parts: [B, P, H] of parts of mechanisms, part_attributes: [B, P, A], part_mask: [B, P] as
         `mask`; None without.
+      known: of the limbs of articulated robots, in SI units; None without.
+      scales: of the objects' AdaLN, where they were computed beforehand (`fused`).
     """
 
     robot: Tensor
@@ -34,6 +37,8 @@ class Inputs(NamedTuple):
     parts: Tensor | None = None
     part_attributes: Tensor | None = None
     part_mask: Tensor | None = None
+    known: Known | None = None
+    scales: Tensor | None = None
 
     def flat(self) -> Tensor:
         """Everything in one vector [B, ...] for networks without tokens."""
@@ -52,7 +57,8 @@ class Outputs(NamedTuple):
       latent: zhat_t.
       penalty: [] a loss of the network's own.
       impulses: [B, P, 3] what `Contacts.impulses` makes impulses of, or None.
-      parts: [B, P, 3] of the joints of parts (see `parts.OUTPUTS`), or None.
+      parts: [B, P, O] of the joints of parts (see `parts.OUTPUTS`) or limbs (see
+        `articulation.LIMB_OUTPUTS`), or None.
     """
 
     robot: Tensor
@@ -79,6 +85,7 @@ class Sizes(NamedTuple):
     parts: int = 0
     part_features: int = 0
     part_attributes: int = 0
+    part_outputs: int = 0
 
     @property
     def flat(self) -> int:

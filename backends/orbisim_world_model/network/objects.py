@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from orbisim_world_model.articulation import LIMB_OUTPUTS, stopped
 from orbisim_world_model.config import ModelConfig
 from orbisim_world_model.contacts import Contacts
 from orbisim_world_model.network.coupling import PAIR, Coupling, token_mask
@@ -15,7 +16,6 @@ from orbisim_world_model.network.inputs import Inputs, Outputs, Sizes
 from orbisim_world_model.network.recurrence import Recurrence
 from orbisim_world_model.network.tokens import TokenNetwork
 from orbisim_world_model.network.transition import Transition
-from orbisim_world_model.parts import OUTPUTS
 
 
 class ObjectCentricNetwork(TokenNetwork):
@@ -38,12 +38,14 @@ class ObjectCentricNetwork(TokenNetwork):
         self.f_cp = Coupling(width, config.layers, config.heads, config.expansion, sizes.edges)
         self.f_rec = Recurrence(width) if self.remembers else None
         self.f_tra = Transition(width, config.skip)
-        moves = OUTPUTS if sizes.parts else 0
+        moves = sizes.part_outputs
         self.f_dec = Decoder(width, sizes.robot_out, sizes.objects_out, sizes.many, moves)
         self.f_imp = None
         if contacts is not None and config.impulses:
             self.f_imp = Impulses(width, PAIR, contacts)
-        if self.f_dec.parts is not None:
+        if self.f_dec.parts is not None and moves == LIMB_OUTPUTS:
+            stopped(self.f_dec.parts[-1].bias)
+        elif self.f_dec.parts is not None:
             with torch.no_grad():
                 self.f_dec.parts[-1].bias[2] = -3.0  # the hand carries few parts at a time
         self.robot_condition = _condition(sizes.control + sizes.world, width)

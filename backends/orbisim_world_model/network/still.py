@@ -33,6 +33,7 @@ class StillNetwork(nn.Module):
         objects = inputs.world.new_zeros((batch, sizes.many, sizes.objects_out))
         parts = None
         if sizes.parts:
-            parts = robot.new_zeros((batch, sizes.parts, OUTPUTS))
-            parts[..., -1] = FREE
+            parts = robot.new_zeros((batch, sizes.parts, sizes.part_outputs))
+            if sizes.part_outputs == OUTPUTS:
+                parts[..., -1] = FREE
         return Outputs(robot, objects, memory, memory, robot.new_zeros(()), parts=parts)

@@ -135,3 +135,23 @@ def test_lights_at_once_or_one_after_another_throw_the_same_shadows(
         torch.testing.assert_close(a, b)
     one = shade(buffers, solids, view, Lamps(lamps.rows[:, :1]))
     assert float((together[0] - one[0]).abs().max()) > 0.1  # both lights count
+
+
+def test_types_that_are_known_beforehand_change_nothing() -> None:
+    scene = arm()
+    kinematics = Kinematics(scene, torch.device("cpu"))
+    qpos = torch.as_tensor(scene.model.qpos0).float().repeat(2, 1)
+    qpos[1, 0] += 0.3
+    solids, view = kinematics.solids(qpos), kinematics.view(qpos, 0)
+    kinds = tuple(int(kind) for kind in kinematics.rows[:, 0])
+    lamps = kinematics.lamps(2)
+    plain = cast(solids, view, 24, 24)
+    known = cast(solids, view, 24, 24, kinds=kinds)
+    for one, other in zip(plain, known, strict=True):
+        assert torch.equal(one, other)
+    for one, other in zip(
+        shade(plain, solids, view, lamps),
+        shade(known, solids, view, lamps, kinds=kinds),
+        strict=True,
+    ):
+        assert torch.equal(one, other)

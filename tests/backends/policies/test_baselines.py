@@ -114,6 +114,30 @@ def test_a_killed_training_goes_on_exactly(
     assert curves[0] == curves[1] and len(curves[0]) > 8
 
 
+def test_the_best_by_its_live_estimates_is_kept(
+    cartpole: SuiteProblem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also when a training goes on; without estimates it is the last one."""
+    monkeypatch.setattr(baselines, "LINE", 64)
+    worth, summary = iter([0.1, 0.7, 0.2, 0.3, 0.4]), baselines.summary
+
+    def told(*arguments: object) -> object:
+        found = summary(*arguments)  # type: ignore[arg-type]
+        found["reward"]["return"]["mean"] = next(worth)
+        return found
+
+    monkeypatch.setattr(baselines, "summary", told)
+    config = Baseline("ppo", batch=2, window=32, network=NetworkConfig((8,)))
+    job = Run(tmp_path / "p", steps=128, starts=3, check=2, check_every=0.0, nthread=1)
+    check = train_baseline(cartpole, config, job)["check"]
+    assert check == {"episodes": 2, "true_steps": 3 * 16, "reward": 0.7, "step": 128}
+    kept = (job.out / "policy.safetensors").read_bytes()
+    again = dataclasses.replace(job, steps=192, resume=True)
+    check = train_baseline(cartpole, config, again)["check"]
+    assert check["reward"] == 0.7 and check["step"] == 128 and check["true_steps"] > 3 * 16
+    assert (job.out / "policy.safetensors").read_bytes() == kept
+
+
 def curve(out: Path) -> list[tuple[int, float | None]]:
     """What a training wrote of its episodes' returns."""
     rows = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]

@@ -27,6 +27,15 @@ def test_it_is_the_backends_step(push: PushProblem, push_worlds: LearnedWorlds) 
     np.testing.assert_allclose(qvel, expected.qvel, atol=2e-4)
 
 
+def test_dynamics_are_named_by_folder_or_in_the_zoo(push: PushProblem) -> None:
+    cpu = torch.device("cpu")
+    named = LearnedWorlds(push, "push_contacts", cpu)
+    assert named.folder == LearnedWorlds(push, named.folder, cpu).folder
+    assert named.folder != LearnedWorlds(push, None, cpu).folder
+    with pytest.raises(InputError, match="no_such"):
+        LearnedWorlds(push, "no_such", cpu)
+
+
 def test_worlds_have_the_descriptors_of_their_own_scenes(
     push: PushProblem, push_worlds: LearnedWorlds
 ) -> None:

@@ -88,7 +88,7 @@ def test_the_policy_with_the_best_estimate_is_kept(
     cartpole: SuiteProblem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = running.summary
-    values = iter([0.3, 0.5, 0.1])
+    values = iter([0.3, 0.5, 0.2, 0.1])  # at last of the one that the training chooses, too
 
     def rated(*arguments: object) -> object:
         known = found(*arguments)  # type: ignore[arg-type]
@@ -100,7 +100,7 @@ def test_the_policy_with_the_best_estimate_is_kept(
     job_of = job(tmp_path / "p", steps=2, check=2, check_every=0.0)
     manifest = train_apg(cartpole, SMALL, job_of, report=lines.append)
     assert [line["true_return"] for line in lines if "true_return" in line] == [0.3, 0.5, 0.1]
-    check = {"episodes": 2, "true_steps": 48, "reward": 0.5, "step": 2}
+    check = {"episodes": 2, "true_steps": 64, "reward": 0.5, "step": 2}
     assert manifest["check"] == check
     kept = load_policy(tmp_path / "p", cartpole)
     other = train_apg(cartpole, SMALL, job(tmp_path / "q", steps=2, limit=None))

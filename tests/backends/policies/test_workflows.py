@@ -39,7 +39,7 @@ def test_from_a_training_to_an_evaluation_and_a_simulation(
         (["suite:pendulum-swingup", "--method", "bc"], "no script"),
         (["push", "--method", "bc", "--start", "x"], "--start is for"),
         (["task:toss"], "task for policies"),
-        (["push", "--method", "dreamer"], "not part of OrbiSim"),
+        (["push", "--method", "dreamer", "--horizon", "4"], "--horizon means nothing"),
     ],
 )
 def test_what_makes_no_sense_is_refused(

@@ -10,6 +10,7 @@ import torch
 import trimesh
 from orbisim_world_model.geometry import (
     CENTRES,
+    NEIGHBOURS,
     POINTS,
     TOKEN,
     DistanceHead,
@@ -18,6 +19,7 @@ from orbisim_world_model.geometry import (
     farthest,
     load_encoder,
     mesh_hash,
+    neighbourhoods,
     save_encoder,
     surface_points,
 )
@@ -62,6 +64,16 @@ def test_features_do_not_depend_on_the_order_of_points() -> None:
     order = torch.cat([torch.zeros(1, dtype=torch.long), 1 + torch.randperm(POINTS - 1)])
     with torch.no_grad():
         torch.testing.assert_close(encoder(points), encoder(points[:, order]), atol=1e-5, rtol=1e-5)
+
+
+def test_centres_see_the_points_nearest_to_them() -> None:
+    points = torch.from_numpy(surface_points(box(0.1, 0.2, 0.3)).points)[None]
+    around, centres = neighbourhoods(points)
+    assert around.shape == (1, CENTRES, NEIGHBOURS, 9) and centres.shape == (1, CENTRES, 3)
+    gaps = around[0, :, :, :3].norm(dim=-1)
+    nearest = torch.cdist(centres[0], points[0, :, :3]).sort(dim=1).values[:, :NEIGHBOURS]
+    torch.testing.assert_close(gaps.sort(dim=1).values, nearest, atol=1e-3, rtol=1e-3)
+    torch.testing.assert_close(around[0, :, :, 3:6] - centres[0, :, None], around[0, :, :, :3])
 
 
 def test_a_mesh_is_encoded_once() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from orbisim_world_model.checkpoint import load_checkpoint, load_for
-from orbisim_world_model.config import Config
+from orbisim_world_model.config import Config, replaced
 from orbisim_world_model.manifest import read_manifest, variants
 from orbisim_world_model.pack import Pack, grouped, joined
 from orbisim_world_model.packing import pack_file, read_groups
@@ -200,3 +200,7 @@ def test_a_training_of_two_robots_is_resumed_and_fine_tuned(
             assert torch.equal(tensor, whole[name]), name
     tuned = Run(out=tmp_path / "tuned", steps=1, start=parts, horizons=(10,))
     assert train(packs[1], config, tuned)["layout"]["nu"] == 8
+    rested = replaced(config, {"model.rest": True, "model.width": 8})
+    found = train(packs[1], rested, dataclasses.replace(tuned, out=tmp_path / "rested"))
+    assert found["model"]["rest"] is True  # needs no weights
+    assert found["model"]["width"] == config.model.width  # is the checkpoint's

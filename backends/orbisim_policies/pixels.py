@@ -1,0 +1,209 @@
+"""Policies that see images alone: states are read off frames (paper 3.5, the second regime).
+
+StaInf reads each frame of a camera, and its answer is fitted to the frame, as by `orbisim infer`.
+The episode itself is C MuJoCo's, and so is what it is worth.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import functools
+import multiprocessing
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import torch
+from orbisim_diffusion import zoo
+from orbisim_diffusion.estimate import load_inference, read_frames
+from orbisim_diffusion.refine import Frame, Refiner
+from orbisim_diffusion.tracking import places_of, reading
+
+from orbisim.cameras import camera_number
+from orbisim.host.progress import track
+from orbisim.registry import make_renderer
+from orbisim.scene import Scene, visible
+from orbisim.state import State
+from orbisim_policies.evaluate import as_float, begun, joined, summary
+from orbisim_policies.problem import Floats, Moment, Problem
+from orbisim_policies.true import TrueWorlds
+
+
+class Played(NamedTuple):
+    """An episode of a policy that saw images alone.
+
+    Attributes:
+      qpos: [nq] at the end. value: [parts], `Problem.measure`. lost: whether it diverged.
+      off: [steps, bodies] m, how far the free bodies were from where they were seen.
+      turned: [steps] rad, the mean error of the scalar joints.
+      seen: [steps, bodies] whether the fit said that it saw them.
+    """
+
+    qpos: Floats
+    value: Floats
+    lost: bool
+    off: Floats
+    turned: Floats
+    seen: npt.NDArray[np.bool_]
+
+
+class Sight:
+    """States of one episode, read off its frames one after the other.
+
+    Args:
+      scene: with the objects that there are. camera: its number. dt: s between frames.
+      how: `stainf`, what the network says; `infer`, that fitted to the frames; `objects`, with
+        scalar joints that are measured, so that objects alone are fitted.
+
+    Raises:
+      UnsupportedSceneError: no checkpoint with StaInf was trained on such scenes.
+    """
+
+    def __init__(self, scene: Scene, camera: int, dt: float, how: str = "infer") -> None:
+        self.point, self._network = _network(str(zoo.find(scene, visible.rows(scene.model))))
+        self.size = int(self.point.config.size)
+        self.refiner = Refiner(scene, camera, self.size)
+        self._model, self._dt, self._how = scene.model, dt, how
+        self._before: Frame | None = None
+        self._states: list[Floats] = []
+
+    def see(
+        self, frame: npt.NDArray[np.uint8], measured: Floats
+    ) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
+        """qpos [nq], qvel [nv] by the last two frames, and which free bodies are seen.
+
+        Args:
+          frame: [size, size, 3], the next one. measured: scalar joints, for `objects` alone.
+        """
+        refiner, last = self.refiner, self._states[-2:]
+        columns, known = refiner.scalar.qpos, measured if self._how == "objects" else None
+        read = reading(read_frames(frame[None], self.point, self._network), self._joints)
+        places = [places_of(read, 0, body) for body in refiner.bodies]
+        if self._how == "stainf":
+            qpos = np.array(refiner.rest)
+            qpos[columns] = read.joints[0]
+            for body, found in zip(refiner.bodies, places, strict=True):
+                qpos[body.qpos : body.qpos + 7] = found[0]
+            seen = np.ones(len(refiner.bodies), bool)
+        else:
+            if self._before is None:
+                start = read.joints[0] if known is None else known
+                self._before = refiner.first(frame, start, places)
+            else:  # at the speed of the last two
+                ahead = 2.0 * last[-1] - last[0] if len(last) > 1 else last[-1]
+                self._before = refiner.following(frame, ahead[columns], places, self._before, known)
+            qpos = np.array(self._before.qpos)
+            if known is not None:
+                qpos[columns] = known
+            seen = np.array([pose.seen for pose in self._before.objects])
+        qvel = np.zeros(self._model.nv)
+        if last:
+            mujoco.mj_differentiatePos(self._model, qvel, self._dt, last[-1], qpos)
+        self._states = [*last[-1:], qpos]
+        return qpos, qvel, seen
+
+    @property
+    def _joints(self) -> int:
+        return len(self.refiner.scalar.qpos)
+
+
+@functools.cache
+def _network(folder: str) -> tuple[Any, Any]:
+    """Read once in a process."""
+    return load_inference(folder)
+
+
+def play(problem: Problem, policy: Any, seed: int, camera: str, how: str) -> Played:
+    """One episode of a policy that sees `camera`'s frames, and of the scene what no frame shows.
+
+    Args:
+      problem: on the CPU. policy: from observations to actions. seed: of the episode.
+      camera: name or number; the first if empty. how: see `Sight`.
+    """
+    scene, starts = problem.trials(1, seed)
+    number = camera_number(scene.model, int(camera) if camera.isdigit() else camera or 0)
+    sight = Sight(scene, number, problem.timestep, how)
+    joints = sight.refiner.scalar.qpos
+    worlds = TrueWorlds(problem, 1, 1)
+    worlds.begin(np.arange(1), starts)
+    renderer = make_renderer("mujoco", scene)
+    command, act = as_float(starts.command), begun(policy, 1)
+    params = problem.unseen(as_float(starts.params))
+    control, score = as_float(starts.ctrl), None
+    rows, lost = [], False
+    bodies = [body.qpos for body in sight.refiner.bodies]
+    try:
+        for step in range(problem.steps):
+            true, speed = worlds.coordinates
+            state = State(np.zeros(1), true, speed, np.zeros((1, scene.model.na)))
+            size = sight.size
+            image = renderer.render(state, camera=number, height=size, width=size)
+            qpos, qvel, seen = sight.see(np.asarray(image).reshape(size, size, 3), true[0, joints])
+            q, v = as_float(qpos[None]), as_float(qvel[None])
+            time = torch.full((1,), step / problem.steps)
+            if score is None:
+                score = problem.begin(q, v, command)
+            else:
+                score = problem.count(score, q, v, control)
+            with torch.no_grad():
+                action = act(problem.observe(Moment(q, v, command, params, score, time)))
+            control, command = problem.control(command, action)
+            off = [np.linalg.norm(qpos[b : b + 3] - true[0, b : b + 3]) for b in bodies]
+            rows.append((off, np.abs(qpos[joints] - true[0, joints]).mean(), seen))
+            if lost := bool(worlds.step(action)[0]):
+                break
+        end, value = worlds.coordinates[0][0], worlds.measure()[0].double().numpy()
+    finally:
+        renderer.close()
+        worlds.close()
+    lost |= not np.isfinite(value).all()
+    if lost:
+        end, value = starts.qpos[0], np.zeros(len(problem.parts))
+    offs, turned, seens = zip(*rows, strict=True)
+    return Played(end, value, lost, np.array(offs), np.array(turned), np.array(seens))
+
+
+def evaluate_pixels(
+    problem: Problem,
+    policy: Any,
+    seeds: Sequence[int],
+    *,
+    camera: str = "side",
+    how: str = "infer",
+    workers: int = 1,
+) -> dict[str, Any]:
+    """Success of a policy that sees images alone, over one episode for each seed.
+
+    Args:
+      problem: on the CPU. policy: from observations to actions. seeds: of the episodes.
+      camera: name or number. how: see `Sight`. workers: processes.
+    """
+    jobs = [(problem, policy, seed, camera, how) for seed in seeds]
+    if workers == 1:
+        played = [play(*job) for job in track(jobs, "episodes from pixels", len(jobs))]
+    else:
+        context = multiprocessing.get_context("spawn")  # a fork would copy a GL context
+        with concurrent.futures.ProcessPoolExecutor(workers, context, _alone) as pool:
+            every = pool.map(play, *zip(*jobs, strict=True))
+            played = list(track(every, "episodes from pixels", len(jobs)))
+    starts = joined([problem.trials(1, seed)[1] for seed in seeds])
+    qpos, value = (np.stack([getattr(one, n) for one in played]) for n in ("qpos", "value"))
+    found = summary(problem, starts, qpos, value)
+    off = np.concatenate([one.off.reshape(-1) for one in played])
+    seen = np.concatenate([one.seen.reshape(-1) for one in played])
+    turned = np.concatenate([one.turned for one in played])
+    found["states"] = {
+        "bodies_mm": {n: 1e3 * float(np.quantile(off, q)) for n, q in _QUANTILES.items()},
+        "joints_rad": {n: float(np.quantile(turned, q)) for n, q in _QUANTILES.items()},
+        "seen": float(seen.mean()),
+    }
+    return found | {"diverged": sum(one.lost for one in played)}
+
+
+_QUANTILES = {"median": 0.5, "p90": 0.9, "worst": 1.0}
+
+
+def _alone() -> None:
+    torch.set_num_threads(1)

@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+pytest.importorskip("orbisim_diffusion")
+
+from orbisim_policies import pixels
+from orbisim_policies.pixels import Sight, evaluate_pixels, play
+from orbisim_policies.push import PushProblem
+
+from orbisim import State
+from orbisim.registry import make_renderer
+
+pytestmark = pytest.mark.usefixtures("software_rendering")
+
+
+@pytest.fixture
+def software_rendering() -> None:
+    """Skips where nothing can be drawn."""
+    from orbisim.host import gl
+
+    if not gl.available_platforms():
+        pytest.skip("no OpenGL here")
+
+
+def still(view: torch.Tensor) -> torch.Tensor:
+    return torch.zeros((len(view), 4))
+
+
+def test_an_episode_is_mujocos_and_states_are_those_of_the_frames(push: PushProblem) -> None:
+    seen = []
+
+    def watched(view: torch.Tensor) -> torch.Tensor:
+        seen.append(view)
+        return still(view)
+
+    played = play(push, watched, 5, "side", "stainf")
+    assert len(seen) == push.steps and played.off.shape == (push.steps, 2)
+    _, starts = push.trials(1, 5)
+    np.testing.assert_allclose(played.qpos, starts.qpos[0], atol=0.02)  # nothing was done
+    assert not played.lost and played.turned.max() < 0.2
+    # of densities and friction it sees the middle of what is drawn, of sizes the true ones
+    assert not seen[0][:, -3:].any() and seen[0][:, -5:-3].abs().sum() > 0
+
+
+def test_a_report_says_how_far_off_states_were(push: PushProblem) -> None:
+    found = evaluate_pixels(push, still, [5], how="stainf")
+    assert found["episodes"] == 1 and found["success"]["moved"]["share"] == 0.0
+    states = found["states"]
+    assert 0 < states["bodies_mm"]["median"] <= states["bodies_mm"]["worst"]
+    assert states["joints_rad"]["median"] > 0 and states["seen"] == 1.0
+
+
+@pytest.mark.slow
+def test_the_fit_makes_states_better(push: PushProblem) -> None:
+    scene, starts = push.trials(1, 5)
+    renderer = make_renderer("mujoco", scene)
+    state = State(np.zeros(1), starts.qpos, starts.qvel, np.zeros((1, 0)))
+    camera = int(scene.model.camera("side").id)
+    joints, off = starts.qpos[0, :8], []
+    for how in ("stainf", "infer", "objects"):
+        sight = Sight(scene, camera, push.timestep, how)
+        image = renderer.render(state, camera=camera, height=sight.size, width=sight.size)
+        frame = np.asarray(image).reshape(sight.size, sight.size, 3)
+        qpos, qvel, seen = sight.see(frame, joints)
+        bodies = [body.qpos for body in sight.refiner.bodies]
+        miss = [np.linalg.norm(qpos[b : b + 3] - starts.qpos[0, b : b + 3]) for b in bodies]
+        off.append(np.array(miss)[seen].max())
+        assert not qvel.any()  # of the first frame nothing is known
+        again, speed, _ = sight.see(frame, joints)
+        np.testing.assert_allclose(speed[-6:-3], (again - qpos)[-7:-4] / push.timestep, atol=1e-9)
+    renderer.close()
+    assert max(off[1:]) < 0.001 < off[0]
+    assert pixels._network.cache_info().currsize == 1
