@@ -157,7 +157,7 @@ def _finally(
     cold = None
     if not context.bench.contacts:  # there a start from nothing takes long
         cold = judge.judge(anew, 8)
-        if cold is not None and (cold.ratio <= NEAR or not hypothesis.effects):
+        if cold is not None and cold.ratio <= NEAR:
             return cold
     begin = judge.begin_joined(known, found.context.bench.fit)
     warm = judge.judge(anew, 8, begin=begin)  # from nothing may be no good: a stop

@@ -145,9 +145,10 @@ def begun(bench: Bench, settings: Settings, say: Progress) -> Context:
 
 def _chance(bench: Bench, intervals: Intervals, hypothesis: Hypothesis) -> Chance | None:
     """What effects would give along a scene, all of the catalogue: what may not be named tells as
-    much of chance as what may."""
+    much of chance as what may. What is left has no say in the columns (frequencies that stand out
+    in it would explain more than chance does), and none is made by simulation, which takes long."""
     if bench.contacts:
         return None
     flow = bench.flow(hypothesis)
-    view = MotionView(flow, bench.samples, missing_force(intervals))
-    return chance_of(intervals, candidates_of(view, bench, hypothesis, flow, None))
+    view = MotionView(flow, bench.samples)
+    return chance_of(intervals, candidates_of(view, bench, hypothesis, flow, None, False))

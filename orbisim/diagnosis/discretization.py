@@ -96,7 +96,7 @@ def _earlier(context: Context, judged: Judged) -> Other | None:
 
     def gain(share: float) -> float:
         one = _again(context, judged, lambda bench: leading(bench, share))
-        gains[share] = -np.inf if one is None else worth(context.bench, judged, one[1]).total
+        gains[share] = -np.inf if one is None else judged.loss - one[1].loss
         if one is not None:
             found[share] = one
         return gains[share]

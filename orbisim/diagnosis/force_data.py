@@ -194,7 +194,9 @@ def counts(data: ForceData, left: Floats, sigma: Floats, columns: Floats | None 
     )
     size = np.maximum(rows[:, None] * share, 1.0)
     power = np.ones(nv)
-    for dof in range(nv) if columns is not None else ():
+    for dof in range(nv):
+        if columns is None:
+            break
         weighted = np.nan_to_num(columns[:, dof] / sigma[:, dof, None])
         rest = np.nan_to_num(left[:, dof] / sigma[:, dof])
         most = independent_by_chance(weighted[None], rest[None], np.ones(1))

@@ -25,9 +25,10 @@ from orbisim.diagnosis.explanations import (
 from orbisim.diagnosis.force_search import attribute_forces
 from orbisim.diagnosis.glances import generalizations
 from orbisim.diagnosis.proposals import additions, begin, pairs
+from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.together import propose
 from orbisim.diagnosis.worth import gains
-from orbisim.effects import EffectInstance
+from orbisim.effects import EffectInstance, find
 from orbisim.errors import InputError
 from orbisim.host.deadline import Deadline, TimeIsUpError
 from orbisim.shooting.hypothesis import Hypothesis
@@ -119,6 +120,7 @@ def _added(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judg
             own.append(judged)
             yield judged
     yield from _generalized(context, current, own)
+    yield from _refined(context, current, own, screening)
     for judged in best_few(context, current, own):
         closer = context.judge.closer(judged)
         if closer is not judged:
@@ -142,6 +144,21 @@ def _generalized(context: Context, current: Judged, fitted: Sequence[Judged]) ->
             judged = fitted_from(context, same[int(np.argmin(left))], special)
             if judged is not None:
                 yield judged
+
+
+def _refined(
+    context: Context, current: Judged, fitted: Sequence[Judged], screening: Screening
+) -> Iterator[Judged]:
+    """What refines one of the best beside it, at once: alone, each may have to be larger than any
+    machine has it."""
+    for simple in best_few(context, current, fitted):
+        own = simple.hypothesis.effects[-1]
+        for suspect in screening.suspects:
+            one = suspect.instance
+            if (find(one.effect).refines, one.target) == (own.effect, own.target):
+                judged = fitted_from(context, simple.hypothesis.plus(one), simple)
+                if judged is not None:
+                    yield judged
 
 
 def _retuned(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
@@ -202,7 +219,8 @@ def _together(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[J
     judge = Judge(bench, context.intervals, (), None, settings.windows, True, context.chance)
     for proposed in (_by_windows, _by_forces):
         effects = proposed(context)
-        judged = judge.judge(Hypothesis(effects), _ITERATIONS) if effects else None
+        together = Hypothesis(effects).in_parts()
+        judged = judge.judge(together, _ITERATIONS) if effects else None
         possible = None if judged is None else possible_of(bench, judge, judged, _ITERATIONS)
         if possible is not None:
             yield possible

@@ -94,8 +94,13 @@ def candidates_of(
     hypothesis: Hypothesis,
     flow: IntervalMap,
     only: Sequence[str] | None,
+    simulated: bool = True,
 ) -> list[Candidate]:
-    """Candidates of effects at all their targets; `only` these effects, or all if None."""
+    """Candidates of effects at all their targets; `only` these effects, or all if None.
+
+    Args:
+      simulated: also of those that no regressor of the motion says, by simulation.
+    """
     model = bench.scene.model
     taken = {(e.effect, e.target) for e in hypothesis.effects}
     found: list[Candidate] = []
@@ -109,7 +114,7 @@ def candidates_of(
                 continue
             offered = effect.screen(view, target)
             found += offered
-            if not offered and not effect.structural and effect.native:
+            if simulated and not offered and not effect.structural and effect.native:
                 base = flow.advance() if base is None else base
                 found += _by_difference(bench, hypothesis, flow, base, name, target)
     return found

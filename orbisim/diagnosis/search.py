@@ -83,12 +83,25 @@ def _round(found: Found, number: int) -> Found:
         if late:
             raise TimeIsUpError
         return simplified(found, number)
+    fair = _fairly(context, current, best)
+    if fair is not None:
+        declared = found.declared if current.hypothesis.effects else fair
+        return dataclasses.replace(found, best=fair, declared=declared)
     found = dataclasses.replace(found, best=best)
     try:
         context, best = _renewed(context, best)
         return removed(dataclasses.replace(found, context=context, best=best), number)
     except TimeIsUpError:
         return dataclasses.replace(found, late=True)
+
+
+def _fairly(context: Context, current: Judged, better: Judged) -> Judged | None:
+    """What there is, fitted again from where the better explanation has windows start, if that is
+    then no longer surely worth more: a start that was not found is no reason for an effect."""
+    again = context.judge.judge(current.hypothesis, begin=context.judge.begin(better))
+    if again is None or not again.loss < current.loss:
+        return None
+    return None if worth(context.bench, again, better).sure > 0 else again
 
 
 def _less(context: Context, current: Judged, one: Judged, other: Judged) -> bool:

@@ -46,8 +46,9 @@ class Parameter:
       usual: by how much machines that have the effect are off: scale of a Cauchy prior about
         `neutral` (half of them are less off, and ten times that is rare, not impossible). 0 where
         nothing is stated: then the prior is worth one datum, wherever that puts it.
-      possible: beyond these no machine is: where a fit ends. A value that ends there is none: what
-        would have to be larger than it can be stands for something else.
+      possible: beyond these no machine is: where a fit ends. A value that ends there, or at a
+        bound, is none unless it is neutral: what would have to be larger than it can be stands for
+        something else.
     """
 
     name: str
@@ -61,7 +62,8 @@ class Parameter:
 
     def tail(self, value: float) -> float:
         """Logarithm of the prior density at a value over that at its peak."""
-        if not self.possible[0] < value < self.possible[1]:
+        low, high = max(self.low, self.possible[0]), min(self.high, self.possible[1])
+        if not low < value < high and value != self.neutral:
             return -np.inf
         return -float(np.log1p(((value - self.neutral) / self.usual) ** 2)) if self.usual else 0.0
 

@@ -224,11 +224,9 @@ class Judge:
         """See `Judged.independent`."""
         if self.chance is None:
             return np.inf
-        measured = np.flatnonzero(np.isfinite(np.concatenate(self.bench.noise)))
-        left = fit.residual.reshape(len(means), self.fitted.windows.length + 1, -1)[..., measured]
         weight = 1 / (1 + means / max(float(np.median(means)), 1.0))
         there = [(one.effect, one.target) for one in hypothesis.effects]
-        return self.chance.independent(self._design, left.reshape(len(means), -1), weight, there)
+        return self.chance.independent(self._design, fit.residual, weight, there)
 
     def _typical(self, shooter: Shooter, means: Floats, trimmed: bool = True) -> float:
         """Mean over windows; with contacts, without the worst few.
