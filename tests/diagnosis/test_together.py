@@ -81,7 +81,7 @@ def test_what_is_unusual(arm: orbisim.Scene) -> None:
     assert late == pytest.approx(-np.log(2)) and early == late - 4
     assert told("sensor_scale", "elbow", factor=1.0) == 0
     near, far = (
-        told("joint_spring", "elbow", stiffness=1.0, rest_position=at) for at in (0.5, 200.5)
+        told("joint_spring", "elbow", stiffness=1.0, rest_position=at) for at in (0.5, 80.5)
     )
-    assert near == 0 and far == pytest.approx(-2 * np.log(100), abs=0.01)
+    assert near == 0 and far == pytest.approx(-2 * np.log(40), abs=0.01)
     assert told("joint_spring", "elbow", stiffness=-1.0, rest_position=0.5) == -np.inf
