@@ -13,12 +13,6 @@ data there are (an empirical null; Efron, J. Am. Stat. Assoc. 99, 2004): of n in
 column explains a share of about 1/n. Where these are fewer, the likelihood counts by a power below
 1 (Miller and Dunson, J. Am. Stat. Assoc. 114, 2019).
 
-What is left of a machine is structure that returns in every window, so that windows are not
-independent either. What effects that are not in an explanation explain of its rest, by chance, says
-how many data there are (an empirical null; Efron, J. Am. Stat. Assoc. 99, 2004): of n independent
-ones any column explains a share of about 1/n. Where that is less, the likelihood counts by a power
-(Miller and Dunson, J. Am. Stat. Assoc. 114, 2019).
-
 Two explanations are compared by the difference of their log predictive scores, with its standard
 error over the blocks, plus the logarithm of their prior odds. The error is that of the blocks that
 gain less than the mean (of a symmetric distribution it is the same): blocks in which a rare event
