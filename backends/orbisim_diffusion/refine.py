@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from scipy import ndimage
+from scipy.spatial.transform import Rotation
 
 from orbisim.scene import Scene
 from orbisim.scene.visible import ROBOT
@@ -56,6 +57,9 @@ _CERTAIN = 3.0
 """Standard deviations by which two objects must be within each other to be called impossible."""
 _SURE, _SAME = 0.75, 0.015
 """Share of the improvement from which on no other place is tried; places so near, m, are one."""
+_STEADY, _ROUNDS = 1.0, 3
+"""Pixels from which on a motion counts: the window that a fit looks at moves along, so often at
+most."""
 _ROUGH, _STEPS = 6, 12
 """Steps of a fit that shows whether a place is worth it, and of one to the end."""
 
@@ -152,9 +156,16 @@ class Refiner:
         places: Sequence[Sequence[Floats]],
         before: Frame,
         known: Floats | None = None,
+        ahead: Sequence[Floats | None] = (),
     ) -> Frame:
-        """The next frame of a video (see `first`); `known` are joints that need no fit."""
-        return self._frame(frame, joints, known, places, before)
+        """The next frame of a video.
+
+        Args:
+          frame, joints, places: see `first`. before: the frame before it. known: joints that need
+            no fit. ahead: for each body, the pose [7] that it has if it goes on as it moved; None
+            where that is not known.
+        """
+        return self._frame(frame, joints, known, places, before, ahead)
 
     def _frame(
         self,
@@ -163,6 +174,7 @@ class Refiner:
         known: Floats | None,
         places: Sequence[Sequence[Floats]],
         before: Frame | None,
+        ahead: Sequence[Floats | None] = (),
     ) -> Frame:
         image = torch.as_tensor(frame).double() / 255.0
         qpos = np.array(self.rest if before is None else before.qpos)
@@ -180,7 +192,9 @@ class Refiner:
         for i in order:
             others = [j for j in range(len(self.bodies)) if j != i and j in present]
             last = before.objects[i] if before is not None else None
-            pose = self._object(image, qpos, i, others, places[i], last)
+            pose = self._object(
+                image, qpos, i, others, places[i], last, ahead[i] if ahead else None
+            )
             found[i] = pose
             body = self.bodies[i]
             qpos[body.qpos : body.qpos + 7] = pose.qpos
@@ -301,12 +315,16 @@ class Refiner:
         others: list[int],
         places: Sequence[Floats],
         last: Pose | None,
+        ahead: Floats | None = None,
     ) -> Pose:
-        """Where an object is: near its last pose if that holds, else from everywhere."""
+        """Where an object is: near where it was or goes if that holds, else from everywhere."""
         scene = _Around(image, qpos, number, tuple(others))
         tried = []
         if last is not None and last.seen:
-            near = self._near(scene, last.qpos[None])
+            starts = [last.qpos]
+            if ahead is not None and self.apart(self.bodies[number], ahead, last.qpos) > _STEADY:
+                starts = [ahead, last.qpos]
+            near = self._near(scene, np.stack(starts))
             if near.seen and near.explained > max(_SURE, 0.9 * last.explained - 0.05):
                 return near
             tried.append(near)
@@ -347,11 +365,17 @@ class Refiner:
         rest = np.concatenate(
             [at_rest(body, start, self.surfaces, self._eye, True) for start in starts]
         )
-        pixels = window(self.view, self.size, body, starts[0, :3], 1.5)
-        if not len(pixels):
-            return Pose(starts[0], False, 0.0, np.full(6, np.inf))
-        geoms = self._relevant(scene, starts[0], pixels)
-        upright = self._fit(scene, rest, geoms, pixels, True, _STEPS)
+        centre, best = starts[0], rest
+        for _ in range(_ROUNDS):
+            pixels = window(self.view, self.size, body, centre[:3], 1.5)
+            if not len(pixels):
+                return Pose(centre, False, 0.0, np.full(6, np.inf))
+            geoms = self._relevant(scene, centre, pixels)
+            upright = self._fit(scene, best, geoms, pixels, True, _STEPS)
+            reached = upright.qpos[upright.best, body.qpos : body.qpos + 7]
+            if self.apart(body, reached, centre) < _STEADY:
+                break
+            centre, best = reached, reached[None]  # the window was about another place
         chosen, k, row = upright, 3, upright.best
         seen, explained = self._judged(scene, upright.qpos[row], geoms, pixels)
         if explained < _LIES:
@@ -367,6 +391,14 @@ class Refiner:
         pose = chosen.qpos[row, body.qpos : body.qpos + 7]
         bias, wander = (self.outline(body, pose[:3], part) for part in (_BIAS, _WANDER))
         return Pose(pose, seen, explained, np.hypot(spread, bias), np.hypot(spread, wander))
+
+    def apart(self, body: Body, one: Floats, other: Floats) -> float:
+        """How many pixels a body's outline moves between two poses [7], about."""
+        far = float(np.linalg.norm(one[:3] - self._eye))
+        first, second = Rotation.from_quat(np.roll(np.stack([one, other])[:, 3:], -1, axis=1))
+        turn = (first * second.inv()).magnitude() * float(np.linalg.norm(body.half))
+        moved = float(np.linalg.norm(one[:3] - other[:3])) + turn
+        return moved * self.size * float(self.view.focal[0, 1]) / far
 
     def outline(self, body: Body, place: Floats, pixels: float = _BIAS) -> Floats:
         """[6] m and rad that stand for so many pixels, by default what outlines are off."""
