@@ -55,8 +55,9 @@ _ROBOT_PIXELS = 700
 """Pixels that a robot's fit looks at, at most."""
 _CERTAIN = 3.0
 """Standard deviations by which two objects must be within each other to be called impossible."""
-_SURE, _SAME = 0.75, 0.015
-"""Share of the improvement from which on no other place is tried; places so near, m, are one."""
+_SURE, _LESS, _SAME = 0.75, 0.05, 0.015
+"""Share of the improvement from which on no other place is tried, unless the frame before had so
+much more; places so near, m, are one."""
 _STEADY, _ROUNDS = 1.0, 3
 """Pixels from which on a motion counts: the window that a fit looks at moves along, so often at
 most."""
@@ -325,7 +326,7 @@ class Refiner:
             if ahead is not None and self.apart(self.bodies[number], ahead, last.qpos) > _STEADY:
                 starts = [ahead, last.qpos]
             near = self._near(scene, np.stack(starts))
-            if near.seen and near.explained > max(_SURE, 0.9 * last.explained - 0.05):
+            if near.seen and near.explained > max(_SURE, last.explained - _LESS):
                 return near
             tried.append(near)
         spots = [place for place in places if np.isfinite(place).all()]
