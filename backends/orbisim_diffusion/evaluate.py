@@ -20,6 +20,7 @@ from orbisim_diffusion.predictions import (
     predict,
     with_predictions,
 )
+from orbisim_diffusion.pretrained import Pretrained
 from orbisim_diffusion.quality import psnr, ssim
 from orbisim_diffusion.store import Store, load
 from orbisim_diffusion.trajectories import read_off, trajectory_errors, true_states
@@ -45,6 +46,7 @@ def evaluate(
     steps: Sequence[int] = (1,),
     horizons: Sequence[int] = HORIZONS,
     features: Features | None = None,
+    pretrained: Pretrained | None = None,
     inference: StateInference | None = None,
     mujoco: bool = False,
     predictions: Sequence[Arrays] = (),
@@ -61,6 +63,7 @@ def evaluate(
         `backend` predicts from the first one.
       steps: of the sampler. horizons: frames over which figures are means.
       features: for EffNet-PD and EffNet-FVD; None leaves them out.
+      pretrained: for LPIPS and FVD; None leaves them out.
       inference: StaInf, for TrajErr; None leaves it out.
       mujoco: whether MuJoCo's images of the predicted states are measured, too.
       predictions: of the file's episodes, if they were made before (with images for `mujoco`).
@@ -70,7 +73,7 @@ def evaluate(
         are held against the true ones. report: is told what was measured.
 
     Returns:
-      By workflow and steps: PSNR, SSIM (and EffNet-PD) by horizon, EffNet-FVD, TrajErr.
+      By workflow and steps: PSNR, SSIM (EffNet-PD, LPIPS) by horizon, EffNet-FVD, FVD, TrajErr.
     """
     store = load([path], painter.device, workers=workers, limit=episodes)
     chosen = range(len(store.first))
@@ -84,7 +87,7 @@ def evaluate(
     spans = sorted({min(h, horizon) for h in horizons})
 
     def scores(video: Tensor) -> dict[str, Any]:
-        values: dict[str, Any] = _scores(video, true[:, 1:], spans, features)
+        values: dict[str, Any] = _scores(video, true[:, 1:], spans, features, pretrained)
         if inference is not None:
             states, known = read_off(painter, inference, video), true_states(store, horizon)
             values |= trajectory_errors(states, known, len(video), store.step)
@@ -120,7 +123,11 @@ def _true(store: Store, horizon: int) -> Tensor:
 
 
 def _scores(
-    found: Tensor, true: Tensor, horizons: Sequence[int], features: Features | None
+    found: Tensor,
+    true: Tensor,
+    horizons: Sequence[int],
+    features: Features | None,
+    pretrained: Pretrained | None,
 ) -> dict[str, float]:
     """Means over episodes and over the frames of each horizon; videos are [E, T, H, W, 3]."""
     scores: dict[str, float] = {}
@@ -132,7 +139,12 @@ def _scores(
         if features is not None:
             apart = torch.cat([perceptual_distance(features, *pair) for pair in pairs])
             scores[f"EffNet-PD{horizon}"] = float(apart.mean())
-    if features is not None and found.shape[1] >= CLIP and len(found) > 1:
-        distance, clips = frechet_video_distance(features, found, true)
-        scores["EffNet-FVD"], scores["clips"] = distance, clips
+        if pretrained is not None and pretrained.lpips is not None:
+            apart = torch.cat([pretrained.lpips(*pair) for pair in pairs])
+            scores[f"LPIPS{horizon}"] = float(apart.mean())
+    if found.shape[1] >= CLIP and len(found) > 1:
+        if features is not None:
+            scores["EffNet-FVD"], scores["clips"] = frechet_video_distance(features, found, true)
+        if pretrained is not None and pretrained.i3d is not None:
+            scores["FVD"], scores["clips"] = pretrained.i3d.distance(found, true)
     return {name: round(value, 4) for name, value in scores.items()}

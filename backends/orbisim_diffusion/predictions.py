@@ -62,7 +62,7 @@ def perturbed(
     found = np.array(qpos, float)
     for row in found.reshape(-1, model.nq):
         mujoco.mj_integratePos(model, row, scale * rng.standard_normal(model.nv), 1.0)
-    for joint in np.flatnonzero(model.jnt_limited):
+    for joint in np.flatnonzero(model.jnt_limited).tolist():
         if int(model.jnt_type[joint]) in (int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE)):
             column = int(model.jnt_qposadr[joint])
             # a recorded joint may be a little beyond its range; noise takes none further

@@ -117,7 +117,8 @@ _VISION = "Example: orbisim eval vision checkpoints/look test_push.h5 --steps 1 
     "--weights",
     default=None,
     type=click.Path(path_type=Path),
-    help="Weights of EfficientNet-Lite0. Default: those of the package.",
+    help="Weights of EfficientNet-Lite0 (default: those of the package), or a folder with those of "
+    "LPIPS and FVD.",
 )
 @click.option(
     "--mujoco", is_flag=True, help="MuJoCo's images of the predicted states as a row, too."
@@ -156,8 +157,8 @@ def vision(
     device: str | None,
     as_json: bool,
 ) -> None:
-    """Images of rollouts against the true ones: PSNR, SSIM, EffNet-PD, EffNet-FVD, and, of a
-    checkpoint with StaInf, TrajErr.
+    """Images of rollouts against the true ones: PSNR, SSIM, EffNet-PD, EffNet-FVD, with the weights
+    for them LPIPS and FVD, and, of a checkpoint with StaInf, TrajErr.
 
     DATA are episode files with images. GT-first and Recon-first use states that the backend
     predicts from the first one, GT-state and Recon-all the true states.
@@ -172,12 +173,15 @@ def vision(
         from orbisim_diffusion.features import Features
         from orbisim_diffusion.model import Painter
         from orbisim_diffusion.predictions import predict, read_predictions, save_predictions
+        from orbisim_diffusion.pretrained import load_pretrained
     except ImportError as error:
         raise MissingDependencyError("evaluation", "learned", str(error)) from error
     on = torch.device(torch_device(device))
     point, inference = load_with_inference(checkpoint)
     painter = Painter.of(point, on)
-    seen = Features(on, weights) if features else None
+    folder = weights if weights is not None and weights.is_dir() else None
+    seen = Features(on, None if folder else weights) if features else None
+    pretrained = load_pretrained(folder, on) if folder else None
     known = []
     if predictions is not None:
         if len(data) != 1:
@@ -196,6 +200,7 @@ def vision(
             steps=steps or (1,),
             horizons=horizons or evaluation.HORIZONS,
             features=seen,
+            pretrained=pretrained,
             inference=inference and inference.to(on),
             mujoco=mujoco,
             predictions=known,
