@@ -113,7 +113,8 @@ def predicted_episode(
 
 def _rollout(scene: Scene, arrays: Arrays, backend: str) -> npt.NDArray[Any]:
     """Coordinates [T+1, nq] of a free run from the first state under the recorded controls."""
-    options: dict[str, Any] = {"native": False} if backend == "learned" else {}
+    # one world in each of many processes: a GPU would be slower, and they would share its memory
+    options: dict[str, Any] = {"native": False, "device": "cpu"} if backend == "learned" else {}
     engine = make_backend(backend, scene, **options)
     start = State(*(arrays[name][:1] for name in ("time", "qpos", "qvel", "act")))  # type: ignore[arg-type]
     nstep = round(float(arrays["time"][1] - arrays["time"][0]) / engine.timestep)

@@ -27,7 +27,7 @@ from orbisim_diffusion.resting import (
     window,
 )
 from orbisim_diffusion.solids import rays
-from orbisim_diffusion.synthesis import Eye
+from orbisim_diffusion.synthesis import FINE, Eye
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -72,6 +72,7 @@ class Pose(NamedTuple):
       qpos: [7] of its free joint. seen: whether the frame shows it. explained: share of the
         improvement that a perfect match would be. std: [6] of position, m, and turn, rad.
       jitter: [6] the part of `std` that changes from frame to frame.
+      rests: whether it lies on a surface.
     """
 
     qpos: Floats
@@ -79,6 +80,7 @@ class Pose(NamedTuple):
     explained: float
     std: Floats
     jitter: Floats = np.full(6, np.inf)
+    rests: bool = True
 
 
 class Frame(NamedTuple):
@@ -125,16 +127,17 @@ class Refiner:
         """A frame by itself.
 
         Args:
-          frame: [H, W, 3]. joints: [joints] where the network sees the scalar joints.
+          frame: [H, W, 3]. joints: [joints] of the scalar joints, nearly.
           places: for each body, poses [7] of what the
             network sees that it might be; none is fine, too.
         """
-        return self._frame(frame, self._half_turned(joints), None, places, None)
+        return self._frame(frame, joints, None, places, None)
 
-    def _half_turned(self, joints: Floats) -> Floats:
+    def half_turned(self, joints: Floats) -> Floats:
         """The joints, those that look the same after half a turn as near to rest as they can be.
 
-        No image tells such turns of a gripper apart; the scene's first keyframe (or `qpos0`) does.
+        No image tells such turns of a gripper apart. A network knows how the arm is held from what
+        it was trained on; without one the scene's first keyframe (or `qpos0`) decides.
         """
         qpos, found = np.array(self.rest), np.array(joints)
         for i, column in enumerate(self.scalar.qpos):
@@ -326,7 +329,9 @@ class Refiner:
             if ahead is not None and self.apart(self.bodies[number], ahead, last.qpos) > _STEADY:
                 starts = [ahead, last.qpos]
             near = self._near(scene, np.stack(starts))
-            if near.seen and near.explained > max(_SURE, last.explained - _LESS):
+            as_well = near.explained > max(_SURE, last.explained - _LESS)
+            # what has just left its surface may as well be a fit that went astray
+            if near.seen and as_well and (near.rests or not last.rests):
                 return near
             tried.append(near)
         spots = [place for place in places if np.isfinite(place).all()]
@@ -377,11 +382,13 @@ class Refiner:
             if self.apart(body, reached, centre) < _STEADY:
                 break
             centre, best = reached, reached[None]  # the window was about another place
+        place = upright.qpos[upright.best, body.qpos : body.qpos + 7]
+        upright = self._fit(scene, place[None], geoms, pixels, True, _STEPS, FINE)
         chosen, k, row = upright, 3, upright.best
         seen, explained = self._judged(scene, upright.qpos[row], geoms, pixels)
         if explained < _LIES:
             best = upright.qpos[row, body.qpos : body.qpos + 7]
-            loose = self._fit(scene, best[None], geoms, pixels, False, _STEPS)
+            loose = self._fit(scene, best[None], geoms, pixels, False, _STEPS, FINE)
             if loose.cost[0] < (1.0 - _FREE) * upright.cost[row]:
                 chosen, k, row = loose, 6, 0
                 seen, explained = self._judged(scene, loose.qpos[0], geoms, pixels)
@@ -391,7 +398,8 @@ class Refiner:
             spread = np.array([spread[0], spread[1], 0.0, 0.0, 0.0, spread[2]])
         pose = chosen.qpos[row, body.qpos : body.qpos + 7]
         bias, wander = (self.outline(body, pose[:3], part) for part in (_BIAS, _WANDER))
-        return Pose(pose, seen, explained, np.hypot(spread, bias), np.hypot(spread, wander))
+        std, jitter = np.hypot(spread, bias), np.hypot(spread, wander)
+        return Pose(pose, seen, explained, std, jitter, k == 3)
 
     def apart(self, body: Body, one: Floats, other: Floats) -> float:
         """How many pixels a body's outline moves between two poses [7], about."""
@@ -415,8 +423,9 @@ class Refiner:
         pixels: torch.Tensor,
         upright: bool,
         steps: int,
+        fine: int = 1,
     ) -> Fit:
-        """From poses [S, 7]."""
+        """From poses [S, 7]; see `levenberg.fit`."""
         body = self.bodies[scene.number]
         states = np.repeat(scene.qpos[None], len(starts), 0)
         states[:, body.qpos : body.qpos + 7] = starts
@@ -430,6 +439,7 @@ class Refiner:
             noise=NOISE,
             geoms=geoms,
             steps=steps,
+            fine=fine,
         )
 
     def _relevant(self, scene: _Around, pose: Floats, pixels: torch.Tensor) -> torch.Tensor:

@@ -65,7 +65,8 @@ def follow(refiner: Refiner, frames: npt.NDArray[np.uint8], read: Reading | None
     for t, frame in enumerate(track(frames, "fitting frames", len(frames))):
         places = [places_of(read, t, body) for body in refiner.bodies]
         if not found:
-            joints = start(refiner, frame) if read is None else read.joints[t]
+            guess = None if read is None else read.joints[t]
+            joints = refiner.half_turned(start(refiner, frame)) if guess is None else guess
             one = refiner.first(frame, joints, places)
         else:
             joints = _expected(found, refiner.scalar.qpos)

@@ -10,6 +10,7 @@ import torch
 from orbisim_diffusion.refine import Frame, Pose, Refiner
 from orbisim_diffusion.starting import shows_joints, start
 from orbisim_diffusion.symmetry import angle, rotation_error
+from orbisim_diffusion.synthesis import FINE
 from orbisim_diffusion.tracking import follow, recording_of
 from scipy.spatial.transform import Rotation
 
@@ -49,7 +50,7 @@ def state(x: float, y: float, yaw: float, swing: float = 0.0) -> npt.NDArray[np.
 
 
 def drawn(refiner: Refiner, qpos: npt.NDArray[np.float64]) -> Images:
-    pixels = refiner.eye.draw(qpos[None], torch.arange(SIZE * SIZE)).pixels[0]
+    pixels = refiner.eye.draw(qpos[None], torch.arange(SIZE * SIZE), fine=FINE).pixels[0]
     return (255 * pixels.reshape(SIZE, SIZE, 3)).round().to(torch.uint8).numpy()
 
 
@@ -180,4 +181,4 @@ def test_of_turns_that_look_the_same_the_one_near_rest_is_taken() -> None:
                         '<geom type="box" size="0.01 0.05 0.04" pos="0 0 0.06"')  # fmt: skip
     for text, wanted in ((bar, 0.3), (TABLE, 0.3 + np.pi)):  # the post is to one side of its axis
         refiner = Refiner(load_scene(text), 0, SIZE)
-        assert refiner._half_turned(np.array([0.3 + np.pi]))[0] == pytest.approx(wanted)
+        assert refiner.half_turned(np.array([0.3 + np.pi]))[0] == pytest.approx(wanted)
