@@ -181,7 +181,10 @@ JOBS: dict[str, Job] = {
     "push": Job(("push", "push_hold"), settings=_HOLDS, weight=6.0),
     "push_contacts": Job(("push", "push_hold"), settings=_CONTACTS, weight=6.0),
     "push_clips": Job(
-        ("push", "push_hold", "push_clips"), settings=_CLIPS, weight=6.0, start="push_contacts"
+        ("push", "push_hold", "push_extra", "push_clips"),
+        settings=_CLIPS,
+        weight=6.0,
+        start="push_contacts",
     ),
     "push_tail": Job(
         ("push", "push_hold", "push_more", "push_long"), settings=_TAIL, weight=6.0, start="push"
