@@ -48,6 +48,7 @@ def data_sets() -> list[DataSet]:
         DataSet("push_calibration", "push", 260, CALIBRATION),
         DataSet("push_hold_train", "push_hold"),
         DataSet("push_long_train", "push_hold", 250, MORE, changes={"steps": 500}),
+        DataSet("push_long_calibration", "push_hold", 60, CALIBRATION, changes={"steps": 500}),
         DataSet("push_more_train", "push", seed=MORE),
         DataSet("push_extra_train", "push", seed=EXTRA),
         DataSet("push_low_friction", episodes=100, changes={"table_friction": 0.2}, **hit),

@@ -60,7 +60,7 @@ def test_intervals_cover_nine_in_ten_and_tell_small_errors_from_large(
     model: Dynamics, pack: Pack
 ) -> None:
     run = SpreadRun(steps=80, windows=48, batch=16, length=12, width=16)
-    known = fit_spread(model, pack, pack, run)
+    known = fit_spread(model, [pack], [pack], run)
     assert known["width"] == 16
     data = rollouts(model, pack, 12, 64, 5)
     with torch.no_grad():
@@ -72,11 +72,20 @@ def test_intervals_cover_nine_in_ten_and_tell_small_errors_from_large(
     assert torch.corrcoef(torch.stack(order))[0, 1] > 0.5
 
 
+def test_episodes_of_other_lengths_take_turns(model: Dynamics, pack: Pack) -> None:
+    short = simulate(TABLE, 4, 8, 4)
+    run = SpreadRun(steps=4, windows=24, batch=6, width=16)
+    known = fit_spread(model, [short, pack], [short, pack], run)
+    assert all(value > 0 for pair in known["factor"].values() for value in pair)
+    only = fit_spread(model, [short, pack], [short], run)
+    assert known["factor"]["objects"] != only["factor"]["objects"]  # the long ones count
+
+
 def test_a_training_that_goes_on_leaves_the_uncertainty_out(pack: Pack, tmp_path: Path) -> None:
     first, second = tmp_path / "first", tmp_path / "second"
     train(pack, toy(), Run(out=first, steps=1, horizons=(5,), burn=2))
     made = load_checkpoint(first)
-    known = fit_spread(made.model, pack, pack, SpreadRun(2, 4, windows=8, length=4, width=8))
+    known = fit_spread(made.model, [pack], [pack], SpreadRun(2, 4, windows=8, length=4, width=8))
     save_checkpoint(first, [made.model], {**made.manifest, "uncertainty": known})
     assert load_checkpoint(first).model.spread is not None
     train(pack, toy(), Run(out=second, steps=1, start=first, horizons=(5,), burn=2))
