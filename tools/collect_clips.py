@@ -172,17 +172,23 @@ def _clip(number: int, length: int, seed: int) -> dict[str, Any] | None:
 def describe(model: Any, data: Any, rows: Any, layout: Any, rng: Any) -> None:
     """Gives the model the cubes' sizes of an episode, and densities and frictions of its own."""
     sizes = [layout.attributes.index(f"half_{axis}") for axis in "xyz"]
-    for name, row in zip(layout.objects, rows, strict=True):
-        half, body, geom = row[sizes], model.body(name).id, model.geom(name).id
-        mass = float(rng.uniform(*DENSITY)) * 8 * float(np.prod(half))
+    drawn = [(rng.uniform(*DENSITY), rng.uniform(*FRICTION)) for _ in layout.objects]
+    table = rng.uniform(*(WIDE if rng.random() < OFTEN else TABLE))
+    made(model, data, layout.objects, rows[:, sizes], drawn, table)
+
+
+def made(model: Any, data: Any, names: Any, halves: Any, drawn: Any, table: float) -> None:
+    """Gives the model cubes of these half sides [N, 3] and (density, friction), and the table's."""
+    for name, half, (density, friction) in zip(names, halves, drawn, strict=True):
+        body, geom = model.body(name).id, model.geom(name).id
+        mass = float(density) * 8 * float(np.prod(half))
         model.geom_size[geom] = half
         model.geom_rbound[geom] = np.linalg.norm(half)
         model.geom_aabb[geom] = [0, 0, 0, *half]
         model.body_mass[body] = mass
         model.body_inertia[body] = mass / 3 * (np.sum(half**2) - half**2)
-        model.geom_friction[geom, 0] = rng.uniform(*FRICTION)
-    table = WIDE if rng.random() < OFTEN else TABLE
-    model.geom_friction[model.geom("table").id, 0] = rng.uniform(*table)
+        model.geom_friction[geom, 0] = friction
+    model.geom_friction[model.geom("table").id, 0] = table
     mujoco.mj_resetData(model, data)
     mujoco.mj_setConst(model, data)
 
