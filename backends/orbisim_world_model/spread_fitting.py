@@ -20,6 +20,8 @@ from orbisim_world_model.unroll import open_loop
 
 _FREEDOM = 3.0
 """Degrees of freedom of Student's t: errors after contacts have heavy tails."""
+_TOGETHER = 4096
+"""Rollouts at once: a GPU takes as long for fewer, and more take memory."""
 
 
 class Rollouts(NamedTuple):
@@ -129,7 +131,7 @@ def rollouts(model: Dynamics, pack: Pack, length: int, count: int, seed: int) ->
     generator = generator_of(pack.device, seed, 0)
     number = torch.randint(windows.count, (count,), generator=generator, device=pack.device)
     found = []
-    for part in number.split(1024):
+    for part in number.split(_TOGETHER):
         batch = windows.batch(*windows.locate(part))
         predicted = open_loop(model, batch, 0)
         truth = Entities(*(field[1:] for field in batch.states))
