@@ -7,7 +7,9 @@ import os
 import signal
 import subprocess
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 
@@ -42,6 +44,26 @@ def answer_of(command: Sequence[str], limit: float) -> dict[str, Any]:
     if not isinstance(answer, dict):
         raise ValueError(f"exit status {process.returncode}: {stderr.strip()[-2000:]}")
     return answer
+
+
+def with_own_cores(workers: int) -> ThreadPoolExecutor:
+    """Threads whose processes share out the processors: none waits for threads of another.
+
+    A process runs where the thread that has started it may run. As many processors for each as
+    there are whole ones; where there are fewer than workers, several share one.
+    """
+    shares: SimpleQueue[set[int]] = SimpleQueue()
+    if hasattr(os, "sched_getaffinity"):
+        usable = sorted(os.sched_getaffinity(0))
+        for number in range(workers):
+            own = usable[number : workers * (len(usable) // workers) : workers]
+            shares.put(set(own or [usable[number % len(usable)]]))
+
+    def settle() -> None:
+        if not shares.empty():
+            os.sched_setaffinity(0, shares.get())
+
+    return ThreadPoolExecutor(workers, initializer=settle)
 
 
 def read_lines(path: Path) -> list[dict[str, Any]]:
