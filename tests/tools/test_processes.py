@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import signal
+import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -69,3 +72,22 @@ def test_processes_share_out_the_processors(workers: int) -> None:
     assert all(len(own) == each and usable.issuperset(own) for own in found)
     if workers <= len(usable):
         assert len({core for own in found for core in own}) == workers * each
+
+
+def test_what_was_started_ends_with_the_run(tmp_path: Path) -> None:
+    mark, begun = tmp_path / "mark", tmp_path / "begun"
+    late = f"import time, pathlib; pathlib.Path({str(begun)!r}).touch(); time.sleep(3)"
+    late += f"; pathlib.Path({str(mark)!r}).touch()"
+    tools = str(Path(__file__).resolve().parents[2] / "tools")
+    code = f"import sys; sys.path.insert(0, {tools!r}); import processes\n"
+    code += "with processes.with_own_cores(1) as pool:\n"
+    code += f"    pool.submit(processes.answer_of, {python(late)!r}, 60.0)"
+    process = subprocess.Popen(python(code))
+    for _ in range(600):
+        if begun.exists():
+            break
+        time.sleep(0.05)
+    process.terminate()
+    assert process.wait(10.0) == -signal.SIGTERM
+    time.sleep(3.5)
+    assert begun.exists() and not mark.exists()
