@@ -2,9 +2,9 @@
 
     python tools/bench_diagnosis.py --out out/diagnosis --image docs/images/diagnosis_speed.svg
 
-Serial arms with Coulomb friction at one joint, four recordings each, and with `--closed` (the OUT of
-tools/closing_the_loop.py, which has the recordings) 24 measured tosses of a cube; `orbisim.diagnose`
-with its report, each in a process of its own on two cores.
+Serial arms with Coulomb friction at one joint, four recordings each, and with `--closed` (OUT of
+tools/closing_the_loop.py, which has the recordings) 24 measured tosses of a cube, each diagnosed
+with its report in a process of its own on two cores.
 Writes `OUT/figures.json` and prints a table; a run that was stopped goes on from there. Time on the
 clock says what a user waits; processor time hardly depends on other work.
 """
