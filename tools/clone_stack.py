@@ -94,6 +94,10 @@ def main() -> None:
     training.add_argument("--data", type=Path, required=True)
     training.add_argument("--out", type=Path, required=True)
     training.add_argument("--demonstrations", type=int, help="at most; all that succeed if absent")
+    training.add_argument("--anonymous", action="store_true", help="not told which demonstration")
+    training.add_argument(
+        "--stray", type=float, default=1.0, help="times as far as usual; 0: never"
+    )
     training.add_argument("--steps", type=int, default=20_000)
     drawing = commands.add_parser("draw")
     drawing.add_argument("--data", type=Path, required=True)

@@ -48,15 +48,19 @@ class Lessons:
     numbers: list[int]
 
 
-def demonstrations(path: Path, most: int | None = None) -> Lessons:
-    """Those that succeed, from a file of adapted episodes."""
+def demonstrations(path: Path, most: int | None = None, anonymous: bool = False) -> Lessons:
+    """Those that succeed, from a file of adapted episodes.
+
+    Args:
+      most: so many at most. anonymous: as if all were made of the first demonstration.
+    """
     task, rows = Stack(), []
     arm = ArmController(task.arm)
     with EpisodeFile(path) as file:
         good = [i for i in range(len(file)) if file.attributes(i)["success"]][:most]
         for index in good:
             names = ("qpos", "ctrl", "action", "objects/pos", "objects/quat")
-            source = task.source(file.attributes(index)["seed"])
+            source = 0 if anonymous else task.source(file.attributes(index)["seed"])
             rows.append(_of_episode(file.episode(index, names), arm, source))
     seen, *others = zip(*rows, strict=True)
     places, yaws, grips = (np.concatenate(each) for each in others)
@@ -131,15 +135,15 @@ class Policy(nn.Module):
 
 
 def lesson(
-    lessons: Lessons, noise: float, yaws: Floats, rng: np.random.Generator
+    lessons: Lessons, noise: float, yaws: Floats, rng: np.random.Generator, stray: float = 1.0
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Features [N, F] with errors of measurement and a tool that has strayed, and what is wanted
-    [N, CHUNK, 5]."""
+    """Features [N, F] with errors of measurement and a tool that has strayed (so many times as far
+    as usual), and what is wanted [N, CHUNK, 5]."""
     seen, n = lessons.seen.blurred(noise, rng), rng.standard_normal
     seen = dataclasses.replace(
         seen,
-        command=seen.command + STRAY * n(seen.command.shape),
-        told=seen.told + STRAY_TURN * n(seen.told.shape),
+        command=seen.command + stray * STRAY * n(seen.command.shape),
+        told=seen.told + stray * STRAY_TURN * n(seen.told.shape),
     )
     away = turned(lessons.places - seen.command[:, None], -seen.turn(yaws)[:, None])
     turn = lessons.yaws - seen.told[:, None]
@@ -151,12 +155,13 @@ def train(data: Path, out: Path, options: Any) -> dict[str, Any]:
     """Trains and writes a policy; what is worth noting.
 
     Args:
-      options: with demonstrations, noise, steps, seed and device.
+      options: with demonstrations, anonymous, noise, stray, steps, seed and device.
     """
     torch.manual_seed(options.seed)
     rng, device = np.random.default_rng(options.seed), torch.device(options.device)
-    lessons, yaws = demonstrations(data, options.demonstrations), piece_yaws()
-    features, _ = lesson(lessons, options.noise, yaws, rng)
+    lessons = demonstrations(data, options.demonstrations, options.anonymous)
+    yaws = piece_yaws()
+    features, _ = lesson(lessons, options.noise, yaws, rng, options.stray)
     policy = Policy(features.shape[1])
     policy.mean[:] = torch.as_tensor(features.mean(0))
     policy.spread[:] = torch.as_tensor(features.std(0)).clamp_min(1e-2)
@@ -168,7 +173,7 @@ def train(data: Path, out: Path, options: Any) -> dict[str, Any]:
         if step % FRESH == 0:
             x, target = (
                 torch.as_tensor(rows).to(device)
-                for rows in lesson(lessons, options.noise, yaws, rng)
+                for rows in lesson(lessons, options.noise, yaws, rng, options.stray)
             )
         rate = RATE * 0.5 * (1 + np.cos(np.pi * step / options.steps)) + 1e-6
         for group in optimizer.param_groups:
@@ -187,6 +192,7 @@ def train(data: Path, out: Path, options: Any) -> dict[str, Any]:
     sources = lessons.seen.source[:: len(lessons.seen.source) // len(lessons.numbers)]
     shares = np.bincount(sources, minlength=DEMONSTRATIONS) / len(sources)
     notes = {"demonstrations": len(lessons.numbers), "pairs": len(x), "noise": options.noise,
+             "stray": options.stray, "anonymous": options.anonymous,
              "steps": options.steps, "seed": options.seed, "features": features.shape[1],
              "sources": shares.round(4).tolist()}  # fmt: skip
     save(policy, out, notes)

@@ -80,7 +80,9 @@ def test_a_policy_that_has_learnt_nothing_stays(data: Path) -> None:
 
 
 def test_a_clone_plays(data: Path, tmp_path: Path) -> None:
-    options = SimpleNamespace(demonstrations=None, noise=0.0, steps=3, seed=0, device="cpu")
+    options = SimpleNamespace(
+        demonstrations=None, anonymous=False, noise=0.0, stray=1.0, steps=3, seed=0, device="cpu"
+    )
     notes = policy.train(data, tmp_path, options)
     assert sum(notes["sources"]) == pytest.approx(1.0, abs=1e-3)
     ((success, stacked, source),) = play(tmp_path, {}, [7], 0.0, None)
