@@ -21,7 +21,8 @@ Printed as JSON, for each method: of each parameter the relative error, median, 
 of the declared value, the share of true values within the 95 % intervals, their median width over
 the value; `slide_mm`: by how much the pushed cube ends elsewhere than it did, in held-out windows
 simulated by C MuJoCo with declared and with found values, median and 90 %; seconds of the batch (on
-a GPU also of the same once more, when its graphs are there), or processor seconds of an episode.
+a GPU also of the same once more, and whether its steps were recorded as graphs), or processor
+seconds of an episode.
 """
 
 from __future__ import annotations
@@ -210,6 +211,7 @@ def learned(pack: Any, problems: dict[int, Problem], options: Any) -> dict[str, 
         found = estimate(run, start, (low, high), group.to(options.device), options.steps, steps)
         each[f"seconds{again}"] = time.monotonic() - began
         each[f"processor_seconds{again}"] = time.process_time() - busy
+    each["recorded"] = backend.engine.recorded
     rows = {}
     for number, episode in enumerate(numbers):
         ends = [getattr(found, n)[number].tolist() for n in ("values", "low", "high")]
@@ -349,7 +351,7 @@ def summary(fits: dict[str, Any], problems: dict[int, Problem]) -> dict[str, Any
     declared = [p.declared for p in wanted]
     before = [v for episode in rows for v in slide(problems[episode], declared)]
     table["slide_mm"] = {"declared": _quantiles(before), "found": _quantiles(after)}
-    for name in ("seconds", "processor_seconds", "seconds_again", "windows", "device"):
+    for name in ("seconds", "processor_seconds", "seconds_again", "recorded", "windows", "device"):
         if name in fits:
             table[name] = fits[name]
     spent = [row["processor_seconds"] for row in rows.values() if "processor_seconds" in row]

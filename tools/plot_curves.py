@@ -11,10 +11,7 @@ import argparse
 import json
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402  (the backend is chosen first)
+from matplotlib.figure import Figure
 
 
 def main() -> None:
@@ -27,7 +24,8 @@ def main() -> None:
     parser.add_argument("--prefix", default="push_fair_", help="left out of the names")
     options = parser.parse_args()
     colours: dict[str, str] = {}
-    figure, axes = plt.subplots(figsize=(7, 3.6), layout="constrained")
+    figure = Figure(figsize=(7, 3.6), layout="constrained")
+    axes = figure.subplots()
     for path in options.metrics:
         rows = [json.loads(line) for line in path.read_text().splitlines()]
         name = path.parent.name.removeprefix(options.prefix).rpartition("-s")[0]

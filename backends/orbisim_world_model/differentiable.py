@@ -59,6 +59,12 @@ class DifferentiableStep:
         found = _Replayed.apply(self._slots[key], *given)
         return Entities(*found[:_FIELDS]), found[_FIELDS]
 
+    @property
+    def recorded(self) -> bool:
+        """Whether all that was asked for so far is played back from graphs."""
+        graphs = [graph for slot in self._slots.values() for graph in slot.graphs.values()]
+        return bool(graphs) and all(graph.recorded for graph in graphs)
+
     def _flat(self, present: Sequence[bool]) -> Flat:
         """The step from tensors to tensors; of a context's fields, those that are there."""
 
@@ -85,7 +91,7 @@ class _Slot:
             self._step = torch.compile(step, dynamic=False, fullgraph=True, options=options)
         self._along: list[Tensor] = []
         self._back: list[Tensor] = []
-        self._graphs: dict[str, Graphed] = {}
+        self.graphs: dict[str, Graphed] = {}
 
     def forward(self, given: Tensors) -> Tensors:
         """The step."""
@@ -122,10 +128,10 @@ class _Slot:
 
     def _run(self, name: str, function: Callable[[], Tensors]) -> Tensors:
         with current(self.device):
-            if name not in self._graphs:
+            if name not in self.graphs:
                 self._try(function)
-                self._graphs[name] = Graphed(function, lambda: None, self.device.type == "cuda")
-            found: Tensors = self._graphs[name]()
+                self.graphs[name] = Graphed(function, lambda: None, self.device.type == "cuda")
+            found: Tensors = self.graphs[name]()
         return found
 
     def _try(self, function: Callable[[], Tensors]) -> None:

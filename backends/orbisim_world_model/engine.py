@@ -146,6 +146,11 @@ class Engine(Stepping):
             step = model(x, memory, tensor(control, self.device), context, base=base)
             return Steps(Entities(*(field[None] for field in step.state)), step.memory)
 
+    @property
+    def recorded(self) -> bool:
+        """Whether steps with gradients, since the first, are played back from graphs."""
+        return isinstance(self._exact, DifferentiableStep) and self._exact.recorded
+
     def _step_exactly(
         self, x: Entities, memory: Tensor, control: Tensor, context: Context
     ) -> tuple[Entities, Tensor]:

@@ -87,4 +87,4 @@ def test_shapes_that_come_back_keep_what_was_made_for_them(
     for _ in range(2):
         step(x, memory, controls[0], context)
         step(few[0], few[1], controls[0][:2], few[2])
-    assert len(step._slots) == 2
+    assert len(step._slots) == 2 and not step.recorded  # a CPU has no graphs
