@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from orbisim_world_model import zoo
 from orbisim_world_model.checkpoint import load_checkpoint
+from orbisim_world_model.engine import parts_of
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.fitting import fit
 from orbisim_world_model.manifest import read_manifest
@@ -106,6 +107,7 @@ class LearnedWorlds:
         self.substeps = round(ratio)
         self.model = model.to(device).requires_grad_(False).train()
         self._memory = self.model.initial_memory(1)
+        self._parts = parts_of(scene, self.layout, device)
         index = self.layout._indices(str(device))
         self._to_qpos, self._to_qvel = index["to_qpos"], index["to_qvel"]
 
@@ -151,6 +153,8 @@ class LearnedWorlds:
 
     def step(self, x: Entities, control: Tensor, context: Context) -> Entities:
         """The states after a control step of the problem."""
+        if self._parts is not None:
+            context = context._replace(parts=self._parts.expand(len(context.attributes), -1, -1))
         for _ in range(self.substeps):
             x = self._step(x, control, context)
         return x

@@ -15,6 +15,7 @@ from orbisim_world_model.checkpoint import Checkpoint
 from orbisim_world_model.differentiable import DifferentiableStep
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.guard import Guard
+from orbisim_world_model.layout import Layout
 from orbisim_world_model.reading import read_attributes, read_settings
 from orbisim_world_model.reading_articulation import limb_rows
 from orbisim_world_model.reading_parts import read_parts
@@ -49,13 +50,7 @@ class Engine(Stepping):
         )
         self._attributes, self._settings = attributes[None], settings[None]
         self._scenes: Context | None = None  # of as many worlds as were asked for last
-        self._parts: Tensor | None = None
-        if self.layout.parts:
-            if self.layout.articulated:
-                rows = limb_rows(scene.model, scene.source)
-            else:
-                rows = read_parts(scene.model, self.layout, scene.source)
-            self._parts = torch.as_tensor(rows, dtype=torch.float32).to(self.device)[None]
+        self._parts = parts_of(scene, self.layout, self.device)
         self.guard = Guard(self.checkpoint.manifest, self.layout, scene.model)
         if self.native is not None:
             self.prepare_native()
@@ -188,3 +183,14 @@ class Engine(Stepping):
         if not own:
             self._scenes = found
         return found
+
+
+def parts_of(scene: Scene, layout: Layout, device: torch.device) -> Tensor | None:
+    """[1, P, D] what a model is conditioned on of a scene's parts or limbs; None without."""
+    if not layout.parts:
+        return None
+    if layout.articulated:
+        rows = limb_rows(scene.model, scene.source)
+    else:
+        rows = read_parts(scene.model, layout, scene.source)
+    return torch.as_tensor(rows, dtype=torch.float32).to(device)[None]
