@@ -147,6 +147,8 @@ def _train(
     kept, spare = _kept_and_held(packs, held, run, device)
     clock = Clock(run.steps, seconds_for_training(run), most=run.most)
     models = [load_for(run.start, p.layout).model for p in kept] if run.start else None
+    for model in models or ():
+        model.spread = None  # of a finished model alone is it known how far off it is
     if models and config.model.rest:
         models = [model.with_rest() for model in models]
     trainer = Trainer(

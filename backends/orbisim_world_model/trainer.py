@@ -38,12 +38,14 @@ class Part:
 
     Attributes:
       scales: units of errors and noise.
+      count: control steps of the data.
       windows: sequences of the current stage.
     """
 
     pack: Pack
     model: Dynamics
     scales: Scales
+    count: int
     windows: Windows | None = None
 
 
@@ -84,7 +86,8 @@ class Trainer:
             if model is not models[0]:
                 model.share(models[0])
         self.parts = [
-            Part(pack, model, _scales(pack)) for pack, model in zip(packs, models, strict=True)
+            Part(pack, model, _scales(pack), int(pack.length.sum()))
+            for pack, model in zip(packs, models, strict=True)
         ]
         everything = torch.nn.ModuleList(models)
         self.optimizer = FlatAdamW(everything, config.train.decay, config.train.clip)
@@ -191,10 +194,11 @@ class Trainer:
             _copy(self._buffers, fresh)
 
     def _shares(self, batch: int) -> list[int]:
-        """Sequences of each part: as many of each robot; of limbs, by how many there are."""
+        """Sequences of each part: as many of each robot; of limbs, by how many there are, whatever
+        their length, so that a stage with the same batch has the same shapes."""
         if not self.config.model.articulated:
             return [-(-batch // len(self.parts))] * len(self.parts)
-        counts = [part.windows.count for part in self.parts if part.windows is not None]
+        counts = [part.count for part in self.parts]
         return [max(1, round(batch * count / sum(counts))) for count in counts]
 
     def _drawn(

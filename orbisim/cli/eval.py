@@ -244,12 +244,12 @@ _POLICY = "Example: orbisim eval policy policies/push --episodes 200 --json"
 @randomize_option
 @click.option(
     "--observe",
-    type=click.Choice(["state", "infer", "objects", "stainf"]),
+    type=click.Choice(["state", "nominal", "infer", "objects", "stainf"]),
     default="state",
     show_default=True,
-    help="What the policy sees: the true state, or the one that is read off a camera's frames, by "
-    "a network and a fit (infer), with joints as measured (objects), or by the network alone "
-    "(stainf).",
+    help="What the policy sees: the true state, that with nominal values of what no image shows "
+    "(densities, friction), or the one that is read off a camera's frames, by a network and a fit "
+    "(infer), with joints as measured (objects), or by the network alone (stainf).",
 )
 @click.option("--camera", default="side", show_default=True, help="Of --observe.")
 @click.option("--threads", default=0, help="Of MuJoCo; 0 for all cores.")
