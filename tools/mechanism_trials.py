@@ -297,7 +297,8 @@ _SAME = {"detent": ("cogging",)}
 
 def judge(truth: dict[str, Any], report: dict[str, Any]) -> dict[str, Any]:
     """What the diagnosis of a trial is worth: `found` if what was left out is named at its joint,
-    `first` if it is named first, and how many effects are named besides."""
+    `first` if it is named first, how many effects are named besides, and which joints are said to
+    depend on their history."""
     one, named = truth["effect"], report["effects"]
     names = {one["effect"], *_SAME.get(one["effect"], ())}
     right = [e["effect"] in names and e["target"] == one["target"] for e in named]
@@ -309,6 +310,7 @@ def judge(truth: dict[str, Any], report: dict[str, Any]) -> dict[str, Any]:
         "found": any(right),
         "first": bool(right[:1] == [True]),
         "besides": len(named) - sum(right),
+        "history_dependent": [entry["joint"] for entry in report["history_dependent"]],
         "value_over_truth": value,
         "verdict": report["verdict"],
         "left": report["residual"].get("ratio_after"),
@@ -321,8 +323,10 @@ def score(args: argparse.Namespace) -> int:
     for entry in read_lines(Path(args.results)):
         truth = json.loads((Path(args.trials) / "truth" / f"{entry['trial']}.json").read_text())
         report = entry["report"]
-        judged = {"found": False, "first": False} if report is None else judge(truth, report)
-        rows.append(judged)
+        judged: dict[str, Any] = {"found": False, "first": False, "history_dependent": []}
+        if report is not None:
+            judged = judge(truth, report)
+        rows.append({**judged, "hide": truth["wish"]["hide"], "target": truth["effect"]["target"]})
         named = (
             "no answer"
             if report is None
@@ -332,6 +336,14 @@ def score(args: argparse.Namespace) -> int:
         print(json.dumps({"trial": entry["trial"], **wish, "true": one, "named": named, **judged}))
     found, first = (sum(row[key] for row in rows) for key in ("found", "first"))
     print(f"{found} of {len(rows)} named at their joints, {first} first")
+    hidden, said = [row["hide"] for row in rows], [bool(row["history_dependent"]) for row in rows]
+    right = sum(row["hide"] and row["history_dependent"] == [row["target"]] for row in rows)
+    wrong = sum(s and not h for s, h in zip(said, hidden, strict=True))
+    print(
+        f"of {sum(hidden)} locks whose release is not recorded, {right} are called "
+        f"history-dependent at their joints and nowhere else; of the other {len(rows) - sum(hidden)}"
+        f" {wrong} are"
+    )
     return 0
 
 

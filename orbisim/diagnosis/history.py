@@ -63,8 +63,8 @@ class HistoryDependent:
     ratio: float
 
     @property
-    def sentence(self) -> str:
-        """For notes and the verdict."""
+    def told(self) -> str:
+        """In words."""
         (a, stood), (b, left) = self.stood, self.left
         return (
             f"{self.joint!r} is history-dependent: with all that is recorded the same it stands at "
@@ -105,22 +105,23 @@ class _Moment:
     pull: float
 
 
-def history_dependent(bench: Bench, hypothesis: Hypothesis) -> tuple[HistoryDependent, ...]:
+def history_dependent(bench: Bench) -> tuple[HistoryDependent, ...]:
     """Joints whose motion contradicts every function of the recorded state.
 
     Args:
-      bench: the recordings and the declared scene. hypothesis: what the scene lacks besides.
+      bench: the recordings and the declared scene. That it lacks other forces which are functions
+        of the state changes nothing: at the same place they add the same to both pulls.
     """
     if bench.contacts:
         return ()
     scalar = [joint for joint in joints(bench.scene.model) if joint.scalar]
-    courses = _courses(bench, hypothesis)
+    courses = _courses(bench)
     found = (_contradiction(joint, courses, bench) for joint in scalar)
     return tuple(one for one in found if one is not None)
 
 
-def _courses(bench: Bench, hypothesis: Hypothesis) -> list[_Course]:
-    flow = dataclasses.replace(bench, deadline=NEVER).flow(hypothesis)
+def _courses(bench: Bench) -> list[_Course]:
+    flow = dataclasses.replace(bench, deadline=NEVER).flow(Hypothesis())
     _, after = flow.advance()
     pull = (after - flow.qvel) / flow.duration[:, None]
     courses = []
