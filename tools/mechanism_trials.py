@@ -341,8 +341,8 @@ def score(args: argparse.Namespace) -> int:
     wrong = sum(s and not h for s, h in zip(said, hidden, strict=True))
     print(
         f"of {sum(hidden)} locks whose release is not recorded, {right} are called "
-        f"history-dependent at their joints and nowhere else; of the other {len(rows) - sum(hidden)}"
-        f" {wrong} are"
+        "history-dependent at their joints and nowhere else; of the other "
+        f"{len(rows) - sum(hidden)} {wrong} are"
     )
     return 0
 
