@@ -2,8 +2,9 @@
 
     python tools/bench_diagnosis.py --out out/diagnosis --image docs/images/diagnosis_speed.svg
 
-Serial arms with Coulomb friction at one joint, four recordings each, and with `--data` 24 measured
-tosses of a cube; `orbisim.diagnose` with its report, each in a process of its own on two cores.
+Serial arms with Coulomb friction at one joint, four recordings each, and with `--closed` (OUT of
+tools/closing_the_loop.py, which has the recordings) 24 measured tosses of a cube, each diagnosed
+with its report in a process of its own on two cores.
 Writes `OUT/figures.json` and prints a table; a run that was stopped goes on from there. Time on the
 clock says what a user waits; processor time hardly depends on other work.
 """
@@ -65,7 +66,7 @@ class Case:
 def cases(
     seconds: float, lengths: Sequence[float], joints: Sequence[int], data: Path | None
 ) -> list[Case]:
-    """All that is to be timed. data: of measured sets; None for none."""
+    """All that is to be timed. data: see `_measured`; None for none."""
     return [
         Case("goal", "arm2", 2, "elbow", 0.12, seconds, 15.0),
         Case("goal", "serial", 7, "joint2", 0.1, seconds, 60.0),
@@ -105,7 +106,7 @@ def serial_arm(count: int) -> str:
 
 
 def timed(case: Case, cores: int, data: Path | None = None) -> dict[str, Any]:
-    """Diagnoses, on so many cores; in a fresh process. data: of measured sets."""
+    """Diagnoses, on so many cores; in a fresh process. data: see `_measured`."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, set(sorted(os.sched_getaffinity(0))[:cores]))
     from_source.register("mujoco")
@@ -149,17 +150,12 @@ def _injected(case: Case) -> tuple[Any, Any, None]:
 
 
 def _measured(data: Path) -> tuple[Any, Any, Any]:
-    """The thrown cube as tools/closing_the_loop.py diagnoses it."""
+    """The thrown cube as tools/closing_the_loop.py diagnoses it. data: its OUT."""
     from closing.plans import PLANS
     from closing.scoring import recordings_of
-    from import_measured import DATA_SETS, import_set
 
-    with tempfile.TemporaryDirectory() as out:
-        import_set(
-            next(one for one in DATA_SETS if one.name == CUBE), data, Path(out, "recordings")
-        )
-        plan = next(one for one in PLANS if one.name == CUBE)
-        sets = recordings_of(plan, Path(out))
+    plan = next(one for one in PLANS if one.name == CUBE)
+    sets = recordings_of(plan, data)
     return plan.scene(), list(sets.fit[:TOSSES]), list(sets.held[:TOSSES])
 
 
@@ -229,7 +225,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=8.0, help="duration of a recording")
     parser.add_argument("--lengths", type=float, nargs="*", default=[4.0, 8.0, 16.0, 32.0])
     parser.add_argument("--joints", type=int, nargs="*", default=[2, 3, 4, 5, 6, 7])
-    parser.add_argument("--data", type=Path, help="measured sets, for the thrown cube")
+    parser.add_argument("--closed", type=Path, help="OUT/recordings has the thrown cube")
     parser.add_argument("--only", nargs="*", default=list(SERIES), choices=SERIES)
     parser.add_argument("--cores", type=int, default=2)
     args = parser.parse_args()
@@ -237,12 +233,12 @@ def main() -> int:
     figures = args.out / "figures.json"
     rows: list[dict[str, Any]] = json.loads(figures.read_text()) if figures.exists() else []
     done = {(row["series"], row["label"]) for row in rows}
-    wanted = [one for one in cases(args.seconds, args.lengths, args.joints, args.data)
+    wanted = [one for one in cases(args.seconds, args.lengths, args.joints, args.closed)
               if one.series in args.only and (one.series, one.label) not in done]  # fmt: skip
     fresh = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=fresh, max_tasks_per_child=1) as pool:
         for case in wanted:
-            row = pool.submit(timed, case, args.cores, args.data).result()
+            row = pool.submit(timed, case, args.cores, args.closed).result()
             rows.append(row)
             print(f"{row['label']}: {row['clock_s']} s, {row['found']}", file=sys.stderr)
             figures.write_text(json.dumps(rows, indent=1) + "\n")

@@ -83,18 +83,18 @@ def generate(args: argparse.Namespace) -> int:
     return 0
 
 
-def single_threaded(core: int | None = None) -> None:
+def single_threaded() -> None:
     """Keeps a worker to one core: libraries ask for the number of cores to start threads."""
     os.environ["OMP_NUM_THREADS"] = "1"
     if hasattr(os, "sched_setaffinity"):
         own = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, {own[(os.getpid() if core is None else core) % len(own)]})
+        os.sched_setaffinity(0, {own[os.getpid() % len(own)]})
     from_source.register("mujoco")
 
 
 def one(args: argparse.Namespace) -> int:
     """A single trial, in a process of its own (used by `run`)."""
-    single_threaded(args.core)
+    from_source.register("mujoco")
     return run_one(Path(args.folder), args.tool, args.seconds, args.patience)
 
 
@@ -142,7 +142,6 @@ def main(argv: list[str] | None = None) -> int:
     single.add_argument("--tool", choices=TOOLS, default=TOOLS[0])
     single.add_argument("--seconds", type=float, default=300.0)
     single.add_argument("--patience", type=float)
-    single.add_argument("--core", type=int)
     single.set_defaults(work=one)
     scoring = commands.add_parser("score", help="open the truth and count")
     scoring.add_argument("--trials", required=True)

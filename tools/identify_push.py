@@ -235,7 +235,8 @@ class _Sized:
 
     def with_properties(self, state: Any, objects: Any = None, world: Any = None) -> Any:
         """As the backend's, with the sizes first."""
-        state = self.inner.with_descriptors(state, attributes=self.attributes)
+        copies = torch.cat([self.attributes] * (state.nworld // len(self.attributes)))
+        state = self.inner.with_descriptors(state, attributes=copies)
         return self.inner.with_properties(state, objects, world)
 
     def rollout(self, state: Any, controls: Any, **options: Any) -> Any:

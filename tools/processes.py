@@ -6,9 +6,15 @@ import json
 import os
 import signal
 import subprocess
+import threading
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
+
+_running: set[int] = set()
+"""Groups of processes that answers are being waited for."""
 
 
 def answer_of(command: Sequence[str], limit: float) -> dict[str, Any]:
@@ -29,12 +35,15 @@ def answer_of(command: Sequence[str], limit: float) -> dict[str, Any]:
         env={**os.environ, "OMP_NUM_THREADS": "1"},
         start_new_session=True,
     )
+    _running.add(process.pid)
     try:
         stdout, stderr = process.communicate(timeout=limit)
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
         raise TimeoutError(f"took more than {limit:g} s") from None
+    finally:
+        _running.discard(process.pid)
     try:
         answer = json.loads(stdout.strip().splitlines()[-1])
     except (IndexError, ValueError):
@@ -42,6 +51,37 @@ def answer_of(command: Sequence[str], limit: float) -> dict[str, Any]:
     if not isinstance(answer, dict):
         raise ValueError(f"exit status {process.returncode}: {stderr.strip()[-2000:]}")
     return answer
+
+
+def with_own_cores(workers: int) -> ThreadPoolExecutor:
+    """Threads whose processes share out the processors: none waits for threads of another.
+
+    A process runs where the thread that has started it may run. As many processors for each as
+    there are whole ones; where there are fewer than workers, several share one. If this process is
+    ended (SIGTERM), they are.
+    """
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, _end)
+    shares: SimpleQueue[set[int]] = SimpleQueue()
+    if hasattr(os, "sched_getaffinity"):
+        usable = sorted(os.sched_getaffinity(0))
+        for number in range(workers):
+            own = usable[number : workers * (len(usable) // workers) : workers]
+            shares.put(set(own or [usable[number % len(usable)]]))
+
+    def settle() -> None:
+        if not shares.empty():
+            os.sched_setaffinity(0, shares.get())
+
+    return ThreadPoolExecutor(workers, initializer=settle)
+
+
+def _end(number: int, _: object) -> None:
+    """Ends what was started, then this process, as the signal does by default."""
+    for group in tuple(_running):
+        os.killpg(group, signal.SIGKILL)
+    signal.signal(number, signal.SIG_DFL)
+    os.kill(os.getpid(), number)
 
 
 def read_lines(path: Path) -> list[dict[str, Any]]:

@@ -13,7 +13,13 @@ from torch import Tensor
 from orbisim_diffusion.features import CLIP, Features, frechet_video_distance, perceptual_distance
 from orbisim_diffusion.inference import StateInference
 from orbisim_diffusion.model import Painter
-from orbisim_diffusion.predictions import Arrays, predict, with_predictions
+from orbisim_diffusion.predictions import (
+    RECORDED,
+    Arrays,
+    StateNoise,
+    predict,
+    with_predictions,
+)
 from orbisim_diffusion.quality import psnr, ssim
 from orbisim_diffusion.store import Store, load
 from orbisim_diffusion.trajectories import read_off, trajectory_errors, true_states
@@ -44,6 +50,7 @@ def evaluate(
     predictions: Sequence[Arrays] = (),
     workers: int = 1,
     backend: str = "learned",
+    noise: tuple[float, float] | None = None,
     report: Callable[[str], None] = print,
 ) -> dict[str, Any]:
     """Quality of rollouts on the episodes of a file.
@@ -57,7 +64,10 @@ def evaluate(
       inference: StaInf, for TrajErr; None leaves it out.
       mujoco: whether MuJoCo's images of the predicted states are measured, too.
       predictions: of the file's episodes, if they were made before (with images for `mujoco`).
-      workers: processes. backend: what predicts. report: is told what was measured.
+      workers: processes. backend: what predicts.
+      noise: standard deviations, m and rad, of noise on states (`StateNoise`): on the first one,
+        from which the backend predicts, and on each one that GT-state and Recon-all show. Images
+        are held against the true ones. report: is told what was measured.
 
     Returns:
       By workflow and steps: PSNR, SSIM (and EffNet-PD) by horizon, EffNet-FVD, TrajErr.
@@ -67,7 +77,8 @@ def evaluate(
     horizon = min(max(horizons), int(store.length.min()) - 1)
     predicted = store
     if mujoco or {"GT-first", "Recon-first"} & set(workflows):
-        made = predictions or predict(path, chosen, workers, backend, mujoco)
+        first = None if noise is None else StateNoise(*noise)
+        made = predictions or predict(path, chosen, workers, backend, mujoco, first)
         predicted = with_predictions(store, made[: len(chosen)])
     true = _true(store, horizon)
     spans = sorted({min(h, horizon) for h in horizons})
@@ -86,9 +97,12 @@ def evaluate(
         found[MUJOCO] = scores(_true(predicted, horizon)[:, 1:])
     for key, row in found.items():
         report(f"{path.name} {key}: {row}")
-    predicted = dataclasses.replace(predicted, frames=store.frames)
+    predicted, shown = dataclasses.replace(predicted, frames=store.frames), store
+    if noise is not None and {"GT-state", "Recon-all"} & set(workflows):
+        each = StateNoise(*noise, every=True)
+        shown = with_predictions(store, predict(path, chosen, workers, RECORDED, noise=each))
     for workflow in workflows:
-        states = predicted if workflow in ("GT-first", "Recon-first") else store
+        states = predicted if workflow in ("GT-first", "Recon-first") else shown
         for count in steps:
             parts = [
                 rollout(painter, states, part, workflow, horizon, count)

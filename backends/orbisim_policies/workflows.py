@@ -49,16 +49,15 @@ def train(
     def report(line: dict[str, Any]) -> None:
         note(sentence(line))
 
-    backend = options["backend"] or ("learned" if method == "apg" else "mujoco")
+    kinds = ("learned", "mujoco") if method == "apg" else ("mujoco",)
+    backend = options["backend"] or kinds[0]
     kind, _, path = backend.partition(":")
-    if kind != ("learned" if method == "apg" else "mujoco"):
-        raise InputError(
-            f"--method {method} learns in {'learned' if method == 'apg' else 'mujoco'}; got "
-            f"--backend {backend}"
-        )
+    if kind not in kinds:
+        raise InputError(f"--method {method} learns in {' or '.join(kinds)}; got {backend}")
     if method == "apg":
         config = _changed(ApgConfig(), options)
-        return train_apg(problem, config, run, path or None, report)
+        differences = kind == "mujoco"
+        return train_apg(problem, config, run, path or None, report, differences=differences)
     if run.start is not None:
         raise InputError(f"--start is for --method apg; got {method}")
     if method == "bc":

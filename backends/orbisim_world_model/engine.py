@@ -12,13 +12,14 @@ from orbisim.scene import Scene
 from orbisim.state import Array, State
 from orbisim_world_model.arrays import has_gradient, tensor
 from orbisim_world_model.checkpoint import Checkpoint
+from orbisim_world_model.differentiable import DifferentiableStep
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.guard import Guard
 from orbisim_world_model.reading import read_attributes, read_settings
 from orbisim_world_model.reading_articulation import limb_rows
 from orbisim_world_model.reading_parts import read_parts
 from orbisim_world_model.spread import factors_of, half_widths
-from orbisim_world_model.stepper import Speedups, Stepper
+from orbisim_world_model.stepper import Speedups, Stepper, plain_step
 from orbisim_world_model.stepping import MEMORY, STALE, Stepping, Steps
 
 ATTRIBUTES, SETTINGS = "world_model_attributes", "world_model_settings"
@@ -148,11 +149,15 @@ class Engine(Stepping):
     def _step_exactly(
         self, x: Entities, memory: Tensor, control: Tensor, context: Context
     ) -> tuple[Entities, Tensor]:
-        """With gradients, in float32."""
+        """With gradients, in float32; on a GPU by graphs."""
         if self._exact is None:
-            self._exact = self.checkpoint.model.to(self.device).requires_grad_(False)
-        step = self._exact(x, memory, control, context)
-        return step.state, step.memory
+            model = self.checkpoint.model.to(self.device).requires_grad_(False)
+            self._exact = plain_step(model)
+            if self.device.type == "cuda":
+                compiler = self.stepper.speedups.compiled
+                self._exact = DifferentiableStep(model, self.device, compiler)
+        found: tuple[Entities, Tensor] = self._exact(x, memory, control, context)
+        return found
 
     def memory(self, state: State) -> Tensor:
         """The recurrent memory that a state carries, or a fresh one."""

@@ -191,10 +191,11 @@ class Trainer:
             _copy(self._buffers, fresh)
 
     def _shares(self, batch: int) -> list[int]:
-        """Sequences of each part: as many of each robot; of limbs, by how many there are."""
+        """Sequences of each part: as many of each robot; of limbs, by how many there are, whatever
+        their length, so that a stage with the same batch has the same shapes."""
         if not self.config.model.articulated:
             return [-(-batch // len(self.parts))] * len(self.parts)
-        counts = [part.windows.count for part in self.parts if part.windows is not None]
+        counts = [int(part.pack.length.sum()) for part in self.parts]
         return [max(1, round(batch * count / sum(counts))) for count in counts]
 
     def _drawn(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -127,6 +128,14 @@ _VISION = "Example: orbisim eval vision checkpoints/look test_push.h5 --steps 1 
     type=click.Path(path_type=Path),
     help="An .npz file of predicted states: read if it is there, else made. For one file of DATA.",
 )
+@click.option(
+    "--state-noise",
+    nargs=2,
+    default=None,
+    type=click.FloatRange(min=0.0),
+    metavar="MM DEGREES",
+    help="Noise on states: on the first, and on each that GT-state and Recon-all show.",
+)
 @click.option("--workers", type=click.IntRange(min=1), default=1, help="Processes.")
 @device_option
 @json_option
@@ -142,6 +151,7 @@ def vision(
     weights: Path | None,
     mujoco: bool,
     predictions: Path | None,
+    state_noise: tuple[float, float] | None,
     workers: int,
     device: str | None,
     as_json: bool,
@@ -152,6 +162,9 @@ def vision(
     DATA are episode files with images. GT-first and Recon-first use states that the backend
     predicts from the first one, GT-state and Recon-all the true states.
     """
+    if state_noise is not None and predictions is not None:
+        raise InputError("--state-noise: makes predictions of its own; leave --predictions out")
+    noise = None if state_noise is None else (1e-3 * state_noise[0], math.radians(state_noise[1]))
     try:
         import torch
         from orbisim_diffusion import evaluate as evaluation
@@ -188,6 +201,7 @@ def vision(
             predictions=known,
             workers=workers,
             backend=backend,
+            noise=noise,
             report=note,
         )
         for path in data

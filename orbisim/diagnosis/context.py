@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -39,8 +40,8 @@ class Context:
       tunables: declared parameters that the data feel. columns: their effect on the motion,
         [intervals, 2 nv, tunables]; None without.
       judge: of hypotheses on the fitted and the check windows.
-      chance: what effects would give along that scene; None where bodies touch, as chained through
-        impacts that says little.
+      chance: says what effects would give along that scene, when it is asked; None where bodies
+        touch, as chained through impacts that says little.
     """
 
     settings: Settings
@@ -50,7 +51,7 @@ class Context:
     tunables: tuple[Tunable, ...]
     columns: Floats | None
     judge: Judge
-    chance: Chance | None = None
+    chance: Callable[[], Chance | None] | None = None
 
     @property
     def deadline(self) -> Deadline:
@@ -87,7 +88,7 @@ class Context:
         bench: Bench,
         intervals: Intervals,
         heavy: bool,
-        chance: Chance | None,
+        chance: Callable[[], Chance | None] | None,
         most: int | None = None,
     ) -> Context:
         """With other data, and a judge on them."""
@@ -143,12 +144,20 @@ def begun(bench: Bench, settings: Settings, say: Progress) -> Context:
     return Context(settings, say, bench, bench.intervals, (), None, judge, chance)
 
 
-def _chance(bench: Bench, intervals: Intervals, hypothesis: Hypothesis) -> Chance | None:
+def _chance(
+    bench: Bench, intervals: Intervals, hypothesis: Hypothesis
+) -> Callable[[], Chance | None] | None:
     """What effects would give along a scene, all of the catalogue: what may not be named tells as
     much of chance as what may. What is left has no say in the columns (frequencies that stand out
     in it would explain more than chance does), and none is made by simulation, which takes long."""
     if bench.contacts:
         return None
-    flow = bench.flow(hypothesis)
-    view = MotionView(flow, bench.samples)
-    return chance_of(intervals, candidates_of(view, bench, hypothesis, flow, None, False))
+
+    @functools.cache
+    def asked() -> Chance | None:
+        flow = bench.flow(hypothesis)
+        view = MotionView(flow, bench.samples)
+        found = candidates_of(view, bench, hypothesis, flow, None, simulated=False)
+        return chance_of(intervals, found)
+
+    return asked

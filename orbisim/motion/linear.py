@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from orbisim.effects.carry import hooks_of
 from orbisim.effects.stepping import step_batch
-from orbisim.host.cpus import usable_cpus
+from orbisim.host.cpus import threads_for
 from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.hidden import Layout, carried_along
 from orbisim.motion.samples import Samples, substeps
@@ -122,7 +122,8 @@ class IntervalMap:
         for count in np.unique(self.substeps):
             self.deadline.check()
             index = np.flatnonzero(self.substeps == count)
-            batch = mujoco.batch.Batch(model, len(index), usable_cpus())
+            threads = threads_for(len(index), len(index) * model.nv * int(count))
+            batch = mujoco.batch.Batch(model, len(index), threads)
             timestep = batch.expand("opt.timestep")
             timestep[:] = (self.duration[index] / count).reshape(timestep.shape)
             batch.bind("time")[:] = self.start[index]

@@ -13,7 +13,7 @@ from orbisim.recording import quaternions as quat
 from orbisim.recording.bound import Bound
 from orbisim.recording.joints import Joint, Kind, joints
 from orbisim.recording.noise import noise_std
-from orbisim.recording.smoothing import Smoothed, smooth
+from orbisim.recording.smoothing import Smoothed, smooth, smoothed
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -148,7 +148,7 @@ def estimate_motion(bound: Bound, only: Collection[int] | None = None) -> Motion
     wanted = [j for j in joints(model) if only is None or j.id in only]
     plan = _Plan(bound, wanted)
     if plan.columns:
-        found = smooth(bound.time, bound.qpos[:, plan.columns], noise_std=plan.noise())
+        found = smoothed(bound.time, bound.qpos[:, plan.columns], plan.noise())
         _fill_straight(motion, plan, found)
         for joint, place, noise in plan.turning:
             _fill_turning(motion, joint, _rotation(_part(found, place), noise))

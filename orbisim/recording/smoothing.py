@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.errors import InputError
+from orbisim.host.kept import Kept, key_of
 from orbisim.recording import noise as _noise
 from orbisim.recording.blocks import Blocks, Channels
 from orbisim.recording.events import Events, suspects
@@ -90,7 +91,6 @@ def smooth(
     Returns:
       Estimates at every time, also where single samples are missing; all NaN for a channel with
       fewer than two samples.
-
     Raises:
       InputError: shapes do not fit, or time does not increase.
     """
@@ -105,6 +105,32 @@ def smooth(
     moments[:, ~channels.bridged] = np.nan
     timescale = _timescale(fit.smooth) * channels.unit
     return _result(t, y.shape, usable, noise, timescale, moments, found)
+
+
+def smoothed(time: Floats, values: Floats, noise: Floats) -> Smoothed:
+    """As `smooth`; who asks again for the same gets the same, whose arrays are read-only.
+
+    Args:
+      noise: [C] standard deviation of each channel's noise.
+    """
+
+    def compute() -> Smoothed:
+        found = smooth(time.copy(), values, noise_std=noise)
+        parts = {f.name: getattr(found, f.name).view() for f in dataclasses.fields(found)}
+        for array in parts.values():
+            array.flags.writeable = False
+        return Smoothed(**parts)
+
+    return _SMOOTHED.of(key_of(time, values, noise), compute)
+
+
+def _bytes(smoothed: Smoothed) -> int:
+    return sum(getattr(smoothed, field.name).nbytes for field in dataclasses.fields(smoothed))
+
+
+_SMOOTHED = Kept(_bytes, 2**26)
+"""A diagnosis asks for the same motions with several windows, and again when it scores: 64 MB hold
+an hour at 100 Hz of three channels."""
 
 
 def _check(time: Floats, values: Floats) -> None:

@@ -39,8 +39,7 @@ class Judged:
       check_fit: window starts on the check windows.
       windows: those that it was fitted to.
       fitted: as `checked`, of the windows that it was fitted to.
-      independent: how many of the data that it was fitted to count as independent by what other
-        effects explain of what is left; infinite where that is not known.
+      counting: says `independent`, when it is asked.
     """
 
     hypothesis: Hypothesis
@@ -51,7 +50,13 @@ class Judged:
     check_fit: Fit
     windows: Windows
     fitted: Floats = dataclasses.field(default_factory=lambda: np.zeros(0))
-    independent: float = np.inf
+    counting: Callable[[], float] | None = None
+
+    @functools.cached_property
+    def independent(self) -> float:
+        """How many of the data that it was fitted to count as independent by what other effects
+        explain of what is left; infinite where that is not known."""
+        return np.inf if self.counting is None else self.counting()
 
     @property
     def loss(self) -> float:
@@ -102,6 +107,7 @@ class Judge:
       most: at most so many windows are fitted (spread evenly), for speed; None for all.
       heavy: whether windows have one unknown scale and heavy tails, as where bodies touch, instead
         of the noise's: what is left on a real machine is model error.
+      chance: what effects would give, asked when something is compared.
     """
 
     def __init__(
@@ -112,7 +118,7 @@ class Judge:
         columns: Floats | None = None,
         most: int | None = None,
         heavy: bool = False,
-        chance: Chance | None = None,
+        chance: Callable[[], Chance | None] | None = None,
     ) -> None:
         self.bench, self.chance = bench, chance
         self.robust = _IMPACTS if bench.contacts else None
@@ -211,22 +217,26 @@ class Judge:
         pooled = float(np.mean([*fit_means, *means]))
         return Judged(
             fitted, fit, means, float(np.sqrt(square)), float(np.sqrt(pooled)),
-            checked, self.fitted.windows, fit_means, self._independent(fitted, fit, fit_means),
+            checked, self.fitted.windows, fit_means,
+            functools.cache(functools.partial(self._independent, fitted, fit, fit_means)),
         )  # fmt: skip
 
     @functools.cached_property
-    def _design(self) -> Floats:
-        """[W, R, C]: what effects would give."""
-        assert self.chance is not None
-        return self.chance.design(self.bench, self.fitted.windows)
+    def _columns(self) -> tuple[Chance, Floats] | None:
+        """What effects would give: with [W, R, C] of it."""
+        chance = None if self.chance is None else self.chance()
+        if chance is None:
+            return None
+        return chance, chance.design(self.bench, self.fitted.windows)
 
     def _independent(self, hypothesis: Hypothesis, fit: Fit, means: Floats) -> float:
         """See `Judged.independent`."""
-        if self.chance is None:
+        if self._columns is None:
             return np.inf
+        chance, design = self._columns
         weight = 1 / (1 + means / max(float(np.median(means)), 1.0))
         there = [(one.effect, one.target) for one in hypothesis.effects]
-        return self.chance.independent(self._design, fit.residual, weight, there)
+        return chance.independent(design, fit.residual, weight, there)
 
     def _typical(self, shooter: Shooter, means: Floats, trimmed: bool = True) -> float:
         """Mean over windows; with contacts, without the worst few.

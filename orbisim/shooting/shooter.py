@@ -14,7 +14,7 @@ import numpy.typing as npt
 from orbisim.effects.carry import hooks_of
 from orbisim.effects.measurement import TRUE, Measurement
 from orbisim.effects.stepping import step_batch
-from orbisim.host.cpus import usable_cpus
+from orbisim.host.cpus import threads_for
 from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.hidden import Layout, carried_along
 from orbisim.motion.linear import Intervals
@@ -243,7 +243,8 @@ class Shooter:
         """Number of the sample, and positions and velocities there, one sample after the other."""
         model, clock = variant.scene.model, variant.measurement.clock
         place = Layout(self.declared.model, model)
-        batch = mujoco.batch.Batch(model, len(self), self._threads(model.nv))
+        threads = threads_for(len(self), len(self) * model.nv * self.substeps)
+        batch = mujoco.batch.Batch(model, len(self), threads)
         qpos, qvel = self._moved(start)
         batch.bind("qpos")[:] = model.qpos0
         batch.bind("qpos")[:, place.q] = qpos
@@ -270,12 +271,6 @@ class Shooter:
             ids = np.flatnonzero(last > k)
             step_batch(model, batch, hooks, self.ctrl[:, k], self.substeps, ids)
             yield k + 1, qpos[:, place.q], qvel[:, place.v]
-
-    def _threads(self, nv: int) -> int:
-        """Few worlds of few joints are stepped sooner by one thread than by several that wait for
-        each other."""
-        work = len(self) * nv * self.substeps
-        return int(np.clip(work // _WORTH_A_THREAD, 1, min(len(self), usable_cpus())))
 
     def chained(self, intervals: Intervals) -> Floats:
         """Derivatives of the weighted data by the window starts in linear approximation,
@@ -364,5 +359,3 @@ _GAP = 1.5
 """Typical sampling intervals that are a gap."""
 _LOST = 1e6
 """Weighted residual of what has diverged: finite, so that windows can still be compared."""
-_WORTH_A_THREAD = 200
-"""Worlds times degrees of freedom times timesteps that keep a thread busy."""

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from orbisim.errors import InputError
 from orbisim.recording import smooth
 from orbisim.recording.kalman import run_filter, run_smoother
+from orbisim.recording.smoothing import smoothed
 from tests.clock import Stopwatch
 
 
@@ -273,3 +274,19 @@ def test_ten_thousand_samples_of_six_channels_take_seconds():
     found = smooth(t, y + 1e-3 * rng.standard_normal(y.shape))
     assert watch.seconds < 15  # about half a second on an idle machine
     assert rms(found.rate - np.stack([swing(t + 0.1 * k, 1) for k in range(6)], axis=1)) < 0.05
+
+
+def test_the_same_samples_are_smoothed_once() -> None:
+    time, noise = np.arange(200) / 100.0, np.full(2, 1e-3)
+    values = np.sin(3 * time)[:, None] + 1e-3 * np.random.default_rng(0).standard_normal((200, 2))
+    first = smoothed(time, values, noise)
+    assert smoothed(time.copy(), values.copy(), noise.copy()) is first
+    assert (first.value == smooth(time, values, noise_std=noise).value).all()
+    with pytest.raises(ValueError, match="read-only"):
+        first.value[0] = 1.0
+    kept = first.value.copy()
+    time[150:] += 0.5
+    values[50] += 0.5
+    again = smoothed(time, values, noise)
+    assert again is not first and not (again.value == first.value).all()
+    assert (first.value == kept).all() and first.time[-1] < 2.0

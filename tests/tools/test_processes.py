@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
-from processes import answer_of, read_lines
+from processes import answer_of, read_lines, with_own_cores
 
 
 def python(code: str) -> list[str]:
@@ -46,3 +51,43 @@ def test_unfinished_lines_are_passed_over(tmp_path: Path) -> None:
     one, two = (json.dumps({"trial": "a", "tool": "x", "n": n}) for n in (1, 2))
     path.write_text(f"{one}\n{two}\n{one[:9]}")
     assert read_lines(path) == [{"trial": "a", "tool": "x", "n": 2}]
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="no way to choose processors")
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_processes_share_out_the_processors(workers: int) -> None:
+    code = "import json, os; print(json.dumps({'own': sorted(os.sched_getaffinity(0))}))"
+    together = threading.Barrier(workers)
+
+    def asked(_: int) -> list[int]:
+        together.wait(60.0)  # each by a thread of its own
+        own: list[int] = answer_of(python(code), 60.0)["own"]
+        return own
+
+    usable = os.sched_getaffinity(0)
+    with with_own_cores(workers) as pool:
+        found = list(pool.map(asked, range(workers)))
+    assert os.sched_getaffinity(0) == usable
+    each = max(1, len(usable) // workers)
+    assert all(len(own) == each and usable.issuperset(own) for own in found)
+    if workers <= len(usable):
+        assert len({core for own in found for core in own}) == workers * each
+
+
+def test_what_was_started_ends_with_the_run(tmp_path: Path) -> None:
+    mark, begun = tmp_path / "mark", tmp_path / "begun"
+    late = f"import time, pathlib; pathlib.Path({str(begun)!r}).touch(); time.sleep(3)"
+    late += f"; pathlib.Path({str(mark)!r}).touch()"
+    tools = str(Path(__file__).resolve().parents[2] / "tools")
+    code = f"import sys; sys.path.insert(0, {tools!r}); import processes\n"
+    code += "with processes.with_own_cores(1) as pool:\n"
+    code += f"    pool.submit(processes.answer_of, {python(late)!r}, 60.0)"
+    process = subprocess.Popen(python(code))
+    for _ in range(600):
+        if begun.exists():
+            break
+        time.sleep(0.05)
+    process.terminate()
+    assert process.wait(10.0) == -signal.SIGTERM
+    time.sleep(3.5)
+    assert begun.exists() and not mark.exists()

@@ -11,12 +11,11 @@ import sys
 import time
 import traceback
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from pathlib import Path
-from queue import Queue
 from typing import Any
 
-from processes import answer_of, read_lines
+from processes import answer_of, read_lines, with_own_cores
 
 ENTRY = Path(__file__).resolve().parent.parent / "blind_trials.py"
 
@@ -86,13 +85,10 @@ def run_all(args: argparse.Namespace) -> int:
     out.parent.mkdir(parents=True, exist_ok=True)
     started, failed, done = time.perf_counter(), 0, 0
     until = started + args.time_limit if args.time_limit else float("inf")
-    cores: Queue[int] = Queue()
-    for core in range(args.workers):
-        cores.put(core)
-    with ThreadPoolExecutor(args.workers) as pool, out.open("a") as stream:
+    with with_own_cores(args.workers) as pool, out.open("a") as stream:
         stream.write("\n" if jobs else "")  # ends a line that a killed run has left unfinished
         folder = Path(args.trials) / "trials"
-        waiting = [pool.submit(_in_process, folder, job, cores, until) for job in jobs]
+        waiting = [pool.submit(_entry, folder / job.trial, job, until) for job in jobs]
         for finished in as_completed(waiting):
             entry = finished.result()
             if entry is None:
@@ -122,16 +118,8 @@ def _brief(entry: dict[str, Any]) -> str:
     return f"{report['verdict']} {effects} {before:.3g} -> {after:.3g}"
 
 
-def _in_process(folder: Path, job: Job, cores: Queue[int], until: float) -> dict[str, Any] | None:
+def _entry(folder: Path, job: Job, until: float) -> dict[str, Any] | None:
     """The entry of a job; None if the time for the whole run was over first."""
-    core = cores.get()
-    try:
-        return _on_core(folder / job.trial, job, core, until)
-    finally:
-        cores.put(core)
-
-
-def _on_core(folder: Path, job: Job, core: int, until: float) -> dict[str, Any] | None:
     entry = {"trial": job.trial, "tool": job.tool, "scene": _scene_of(folder),
              "failure": None, "report": None}  # fmt: skip
     started = time.perf_counter()
@@ -139,7 +127,7 @@ def _on_core(folder: Path, job: Job, core: int, until: float) -> dict[str, Any] 
     if limit <= 0:
         return None
     try:
-        answer = answer_of(_command(folder, job, core), limit)
+        answer = answer_of(_command(folder, job), limit)
         entry |= {"report": answer.get("report"), "failure": answer.get("failure")}
     except TimeoutError as error:
         if time.perf_counter() >= until:
@@ -150,8 +138,8 @@ def _on_core(folder: Path, job: Job, core: int, until: float) -> dict[str, Any] 
     return entry | {"seconds": round(time.perf_counter() - started, 2)}
 
 
-def _command(folder: Path, job: Job, core: int) -> Sequence[str]:
-    what = ["--tool", job.tool, "--seconds", str(job.seconds), "--core", str(core)]
+def _command(folder: Path, job: Job) -> Sequence[str]:
+    what = ["--tool", job.tool, "--seconds", str(job.seconds)]
     what += [] if job.patience is None else ["--patience", str(job.patience)]
     return [sys.executable, str(ENTRY), "one", str(folder), *what]
 

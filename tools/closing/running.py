@@ -10,11 +10,11 @@ import json
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any
 
-from processes import answer_of
+from processes import answer_of, with_own_cores
 
 ENTRY = Path(__file__).resolve().parent.parent / "closing_the_loop.py"
 
@@ -61,7 +61,7 @@ def run_all(
     until = time.perf_counter() + time_limit if time_limit else float("inf")
     (out / "results").mkdir(parents=True, exist_ok=True)
     todo = [job for job in jobs if not path_of(out, job.name, job.tool).exists()]
-    with ThreadPoolExecutor(workers) as pool:
+    with with_own_cores(workers) as pool:
         waiting = {pool.submit(_result, job, data, out, until): job for job in todo}
         for done in as_completed(waiting):
             job, result = waiting[done], done.result()

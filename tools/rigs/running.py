@@ -10,11 +10,11 @@ import dataclasses
 import json
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any
 
-from processes import answer_of, read_lines
+from processes import answer_of, read_lines, with_own_cores
 
 ENTRY = Path(__file__).resolve().parent.parent / "rig_trials.py"
 
@@ -69,7 +69,7 @@ def run_all(args: argparse.Namespace) -> int:
     started, failed, done = time.perf_counter(), 0, 0
     until = started + args.time_limit if args.time_limit else float("inf")
     folder = Path(args.trials) / "trials"
-    with ThreadPoolExecutor(args.workers) as pool, out.open("a") as stream:
+    with with_own_cores(args.workers) as pool, out.open("a") as stream:
         stream.write("\n" if jobs else "")  # ends a line that a killed run has left unfinished
         waiting = [pool.submit(entry_of, folder / job.trial, job, until) for job in jobs]
         for finished in as_completed(waiting):
@@ -80,7 +80,8 @@ def run_all(args: argparse.Namespace) -> int:
             stream.flush()
             done, failed = done + 1, failed + (entry["failure"] is not None)
             spent = time.perf_counter() - started
-            print(f"[{done}/{len(jobs)}, {spent:.0f} s]", _brief(entry), file=sys.stderr)
+            where = f"[{done}/{len(jobs)}, {spent:.0f} s]"
+            print(where, _brief(entry), file=sys.stderr, flush=True)
     spent = time.perf_counter() - started
     print(f"{done} of {len(jobs)} done, {failed} of these failed, {spent:.0f} s")
     return 0
