@@ -3,11 +3,13 @@
     python tools/mechanism_trials.py generate --out trials --count 12
     python tools/blind_trials.py run --trials trials --out results.jsonl --tools diagnose
     python tools/mechanism_trials.py score --trials trials --results results.jsonl
+    python tools/mechanism_trials.py history --numbers 3 11
 
 Every trial is an instance of a family of mechanisms. A compliant hand moves each joint in turn and
 all at once, forces are recorded with positions, and one property of the instance, as it was
 generated, is left out of the declared scene. `--hide` leaves a lock out whose other joint is
-neither declared nor recorded. `generate` writes what `run` opens apart from `truth/`.
+neither declared nor recorded. `generate` writes what `run` opens apart from `truth/`. `history`
+says which joints are called history-dependent before any search, of all families and kinds.
 """
 
 from __future__ import annotations
@@ -27,9 +29,12 @@ import numpy.typing as npt
 from processes import read_lines
 
 from orbisim import Recording, Scene, load_scene, make_backend, replay
+from orbisim.diagnosis.history import history_dependent
 from orbisim.effects import EffectInstance
 from orbisim.effects.carry import write_carried
 from orbisim.files.temporary import temporary_folder
+from orbisim.motion.samples import prepare_all
+from orbisim.shooting.bench import make_bench
 from orbisim.tasks.mechanisms.catalogue import FAMILIES, INSTANCES, make
 from orbisim.tasks.mechanisms.model import Joint, Mechanism
 from orbisim.tasks.mechanisms.urdf import write_urdf
@@ -288,6 +293,28 @@ def generate(args: argparse.Namespace) -> int:
     return 0
 
 
+def history(args: argparse.Namespace) -> int:
+    """Prints a line for each instance and kind: locks whose release is hidden, then the others."""
+    found: dict[bool, list[bool]] = {True: [], False: []}
+    every = itertools.product(
+        [(True, "latch"), *((False, k) for k in KINDS)], args.numbers, FAMILIES
+    )
+    for (hide, kind), number, family in every:
+        made = trial(Wish(kind, family, number, hide), 1000 + number)
+        if made is None:
+            continue
+        samples = prepare_all(made.recordings[:FIT], made.declared)
+        called = history_dependent(make_bench(made.declared, samples, WINDOW))
+        found[hide].append(bool(called))
+        line = {"kind": kind, "family": family, "number": number, "hidden": hide,
+                "joint": made.missing.target, "called": [one.joint for one in called],
+                "ratios": [round(one.ratio, 2) for one in called]}  # fmt: skip
+        print(json.dumps(line), flush=True)
+    for hide, said in found.items():
+        print(f"{'hidden' if hide else 'recorded'}: {sum(said)} of {len(said)} history-dependent")
+    return 0
+
+
 # -- scores ----------------------------------------------------------------------------------------
 
 
@@ -357,6 +384,9 @@ def main(argv: list[str] | None = None) -> int:
     making.add_argument("--seed", type=int, default=1)
     making.add_argument("--hide", action="store_true", help="locks by joints that nobody sees")
     making.set_defaults(work=generate)
+    looking = commands.add_parser("history", help="what depends on its history, before a search")
+    looking.add_argument("--numbers", type=int, nargs="+", default=[3, 11])
+    looking.set_defaults(work=history)
     scoring = commands.add_parser("score", help="open the truth and count")
     scoring.add_argument("--trials", required=True)
     scoring.add_argument("--results", required=True)
