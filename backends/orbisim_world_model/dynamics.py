@@ -435,7 +435,7 @@ class Dynamics(nn.Module):
                     "with object-centric tokens and the same descriptors, and objects and "
                     "mechanisms only with model.mixed"
                 )
-        for name in SHARED:
+        for name in SHARED if others else ():
             module, last = _place(self, name)
             own = _shape(getattr(module, last))
             found = (getattr(_place(lead, name)[0], last) for lead in others)
