@@ -137,6 +137,13 @@ _PARTS = (
     ("train.stages", "0.2x1x512,0.25x8x512ar,0.35x32x512arf,0.2x96x512arf/24"),
 )
 """One batch size for all stages, so that torch compiles the losses once."""
+_MIXED = (
+    ("model.mixed", True),
+    ("model.layers", 3),
+    ("train.noise", 0.005),
+    ("train.stages", "0.3x1x1536,0.35x8x1536ar,0.35x32x1536arf"),
+)
+"""Cubes with two robots and mechanisms in one model: a third of a batch is of each."""
 _SMALL_PARTS = (
     ("model.width", 48),
     ("model.heads", 3),
@@ -222,6 +229,14 @@ JOBS: dict[str, Job] = {
         _ONE,
         weight=10.0,
         horizons=(10, 50, 100),
+        burn=0,
+    ),
+    "one": Job(
+        ("push", "push_cubes", "pick_and_place", "stack", *_MECHANISMS),
+        "parts",
+        _MIXED,
+        weight=6.0,
+        horizons=(10, 100),
         burn=0,
     ),
     "mechanism_door": Job(

@@ -281,6 +281,7 @@ def _save(trainer: Trainer, run: Run, held: list[Pack] | None) -> dict[str, Any]
         "control_timestep": pack.layout.timestep,
         "ranges": ranges(pack),
         "data": {
+            **_shapes_of(packs),
             **pack.notes,
             "groups": [name for part in packs for name in part.notes["groups"]],
             "sources": [source for part in packs for source in part.notes["sources"]],
@@ -299,6 +300,12 @@ def _save(trainer: Trainer, run: Run, held: list[Pack] | None) -> dict[str, Any]
         manifest["metrics"] = {**found[0], "variants": found[1:]}
         save_checkpoint(run.out, trainer.models, manifest)
     return json.loads((run.out / "manifest.json").read_text())
+
+
+def _shapes_of(packs: list[Pack]) -> dict[str, Any]:
+    """Which encoder the tokens of shapes are from, in whatever pack they are."""
+    digests = {pack.notes["shapes"] for pack in packs if "shapes" in pack.notes}
+    return {"shapes": digests.pop()} if digests else {}
 
 
 def progress_of(trainer: Any, run: Run, clock: Clock) -> dict[str, Any]:

@@ -83,8 +83,8 @@ class Trainer:
         models = models or new_models(packs, config, seed)
         for model in models:
             model.to(self.device).train()
-            if model is not models[0]:
-                model.share(models[0])
+        for number, model in enumerate(models):
+            model.share(models[:number])
         self.parts = [
             Part(pack, model, _scales(pack), int(pack.length.sum()))
             for pack, model in zip(packs, models, strict=True)
@@ -249,8 +249,7 @@ def new_models(packs: Sequence[Pack], config: Config, seed: int) -> list[Dynamic
             torch.manual_seed(seed + 1_000_003 * number)
             model = Dynamics(pack.layout, config.model).build(pack.controls(config.model).shape[1])
         model.to(pack.device)
-        if models:
-            model.share(models[0])
+        model.share(models)
         models.append(model)
         most = _FEW if pack.layout.articulated else 200_000
         row, episode = pack.transitions(most // len(packs))

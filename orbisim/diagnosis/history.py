@@ -32,7 +32,7 @@ Bools = npt.NDArray[np.bool_]
 
 STILL = 0.15
 """s. Longer than delays and lags of drives usually are; short beside a hand's pauses."""
-MORE = 1.5
+MORE = 1.2
 """Acceleration under which a joint stands over that under which it leaves."""
 _SHOWS = 10.0
 """Standard deviations of the positions by which a joint leaves, or would have left."""
@@ -40,8 +40,10 @@ _SAME, _SAME_SHARE = 4.0, 0.01
 """Places are the same within so many standard deviations, or this share of the joint's travel."""
 _SAME_SPEED = 0.25
 """... and velocities within this share of their root mean square."""
+_ONSET = 2
+"""Samples after the last at rest whose pull may have made a joint leave: smoothing blurs when."""
 _FEWEST = 2
-"""Contradictions, in as many places of the recordings: one may be a fault of a log."""
+"""Times that it leaves so: one may be a force that a log has lost."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +54,7 @@ class HistoryDependent:
       joint: its label.
       stood, left: times at which it stood and left, s, and the number of the recording.
       ratio: the pull under which it stood over that under which it left, median over what
-        contradicts; of what could hold it still as a function of state, at most 1.
+        contradicts, at most 1,000; of what is a function of the state at most 1.
     """
 
     joint: str
@@ -61,8 +63,8 @@ class HistoryDependent:
     ratio: float
 
     @property
-    def sentence(self) -> str:
-        """For notes and the verdict."""
+    def told(self) -> str:
+        """In words."""
         (a, stood), (b, left) = self.stood, self.left
         return (
             f"{self.joint!r} is history-dependent: with all that is recorded the same it stands at "
@@ -103,22 +105,23 @@ class _Moment:
     pull: float
 
 
-def history_dependent(bench: Bench, hypothesis: Hypothesis) -> tuple[HistoryDependent, ...]:
+def history_dependent(bench: Bench) -> tuple[HistoryDependent, ...]:
     """Joints whose motion contradicts every function of the recorded state.
 
     Args:
-      bench: the recordings and the declared scene. hypothesis: what the scene lacks besides.
+      bench: the recordings and the declared scene. That it lacks other forces which are functions
+        of the state changes nothing: at the same place they add the same to both pulls.
     """
     if bench.contacts:
         return ()
     scalar = [joint for joint in joints(bench.scene.model) if joint.scalar]
-    courses = _courses(bench, hypothesis)
+    courses = _courses(bench)
     found = (_contradiction(joint, courses, bench) for joint in scalar)
     return tuple(one for one in found if one is not None)
 
 
-def _courses(bench: Bench, hypothesis: Hypothesis) -> list[_Course]:
-    flow = dataclasses.replace(bench, deadline=NEVER).flow(hypothesis)
+def _courses(bench: Bench) -> list[_Course]:
+    flow = dataclasses.replace(bench, deadline=NEVER).flow(Hypothesis())
     _, after = flow.advance()
     pull = (after - flow.qvel) / flow.duration[:, None]
     courses = []
@@ -147,30 +150,24 @@ def _contradiction(
     speed = np.concatenate([course.v for course in courses])
     alike = _SAME_SPEED * np.sqrt(np.mean(speed**2, axis=0))
     alike[dof] = np.inf  # it is at rest in all of them
-    best: list[tuple[float, _Moment, _Moment]] = []
+    against: list[tuple[float, _Moment, _Moment]] = []
     for sign in (1.0, -1.0):
         moments = [list(_moments(c, n, dof, sign, noise[dof])) for n, c in enumerate(courses)]
         stands = [one for each in moments for what, one in each if what == "stands"]
-        leaves = [one for each in moments for what, one in each if what == "leaves"]
-        pairs = []
-        for left in leaves:
+        for left in (one for each in moments for what, one in each if what == "leaves"):
             same = [
                 one
                 for one in stands
                 if (np.abs(one.q - left.q) <= near).all()
                 and (np.abs(one.v - left.v) <= alike).all()
             ]
-            if same:
-                most = max(same, key=lambda one: one.pull)
-                pairs.append((most.pull / max(left.pull, 1e-12), most, left))
-        against = [pair for pair in pairs if pair[0] > MORE]
-        apart = {(pair[1].recording, round(pair[1].time / STILL)) for pair in against}
-        if min(len(against), len(apart)) >= _FEWEST and len(against) > len(best):
-            best = against
-    if not best:
+            most = max(same, key=lambda one: one.pull, default=None)
+            if most is not None and most.pull > MORE * max(left.pull, 0.0):
+                against.append((most.pull / max(left.pull, 1e-3 * most.pull), most, left))
+    if len(against) < _FEWEST:
         return None
-    best.sort(key=lambda pair: pair[0])
-    ratio, stood, left = best[len(best) // 2]
+    against.sort(key=lambda one: one[0])
+    ratio, stood, left = against[len(against) // 2]
     return HistoryDependent(
         joint.label, (stood.recording, stood.time), (left.recording, left.time), float(ratio)
     )
@@ -206,4 +203,4 @@ def _moments(
         gone = np.flatnonzero(q[ahead] - q[end - 1] > shown)
         if not len(gone) or not course.whole[ahead].all():
             continue
-        yield "leaves", moment(end - 1, float(pull[first : end + gone[0] + 1].max()))
+        yield "leaves", moment(end - 1, float(pull[first : end + _ONSET].max()))

@@ -113,7 +113,14 @@ def drawn(path: Path, out: Path, index: int) -> int:
         known = file.attributes(index)
         qpos = file.episode(index, ("qpos",))["qpos"]
     model = Stack().scene(known["subtask"], known["seed"]).model
-    data, camera = mujoco.MjData(model), Camera(model)
+    data = mujoco.MjData(model)
+    try:
+        camera = Camera(model)
+    except Exception as error:  # of EGL's own kinds, which do not come back from a process
+        raise RuntimeError(
+            f"no OpenGL context to draw demonstration {index} with ({type(error).__name__}): "
+            "give fewer --workers"
+        ) from None
     images = []
     for row in qpos[:-1:EVERY]:
         data.qpos[:] = row
