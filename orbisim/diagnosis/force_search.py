@@ -15,6 +15,7 @@ from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import lsq_linear
 
 from orbisim.diagnosis.force_data import (
     ForceData,
@@ -24,11 +25,12 @@ from orbisim.diagnosis.force_data import (
     normals,
     spread,
 )
+from orbisim.diagnosis.screening import bounded_instance
 from orbisim.diagnosis.selection import BEGINNINGS, Group, Selected
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.together import instances, left_of, select_in_rounds
 from orbisim.diagnosis.worth import told_of
-from orbisim.effects import EffectInstance, find
+from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.effects.base import Extent
 from orbisim.effects.screening import Candidate
 from orbisim.errors import OrbiSimError
@@ -131,6 +133,43 @@ def attribute_forces(
             break
         offered = _without(offered, impossible)  # others may stand in their places
     return _nothing(data, ratio, suspects)
+
+
+def common_forces(
+    scene: Scene, samples: Sequence[Samples], only: Collection[str] | None, most: int
+) -> tuple[EffectInstance, ...]:
+    """What every machine has (`Effect.common`), at all joints together, as far as it is possible:
+    least squares of the missing forces, each joint weighted by what all of it leaves there.
+
+    Args:
+      only: names of the effects to consider; all if None. most: effects at most.
+
+    Raises:
+      InputError: there are too few usable samples.
+    """
+    names = [n for n in effect_names() if find(n).common and (only is None or n in only)]
+    data = force_data(scene, samples)
+    found, columns = candidates(data, names)
+    if not found:
+        return ()
+    parameters = [find(one.effect).parameters(scene.model, one.target)[0] for one in found]
+    least = np.array([max(one.low, one.possible[0]) for one in parameters])
+    left = np.nan_to_num(data.force)
+    for _ in range(_ITERATIONS):
+        sigma = _size(left)
+        flat = (columns / sigma[:, None]).reshape(-1, len(found))
+        scale = np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
+        wanted = np.nan_to_num(data.force / sigma).ravel()
+        x = lsq_linear(flat / scale, wanted, (least * scale, np.inf)).x / scale
+        left = np.nan_to_num(data.force) - columns @ x
+    order = np.argsort(-np.abs(x) * scale, kind="stable")[:most]
+    made = [found[i].solve(x[i : i + 1]) for i in order]
+    every = [
+        bounded_instance(scene, EffectInstance(found[i].effect, found[i].target, dict(values)))
+        for i, values in zip(order, made, strict=True)
+        if values is not None
+    ]
+    return tuple(one for one in every if one is not None)
 
 
 def _without(

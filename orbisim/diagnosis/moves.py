@@ -22,9 +22,10 @@ from orbisim.diagnosis.explanations import (
     possible_of,
     winner,
 )
-from orbisim.diagnosis.force_search import attribute_forces
+from orbisim.diagnosis.force_search import attribute_forces, common_forces
 from orbisim.diagnosis.glances import generalizations
 from orbisim.diagnosis.proposals import additions, begin, pairs
+from orbisim.diagnosis.simplification import only_sure
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.together import propose
 from orbisim.diagnosis.worth import gains
@@ -209,21 +210,37 @@ def _two(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged
 
 def _together(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
     """Many at once: on a real machine each looks wrong as long as the others are missing. What
-    windows of free runs say of all together, and what the forces that are missing along the motion
-    say."""
+    every machine has at its joints; what windows of free runs say of all effects together; and what
+    the forces that are missing along the motion say. Each as it is without what it does not need:
+    a dozen that are not pruned cost too much to be compared with one."""
     context = found.context
     if number > 1 or context.bench.contacts:
         return
     context.say("several effects at once")
     bench, settings = context.bench, context.settings
     judge = Judge(bench, context.intervals, (), None, settings.windows, True, context.chance)
-    for proposed in (_by_windows, _by_forces):
+
+    def refit(less: Hypothesis, now: Judged) -> Judged | None:
+        return judge.judge(less, begin=judge.begin(now))
+
+    for proposed in (_usual, _by_windows, _by_forces):
         effects = proposed(context)
         together = Hypothesis(effects).in_parts()
         judged = judge.judge(together, _ITERATIONS) if effects else None
         possible = None if judged is None else possible_of(bench, judge, judged, _ITERATIONS)
         if possible is not None:
             yield possible
+            simpler = only_sure(context, possible, refit).judged
+            if simpler is not possible:
+                yield simpler
+
+
+def _usual(context: Context) -> tuple[EffectInstance, ...]:
+    bench, settings = context.bench, context.settings
+    try:
+        return common_forces(bench.scene, bench.samples, settings.effects, settings.most_effects)
+    except InputError:  # too few samples with accelerations
+        return ()
 
 
 def _by_windows(context: Context) -> tuple[EffectInstance, ...]:

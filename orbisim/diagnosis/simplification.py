@@ -7,10 +7,13 @@ import itertools
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
+import numpy as np
+
 from orbisim.diagnosis.context import Context
 from orbisim.diagnosis.discretization import as_declared
 from orbisim.diagnosis.explanations import (
     EVEN,
+    FEW,
     Found,
     Tried,
     best_few,
@@ -19,7 +22,7 @@ from orbisim.diagnosis.explanations import (
     winner,
 )
 from orbisim.diagnosis.proposals import exchanges, laws, merged
-from orbisim.diagnosis.worth import worth
+from orbisim.diagnosis.worth import apart, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.unnamed import POWERS
 from orbisim.evidence import NEAR, Gain
@@ -86,7 +89,8 @@ def only_sure(
     bare: Judged | None = None,
 ) -> Sure:
     """With those effects only that are surely worth it beside the others; what is least so goes
-    first.
+    first. Those that are the least apart from nothing are fitted without first: of a dozen, most
+    are plainly there.
 
     Args:
       refit: fits an explanation with an effect less, from where the one with it is.
@@ -94,18 +98,24 @@ def only_sure(
     """
     rejected: list[tuple[EffectInstance, str]] = []
     while len(judged.hypothesis.effects) > (1 if bare is None else 0):
-        doubt: list[tuple[Gain, EffectInstance, Judged]] = []
-        for index, effect in enumerate(judged.hypothesis.effects):
-            less = judged.hypothesis.without(index)
-            nothing = bare is not None and not less.effects and not less.factors
-            fewer = bare if nothing else refit(less, judged) or bare
-            if fewer is not None:
-                doubt.append((worth(context.bench, fewer, judged), effect, fewer))
+        doubt: dict[int, tuple[Gain, Judged]] = {}
+        for part in _least_apart(context, judged):
+            for index in part:
+                less = judged.hypothesis.without(index)
+                nothing = bare is not None and not less.effects and not less.factors
+                fewer = bare if nothing else refit(less, judged) or bare
+                if fewer is not None:
+                    doubt[index] = worth(context.bench, fewer, judged), fewer
+            if any(gain.sure <= 0 for gain, _ in doubt.values()):
+                break
         if not doubt:
             break
-        gain, effect, simpler = min(doubt, key=lambda one: one[0].sure)
+        least = min(doubt, key=lambda index: doubt[index][0].sure)
+        gain, simpler = doubt[least]
         if gain.sure > 0:
-            return Sure(judged, tuple(one[0] for one in doubt), tuple(rejected))
+            gains = tuple(doubt[index][0] for index in sorted(doubt))
+            return Sure(judged, gains, tuple(rejected))
+        effect = judged.hypothesis.effects[least]
         reason = (
             f"beside the others it is worth {gain.total:.3g} +- {gain.error:.2g} in the logarithm "
             "of the odds, which is not sure"
@@ -113,6 +123,16 @@ def only_sure(
         rejected.append((effect, reason))
         judged = simpler
     return Sure(judged, (), tuple(rejected))
+
+
+def _least_apart(context: Context, judged: Judged) -> list[list[int]]:
+    """Numbers of the effects of which no derivative says anything, and of the few that are the
+    least apart from nothing; and of the others."""
+    scene, hypothesis = context.bench.scene, judged.hypothesis
+    known = [apart(scene, hypothesis, judged.fit, n) for n in range(len(hypothesis.effects))]
+    order = sorted((n for n, a in enumerate(known) if np.isfinite(a)), key=lambda n: known[n])
+    unknown = [n for n, a in enumerate(known) if not np.isfinite(a)]
+    return [[*unknown, *order[:FEW]], order[FEW:]]
 
 
 def _exchanged(found: Found, number: int) -> Found:

@@ -141,16 +141,35 @@ def told_of(
     Args:
       number: of the effect. independent: how many of the data count as independent.
     """
+    own, neutral = sized(scene, hypothesis, number)
+    if not own:
+        return True
+    intervals = confidence(fit, [str(k) for k in range(len(fit.values))], 0, independent)
+    return told(fit, own, neutral, [intervals[str(k)] for k in own])
+
+
+def apart(scene: Scene, hypothesis: Hypothesis, fit: Fit, number: int) -> float:
+    """How far an effect is from nothing, in linear approximation: the mean square of its numbers in
+    standard deviations (Wald's statistic). Infinite for what no derivative says anything of."""
+    own, neutral = sized(scene, hypothesis, number)
+    if not own:
+        return np.inf
+    away = fit.values[own] - np.array(neutral)
+    inverse = np.linalg.pinv(fit.covariance[np.ix_(own, own)], rcond=1e-12, hermitian=True)
+    return float(away @ inverse @ away) / len(own)
+
+
+def sized(scene: Scene, hypothesis: Hypothesis, number: int) -> tuple[list[int], list[float]]:
+    """Which of the fitted numbers say how much there is of an effect, and where that is nothing;
+    none of what no derivative says anything of."""
     free, instance = hypothesis.free(scene), hypothesis.effects[number]
     effect, model = find(instance.effect), scene.model
+    if effect.stated or effect.structural:
+        return [], []
     sizes = effect.sizes(model, instance.target)
     own = [k for k, (i, name) in enumerate(free) if i == number and name in sizes]
-    if effect.stated or effect.structural or not own:
-        return True
     neutral = {p.name: p.neutral for p in effect.parameters(model, instance.target)}
-    intervals = confidence(fit, [str(k) for k in range(len(fit.values))], 0, independent)
-    away = [neutral.get(free[k][1], 0.0) for k in own]
-    return told(fit, own, away, [intervals[str(k)] for k in own])
+    return own, [neutral.get(free[k][1], 0.0) for k in own]
 
 
 def independent_data(judged: Judged) -> float:

@@ -162,6 +162,8 @@ class Effect(abc.ABC):
       declared_as: kind of the declared parameter at the same target that it changes too (a mass);
         empty for none.
       needs: parts of MuJoCo's pipeline without which it does nothing (`<option><flag/>`).
+      common: whether every joint of a machine has it, more or less: all of these are tried at all
+        joints together, so that nothing rarer is named for what they do.
       rarity: logarithm of the odds of the effect on a machine beside those of friction at a joint.
       refines: the simpler effect that no machine with this one lacks, at the same target; without
         it, it has the odds of both (strong heredity; Chipman, Canad. J. Statist. 24, 1996).
@@ -181,6 +183,7 @@ class Effect(abc.ABC):
     unranked: ClassVar[bool] = False
     declared_as: ClassVar[str] = ""
     needs: ClassVar[tuple[mujoco.mjtDisableBit, ...]] = ()
+    common: ClassVar[bool] = False
     rarity: ClassVar[float] = 0.0
     refines: ClassVar[str] = ""
     shared: ClassVar[tuple[str, ...]] = ()

@@ -63,6 +63,7 @@ class CoulombFriction(JointEffect):
 
     name = "coulomb_friction"
     phrase = "Coulomb friction"
+    common = True
     declared_as = "frictionloss"
     family = "friction"
     needs = (mujoco.mjtDisableBit.mjDSBL_CONSTRAINT, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
@@ -83,13 +84,16 @@ class ViscousDamping(JointEffect):
 
     name = "viscous_damping"
     phrase = "viscous damping"
+    common = True
     declared_as = "damping"
     family = "friction"
     needs = (mujoco.mjtDisableBit.mjDSBL_DAMPER,)
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         unit = joint_unit(model, target, "N*m*s/rad", "N*s/m")
-        return (Parameter("coefficient", unit, -LARGE, LARGE, 0.1),)
+        least = -float(model.dof_damping[_dof(model, target)].max())  # no joint drives itself
+        limits = (least, LARGE)
+        return (Parameter("coefficient", unit, -LARGE, LARGE, 0.1, possible=limits),)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         joint = spec_element(spec, "joint", instance.target)
@@ -174,6 +178,7 @@ class Armature(JointEffect):
 
     name = "armature"
     phrase = "reflected rotor inertia"
+    common = True
     declared_as = "armature"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:

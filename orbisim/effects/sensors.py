@@ -175,9 +175,7 @@ class ClockSkew(Effect):
     measurement = True
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
-        return (
-            Parameter("factor", "1", 0.1, 10.0, 1.0, neutral=1.0, usual=_FAST, possible=(0.5, 2.0)),
-        )
+        return (Parameter("factor", "1", 0.1, 10.0, 1.0, neutral=1.0, usual=_FAST, possible=_RATE),)
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         """A fast clock makes every interval look longer than it was."""
@@ -194,6 +192,8 @@ _EARLY = -4.0
 """Logarithm of the odds of a sensor that is early beside one that is late."""
 _MISSCALED = 0.02
 """Of analogue sensors; a wrong gear ratio or count is further off, and rarer."""
+_RATE = (0.9, 1.1)
+"""What is further off is another rate, and shows in how long a recording says it took."""
 _FAST = 1e-3
 """Crystals are off by 1e-4 at most, host clocks that are being adjusted by 1e-3."""
 
