@@ -160,8 +160,8 @@ class Shooter:
     def _simulated(self, variant: Variant, start: Floats) -> Floats:
         measurement, out = variant.measurement, np.zeros(self.shape)
         out[:, 0] = start[:, : 2 * self.nv]
-        for k, qpos, qvel in self._run(variant, start):
-            out[:, k] = self._deviation(k, qpos, qvel)
+        for span, qpos, qvel in self._run(variant, start):
+            out[:, span] = self._deviation(span, qpos, qvel)
         return measurement.of(self.absolute, out, self.time) if measurement else out
 
     def leads(self, variant: Variant) -> bool:
@@ -230,8 +230,8 @@ class Shooter:
         first = self._moved(start)
         qpos, qvel = self.qpos.copy(), self.qvel.copy()
         qpos[:, 0], qvel[:, 0] = first
-        for k, here_q, here_v in self._run(variant, start):
-            qpos[:, k], qvel[:, k] = here_q, here_v
+        for span, here_q, here_v in self._run(variant, start):
+            qpos[:, span], qvel[:, span] = here_q, here_v
         return qpos, qvel
 
     @property
@@ -239,8 +239,9 @@ class Shooter:
         """Of the simulated data: windows, samples, positions and velocities."""
         return len(self), self.windows.length + 1, 2 * self.nv
 
-    def _run(self, variant: Variant, start: Floats) -> Iterator[tuple[int, Floats, Floats]]:
-        """Number of the sample, and positions and velocities there, one sample after the other."""
+    def _run(self, variant: Variant, start: Floats) -> Iterator[tuple[slice, Floats, Floats]]:
+        """Which samples, and positions [W, n, nq] and velocities [W, n, nv] there, some samples
+        after the others."""
         model, clock = variant.scene.model, variant.measurement.clock
         place = Layout(self.declared.model, model)
         threads = threads_for(len(self), len(self) * model.nv * self.substeps)
@@ -259,18 +260,49 @@ class Shooter:
         if model.na or model.nhistory:
             act, history = self._hidden(model)
             batch.bind("act")[:], batch.bind("history")[:] = act, history
-        timestep = batch.expand("opt.timestep")
-        hooks = hooks_of(model)
-        applied, qpos, qvel = (batch.bind(n) for n in ("qfrc_applied", "qpos", "qvel"))
+        hooks, timestep = hooks_of(model), batch.expand("opt.timestep")
+        lengths = np.diff(self.time, axis=1) / clock
         last = np.minimum(self.windows.reach(), self.horizon)
-        for k in range(int(last.max(initial=0))):
+        for k, count in self._spans(lengths, last, one_by_one=bool(hooks)):
             self.deadline.check()
-            length = (self.time[:, k + 1] - self.time[:, k]) / clock
-            timestep[:] = (length / self.substeps).reshape(timestep.shape)
-            applied[:, place.v] = self.force[:, k]
-            ids = np.flatnonzero(last > k)
-            step_batch(model, batch, hooks, self.ctrl[:, k], self.substeps, ids)
-            yield k + 1, qpos[:, place.q], qvel[:, place.v]
+            timestep[:] = (lengths[:, k] / self.substeps).reshape(timestep.shape)
+            ids, some = np.flatnonzero(last > k), slice(k, k + count)
+            shape = len(self), count
+            found_q, found_v = np.zeros((*shape, len(place.q))), np.zeros((*shape, len(place.v)))
+            if hooks:
+                batch.bind("qfrc_applied")[:, place.v] = self.force[:, k]
+                step_batch(model, batch, hooks, self.ctrl[:, k], self.substeps, ids)
+                found_q[:, 0] = batch.bind("qpos")[:, place.q]
+                found_v[:, 0] = batch.bind("qvel")[:, place.v]
+            else:
+                force = np.zeros((len(ids), count, model.nv))
+                force[..., place.v] = self.force[ids, some]
+                control = np.concatenate([self.ctrl[ids, some], force], axis=2)
+                control = np.repeat(control, self.substeps, axis=1)
+                record = batch.rollout(control.shape[1], control, _INPUTS, ("qpos", "qvel"), ids)
+                ends = slice(self.substeps - 1, None, self.substeps)
+                found_q[ids] = record["qpos"][:, ends, place.q]
+                found_v[ids] = record["qvel"][:, ends, place.v]
+            yield slice(k + 1, k + 1 + count), found_q, found_v
+
+    def _spans(self, lengths: Floats, last: Ints, one_by_one: bool) -> Iterator[tuple[int, int]]:
+        """First interval and number of intervals that can be simulated in one call: no window ends
+        within, and the intervals of each window are alike.
+
+        Args:
+          lengths: [W, K] of the intervals, s. last: [W] intervals to simulate of each window.
+        """
+        most = max(1, _IN_ONE_CALL // max(len(self) * self.substeps, 1))
+        change = np.abs(np.diff(lengths, axis=1)) > _SAME_LENGTH * lengths[:, 1:]
+        going_on = np.arange(1, lengths.shape[1]) < last[:, None]
+        breaks = {*(np.flatnonzero((change & going_on).any(axis=0)) + 1).tolist(), *last.tolist()}
+        k, stop = 0, int(last.max(initial=0))
+        while k < stop:
+            count = 1
+            while not one_by_one and count < most and k + count < stop and k + count not in breaks:
+                count += 1
+            yield k, count
+            k += count
 
     def chained(self, intervals: Intervals) -> Floats:
         """Derivatives of the weighted data by the window starts in linear approximation,
@@ -320,9 +352,10 @@ class Shooter:
             mujoco.mj_integratePos(self.declared.model, qpos[w], delta, 1.0)
         return qpos, qvel
 
-    def _deviation(self, k: int, qpos: Floats, qvel: Floats) -> Floats:
-        dq = self.difference(self.qpos[:, k], qpos)
-        return np.concatenate([dq, qvel - self.qvel[:, k]], axis=1)
+    def _deviation(self, span: slice, qpos: Floats, qvel: Floats) -> Floats:
+        before, count = self.qpos[:, span], qpos.shape[2]
+        dq = self.difference(before.reshape(-1, count), qpos.reshape(-1, count))
+        return np.concatenate([dq.reshape(qvel.shape), qvel - self.qvel[:, span]], axis=2)
 
     def difference(self, before: Floats, after: Floats) -> Floats:
         """Tangent vectors [N, nv] from some positions [N, nq] to others."""
@@ -353,6 +386,11 @@ _OF_WINDOWS = (
 """What a shooter knows of each window."""
 _AT_ONCE = 512
 """Windows that are simulated at once at most where starts are moved."""
+_INPUTS = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_QFRC_APPLIED.value
+_IN_ONE_CALL = 50_000
+"""Timesteps of all worlds between two looks at the clock: a second of worlds with contacts."""
+_SAME_LENGTH = 1e-9
+"""Share by which intervals differ that are alike: rounding of times far from zero."""
 _LEAD = 0.25
 """How much earlier, s, a simulation begins where sensors are late."""
 _GAP = 1.5
