@@ -261,11 +261,11 @@ class Shooter:
             act, history = self._hidden(model)
             batch.bind("act")[:], batch.bind("history")[:] = act, history
         hooks, timestep = hooks_of(model), batch.expand("opt.timestep")
-        lengths = np.diff(self.time, axis=1) / clock
         last = np.minimum(self.windows.reach(), self.horizon)
-        for k, count in self._spans(lengths, last, one_by_one=bool(hooks)):
+        for k, count in self._spans(last, one_by_one=bool(hooks)):
             self.deadline.check()
-            timestep[:] = (lengths[:, k] / self.substeps).reshape(timestep.shape)
+            length = (self.time[:, k + count] - self.time[:, k]) / (count * clock)
+            timestep[:] = (length / self.substeps).reshape(timestep.shape)
             ids, some = np.flatnonzero(last > k), slice(k, k + count)
             shape = len(self), count
             found_q, found_v = np.zeros((*shape, len(place.q))), np.zeros((*shape, len(place.v)))
@@ -285,22 +285,20 @@ class Shooter:
                 found_v[ids] = record["qvel"][:, ends, place.v]
             yield slice(k + 1, k + 1 + count), found_q, found_v
 
-    def _spans(self, lengths: Floats, last: Ints, one_by_one: bool) -> Iterator[tuple[int, int]]:
+    def _spans(self, last: Ints, one_by_one: bool) -> Iterator[tuple[int, int]]:
         """First interval and number of intervals that can be simulated in one call: no window ends
         within, and the intervals of each window are alike.
 
         Args:
-          lengths: [W, K] of the intervals, s. last: [W] intervals to simulate of each window.
+          last: [W] intervals to simulate of each window.
         """
         most = max(1, _IN_ONE_CALL // max(len(self) * self.substeps, 1))
-        change = np.abs(np.diff(lengths, axis=1)) > _SAME_LENGTH * lengths[:, 1:]
-        going_on = np.arange(1, lengths.shape[1]) < last[:, None]
-        breaks = {*(np.flatnonzero((change & going_on).any(axis=0)) + 1).tolist(), *last.tolist()}
-        k, stop = 0, int(last.max(initial=0))
-        while k < stop:
-            count = 1
-            while not one_by_one and count < most and k + count < stop and k + count not in breaks:
-                count += 1
+        ends, k = np.unique(last), 0
+        while k < (stop := int(last.max(initial=0))):
+            count = 1 if one_by_one else min(most, int(ends[ends > k][0]) - k, stop - k)
+            time = self.time[last > k]
+            while count > 1 and not _even(time[:, k : k + count + 1]):
+                count //= 2
             yield k, count
             k += count
 
@@ -389,11 +387,18 @@ _AT_ONCE = 512
 _INPUTS = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_QFRC_APPLIED.value
 _IN_ONE_CALL = 50_000
 """Timesteps of all worlds between two looks at the clock: a second of worlds with contacts."""
-_SAME_LENGTH = 1e-9
-"""Share by which intervals differ that are alike: rounding of times far from zero."""
+_EVEN = 1e-4
+"""Share of an interval by which times are off an even grid that is none: rounding of stamps. What a
+joint moves in it is a ten-thousandth of what it moves between two samples."""
 _LEAD = 0.25
 """How much earlier, s, a simulation begins where sensors are late."""
 _GAP = 1.5
 """Typical sampling intervals that are a gap."""
 _LOST = 1e6
 """Weighted residual of what has diverged: finite, so that windows can still be compared."""
+
+
+def _even(time: Floats) -> bool:
+    """Whether times [W, n] are evenly spaced in each row."""
+    grid = np.linspace(time[:, 0], time[:, -1], time.shape[1], axis=1)
+    return bool((np.abs(time - grid) <= _EVEN * (grid[:, 1:2] - grid[:, :1])).all())
