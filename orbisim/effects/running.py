@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -34,6 +35,59 @@ def stage_of(derived: frozenset[str]) -> mujoco.mjtStage:
 def changes_fields(hooks: Sequence[Hook]) -> bool:
     """Whether any hook changes a model field."""
     return any(type(hook).fields is not Hook.fields for hook in hooks)
+
+
+def side_by_side(every: Sequence[Sequence[Hook]], each: int) -> list[Hook] | None:
+    """Hooks for worlds of several scenes, one scene after the other; None where they differ in more
+    than their values.
+
+    Args:
+      every: the hooks of each scene. each: worlds of each scene.
+    """
+    found: list[Hook] = []
+    for same in zip(*every, strict=False):
+        one = copy.copy(same[0])
+        rest = [{k: v for k, v in vars(hook).items() if k != "values"} for hook in same]
+        alike = all(
+            type(hook) is type(one) and hook.values.keys() == one.values.keys() for hook in same
+        )
+        if not alike or any(not _equal(rest[0], other) for other in rest[1:]):
+            return None
+        if any(value.ndim for hook in same for value in hook.values.values()):
+            return None
+        one.values = {
+            name: np.repeat(np.array([hook.values[name] for hook in same]), each)
+            for name in one.values
+        }
+        found.append(one)
+    return found if len({len(hooks) for hooks in every}) == 1 else None
+
+
+def _equal(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Whether attributes are the same."""
+    return one.keys() == other.keys() and all(
+        type(one[name]) is type(other[name]) and np.array_equal(one[name], other[name])
+        for name in one
+    )
+
+
+def same_physics(one: mujoco.MjModel, other: mujoco.MjModel) -> bool:
+    """Whether two models simulate alike, whatever text they carry."""
+    mine, others = _numbers(one), _numbers(other)
+    return mine.keys() == others.keys() and all(
+        np.array_equal(value, others[name]) for name, value in mine.items()
+    )
+
+
+def _numbers(model: mujoco.MjModel) -> dict[str, Any]:
+    """All numbers of a model but those of names and texts, which only say what belongs to it."""
+    return {
+        f"{kind}{name}": value
+        for kind, owner in (("", model), ("opt.", model.opt))
+        for name in dir(owner)
+        if not name.startswith(("_", "name", "text", "ntext", "nname", "signature", "nbuffer"))
+        and isinstance(value := getattr(owner, name), (np.ndarray, float, int))
+    }
 
 
 class HookRunner:

@@ -316,16 +316,17 @@ class Problem:
         """Derivatives of the weighted simulated data by the parameters, [W, data, P]."""
         values, xi = here.values, here.xi
         base = self.shooter.scaled(here.simulated)
-        slopes = np.zeros((*base.shape, len(values)))
+        slopes, steps = np.zeros((*base.shape, len(values))), dict[int, float]()
         for p, unknown in enumerate(self.unknowns):
             if p in self.hints.slopes and not self.led:
                 slopes[..., p] = self.hints.slopes[p]
-                continue
-            step = unknown.step_from(float(values[p]))
-            moved = values.copy()
-            moved[p] += step
-            after = self.shooter.scaled(self.shooter.simulate(self.build(moved), xi))
-            slopes[..., p] = (after - base) / step
+            else:
+                steps[p] = unknown.step_from(float(values[p]))
+        variants = [self.build(values + step * (np.arange(len(values)) == p))
+                    for p, step in steps.items()]  # fmt: skip
+        runs = self.shooter.simulate_each(variants, xi)
+        for (p, step), after in zip(steps.items(), runs, strict=True):
+            slopes[..., p] = (self.shooter.scaled(after) - base) / step
         return slopes
 
     def _updated(self, free: Floats, at: Trial, here: Trial) -> tuple[Floats, Trial]:

@@ -11,9 +11,11 @@ import mujoco.batch
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.effects.base import Hook
 from orbisim.effects.carry import hooks_of
 from orbisim.effects.measurement import TRUE, Measurement
-from orbisim.effects.stepping import step_batch
+from orbisim.effects.running import same_physics, side_by_side
+from orbisim.effects.stepping import BatchStepper
 from orbisim.host.cpus import threads_for
 from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.hidden import Layout, carried_along
@@ -157,12 +159,51 @@ class Shooter:
             )
         return runs
 
-    def _simulated(self, variant: Variant, start: Floats) -> Floats:
+    def _simulated(
+        self, variant: Variant, start: Floats, hooks: list[Hook] | None = None
+    ) -> Floats:
         measurement, out = variant.measurement, np.zeros(self.shape)
         out[:, 0] = start[:, : 2 * self.nv]
-        for span, qpos, qvel in self._run(variant, start):
+        for span, qpos, qvel in self._run(variant, start, hooks):
             out[:, span] = self._deviation(span, qpos, qvel)
         return measurement.of(self.absolute, out, self.time) if measurement else out
+
+    def simulate_each(self, variants: Sequence[Variant], start: Floats) -> list[Floats]:
+        """As `simulate`, of several scenes from the same starts. Those that differ only in how they
+        are measured are simulated once, those that differ in the numbers of hooks at once: hooks
+        are called in every timestep, and take as long for all scenes as for one."""
+        found: list[Floats | None] = [None] * len(variants)
+        for same in self._alike(variants):
+            first, count = variants[same[0]], len(same)
+            every = [hooks_of(variants[i].scene.model) for i in same]
+            hooks = side_by_side(every, len(self)) if count > 1 else None
+            if hooks is None:
+                for i in same:
+                    found[i] = self.simulate(variants[i], start)
+                continue
+            runs = count if hooks else 1
+            part = self.some(np.tile(np.arange(len(self)), runs))
+            true = dataclasses.replace(first, measurement=Measurement(first.measurement.clock))
+            out = part._simulated(true, np.tile(start, (runs, 1)), hooks)
+            for k, i in enumerate(same):
+                own, seen = variants[i].measurement, out.reshape(runs, *self.shape)[k % runs]
+                found[i] = own.of(self.absolute, seen, self.time) if own else seen
+        return [one for one in found if one is not None]
+
+    def _alike(self, variants: Sequence[Variant]) -> list[list[int]]:
+        """Numbers of scenes that simulate alike but for their hooks, grouped."""
+        groups: list[list[int]] = []
+        for i, one in enumerate(variants):
+            for same in groups:
+                first = variants[same[0]]
+                late = self.leads(one) or self.leads(first)
+                timed = one.measurement.clock == first.measurement.clock and not late
+                if timed and same_physics(one.scene.model, first.scene.model):
+                    same.append(i)
+                    break
+            else:
+                groups.append([i])
+        return groups
 
     def leads(self, variant: Variant) -> bool:
         """Whether simulation begins before the windows, where recordings do: a late sensor shows at
@@ -239,9 +280,15 @@ class Shooter:
         """Of the simulated data: windows, samples, positions and velocities."""
         return len(self), self.windows.length + 1, 2 * self.nv
 
-    def _run(self, variant: Variant, start: Floats) -> Iterator[tuple[slice, Floats, Floats]]:
+    def _run(
+        self, variant: Variant, start: Floats, hooks: list[Hook] | None = None
+    ) -> Iterator[tuple[slice, Floats, Floats]]:
         """Which samples, and positions [W, n, nq] and velocities [W, n, nv] there, some samples
-        after the others."""
+        after the others.
+
+        Args:
+          hooks: instead of the scene's.
+        """
         model, clock = variant.scene.model, variant.measurement.clock
         place = Layout(self.declared.model, model)
         threads = threads_for(len(self), len(self) * model.nv * self.substeps)
@@ -260,7 +307,9 @@ class Shooter:
         if model.na or model.nhistory:
             act, history = self._hidden(model)
             batch.bind("act")[:], batch.bind("history")[:] = act, history
-        hooks, timestep = hooks_of(model), batch.expand("opt.timestep")
+        hooks, timestep = hooks or hooks_of(model), batch.expand("opt.timestep")
+        stepper = BatchStepper(model, batch, hooks)
+        applied, qpos, qvel = (batch.bind(n) for n in ("qfrc_applied", "qpos", "qvel"))
         last = np.minimum(self.windows.reach(), self.horizon)
         for k, count in self._spans(last, one_by_one=bool(hooks)):
             self.deadline.check()
@@ -270,10 +319,9 @@ class Shooter:
             shape = len(self), count
             found_q, found_v = np.zeros((*shape, len(place.q))), np.zeros((*shape, len(place.v)))
             if hooks:
-                batch.bind("qfrc_applied")[:, place.v] = self.force[:, k]
-                step_batch(model, batch, hooks, self.ctrl[:, k], self.substeps, ids)
-                found_q[:, 0] = batch.bind("qpos")[:, place.q]
-                found_v[:, 0] = batch.bind("qvel")[:, place.v]
+                applied[:, place.v] = self.force[:, k]
+                stepper.step(self.ctrl[:, k], self.substeps, ids)
+                found_q[:, 0], found_v[:, 0] = qpos[:, place.q], qvel[:, place.v]
             else:
                 force = np.zeros((len(ids), count, model.nv))
                 force[..., place.v] = self.force[ids, some]
