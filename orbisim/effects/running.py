@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -72,22 +73,25 @@ def _equal(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
 
 
 def same_physics(one: mujoco.MjModel, other: mujoco.MjModel) -> bool:
-    """Whether two models simulate alike, whatever text they carry."""
-    mine, others = _numbers(one), _numbers(other)
-    return mine.keys() == others.keys() and all(
-        np.array_equal(value, others[name]) for name, value in mine.items()
+    """Whether two models simulate alike, whatever names and texts they have."""
+    return all(
+        np.array_equal(getattr(mine, name), getattr(others, name))
+        for mine, others in ((one, other), (one.opt, other.opt))
+        for name in _numbers(type(mine))
     )
 
 
-def _numbers(model: mujoco.MjModel) -> dict[str, Any]:
-    """All numbers of a model but those of names and texts, which only say what belongs to it."""
-    return {
-        f"{kind}{name}": value
-        for kind, owner in (("", model), ("opt.", model.opt))
-        for name in dir(owner)
-        if not name.startswith(("_", "name", "text", "ntext", "nname", "signature", "nbuffer"))
-        and isinstance(value := getattr(owner, name), (np.ndarray, float, int))
-    }
+@functools.cache
+def _numbers(kind: type) -> tuple[str, ...]:
+    """Attributes of a model, or of its options, that are numbers of the simulation: neither methods
+    nor what only stores names and texts (`ntextdata`, `names_map`)."""
+    stored = ("_", "name", "text", "ntext", "nname", "signature", "nbuffer", "paths")
+    known = (name for name in dir(kind) if not name.startswith(stored))
+    return tuple(name for name in known if not callable(getattr(kind, name)) and name not in _OWN)
+
+
+_OWN = {"opt", "vis", "stat"}
+"""Structures of a model: options are compared apart, the others only say how it looks."""
 
 
 class HookRunner:

@@ -173,32 +173,40 @@ class Shooter:
         are measured are simulated once, those that differ in the numbers of hooks at once: hooks
         are called in every timestep, and take as long for all scenes as for one."""
         found: list[Floats | None] = [None] * len(variants)
-        for same in self._alike(variants):
+        hooks = [hooks_of(one.scene.model) for one in variants]
+        for same in self._alike(variants, hooks):
             first, count = variants[same[0]], len(same)
-            every = [hooks_of(variants[i].scene.model) for i in same]
-            hooks = side_by_side(every, len(self)) if count > 1 else None
-            if hooks is None:
+            joined = side_by_side([hooks[i] for i in same], len(self)) if count > 1 else None
+            if joined is None:
                 for i in same:
                     found[i] = self.simulate(variants[i], start)
                 continue
-            runs = count if hooks else 1
+            runs = count if joined else 1
             part = self.some(np.tile(np.arange(len(self)), runs))
             true = dataclasses.replace(first, measurement=Measurement(first.measurement.clock))
-            out = part._simulated(true, np.tile(start, (runs, 1)), hooks)
+            out = part._simulated(true, np.tile(start, (runs, 1)), joined)
             for k, i in enumerate(same):
                 own, seen = variants[i].measurement, out.reshape(runs, *self.shape)[k % runs]
                 found[i] = own.of(self.absolute, seen, self.time) if own else seen
         return [one for one in found if one is not None]
 
-    def _alike(self, variants: Sequence[Variant]) -> list[list[int]]:
-        """Numbers of scenes that simulate alike but for their hooks, grouped."""
+    def _alike(
+        self, variants: Sequence[Variant], hooks: Sequence[Sequence[Hook]]
+    ) -> list[list[int]]:
+        """Numbers of scenes that simulate alike but for the numbers of their hooks, grouped; where
+        neither hooks nor measurements can tell scenes apart, they are not even compared."""
         groups: list[list[int]] = []
         for i, one in enumerate(variants):
-            for same in groups:
+            for same in groups if hooks[i] or one.measurement else ():
                 first = variants[same[0]]
+                kinds = [[type(hook) for hook in hooks[k]] for k in (i, same[0])]
                 late = self.leads(one) or self.leads(first)
                 timed = one.measurement.clock == first.measurement.clock and not late
-                if timed and same_physics(one.scene.model, first.scene.model):
+                if (
+                    kinds[0] == kinds[1]
+                    and timed
+                    and same_physics(one.scene.model, first.scene.model)
+                ):
                     same.append(i)
                     break
             else:

@@ -7,6 +7,7 @@ import pytest
 
 import orbisim
 from orbisim.effects import EffectInstance
+from orbisim.effects.carry import hooks_of
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
@@ -93,7 +94,8 @@ def test_scenes_that_differ_in_hooks_or_sensors_are_simulated_at_once_as_one_by_
         bench, (bias,), (rough,), (slow,), (damped,), (rough.replace(static=0.3),),
         (rough, damped), (drags[0], rough), (drags[1], rough.replace(velocity=0.02)), (LATE,), (),
     )  # fmt: skip
-    assert shooter._alike(every) == [[0, 1, 2, 4, 6, 7, 9], [3, 5], [8]]
+    hooks = [hooks_of(one.scene.model) for one in every]
+    assert shooter._alike(every, hooks) == [[0, 2], [1, 4], [3], [5], [6, 7], [8], [9]]
     several = _variants(bench, (rough,), (rough.replace(static=0.3),), (rough.replace(coulomb=0),))
     drawn = _variants(bench, (drags[0], rough), (drags[1], rough.replace(velocity=0.02)))
     for some in (every, several, drawn, every[:1] + every[2:3], []):
