@@ -12,16 +12,14 @@ from orbisim.diagnosis.explanations import Found, Tried
 from orbisim.diagnosis.found import Rival
 from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.simplification import Sure, named, only_sure
+from orbisim.diagnosis.simplification import VAGUE, Sure, named, only_sure, plain
 from orbisim.diagnosis.suspects import Screening
-from orbisim.diagnosis.worth import apart, independent_data, sized, told_of, worth
+from orbisim.diagnosis.worth import independent_data, told_of, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.evidence import NEAR, Gain
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.motion.samples import Samples
 from orbisim.shooting.bench import Bench
-from orbisim.shooting.confidence import TOLD
-from orbisim.shooting.fits import Fit
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
 
@@ -138,52 +136,17 @@ def concluded(found: Found, deadline: Deadline) -> Attribution:
 
 def _as_found(found: Found) -> Attribution:
     """What the search had when the time was up, without what cannot be told from nothing there."""
-    bench = found.context.bench
-    best = _told(found.context.until(NEVER), found.best)
+    bench, context = found.context.bench, found.context.until(NEVER)
+
+    def refit(less: Hypothesis, now: Judged) -> Judged | None:
+        return context.judge.judge(less, 3, begin=context.judge.begin(now))
+
+    best = plain(context, found.best, refit)
     gain = 2 * worth(bench, found.declared, best).total if best is not found.declared else 0.0
     evidence = tuple(gain for _ in best.hypothesis.effects)
     tried = rivals_of(found.tried)
     before, first = found.declared, found.screening
     return Attribution(_open(bench), before, best, first, tried, evidence, (), True)
-
-
-def _told(context: Context, judged: Judged) -> Judged:
-    """Without effects that cannot be told from nothing beside the others, the least apart first: in
-    linear approximation, as there is no time to fit each of many without; then fitted once."""
-    scene, hypothesis = context.bench.scene, judged.hypothesis
-    wider = max(judged.fit.count / independent_data(judged), 1.0)
-    fit = dataclasses.replace(judged.fit, covariance=wider * judged.fit.covariance)
-    while len(hypothesis.effects) > 1:
-        known = [apart(scene, hypothesis, fit, n) for n in range(len(hypothesis.effects))]
-        least = int(np.argmin(known))
-        if known[least] >= TOLD**2:
-            break
-        own, neutral = sized(scene, hypothesis, least)
-        every = [k for k, (i, _) in enumerate(hypothesis.free(scene)) if i == least]
-        fit, hypothesis = _held(fit, own, neutral, every), hypothesis.without(least)
-    bounds = hypothesis.unknowns(scene)
-    values = np.clip(fit.values, [one.low for one in bounds], [one.high for one in bounds])
-    if hypothesis is judged.hypothesis:
-        return judged
-    less = hypothesis.at(scene, values)
-    again = context.judge.judge(less, _QUICK, begin=context.judge.begin(judged))
-    better = again is not None and worth(context.bench, judged, again).total > 0
-    return again if again is not None and better else judged
-
-
-def _held(fit: Fit, own: Sequence[int], neutral: Sequence[float], gone: Sequence[int]) -> Fit:
-    """A fit with some numbers at neutral values, as far as its covariance tells, and without those
-    that are gone then."""
-    c, index = fit.covariance, list(own)
-    moved = c[:, index] @ np.linalg.pinv(c[np.ix_(index, index)], rcond=1e-12, hermitian=True)
-    kept = np.setdiff1d(np.arange(len(fit.values)), gone)
-    values = fit.values - moved @ (fit.values[index] - np.array(neutral))
-    covariance = c - moved @ c[index]
-    return dataclasses.replace(fit, values=values[kept], covariance=covariance[np.ix_(kept, kept)])
-
-
-_QUICK = 3
-"""Iterations of a fit when the time is up: the linear approximation is where it ends, nearly."""
 
 
 def _finally(
@@ -220,15 +183,12 @@ def _sure(context: Context, before: Judged, after: Judged) -> Sure:
             break
         gone = sure.judged.hypothesis.effects[vague[0]]
         again = only_sure(context, less, refit, before)
-        rejected = (*sure.rejected, (gone, _VAGUE), *again.rejected)
+        rejected = (*sure.rejected, (gone, VAGUE), *again.rejected)
         sure = again._replace(rejected=rejected)
     hypothesis = sure.judged.hypothesis
     if not hypothesis.effects and hypothesis.factors and sure.judged.ratio > NEAR:
         return sure._replace(judged=before)
     return sure
-
-
-_VAGUE = "its interval includes nothing of it"
 
 
 def _vague(context: Context, judged: Judged) -> list[int]:

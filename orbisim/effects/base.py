@@ -275,9 +275,13 @@ class Effect(abc.ABC):
         """
         return []
 
-    def adds_force(self) -> bool:
+    def adds_force(self, options: Mapping[str, str] | None = None) -> bool:
         """Whether inverse dynamics shows it where the forces at all joints are recorded: a force
-        beside these, which follows from the motion."""
+        beside these, which follows from the motion.
+
+        Args:
+          options: of the effect; whether any form of it does if None.
+        """
         if self.measurement or self.structural or self.stated:
             return False
         return self.kind in ("joint", "body", "world")
