@@ -73,6 +73,10 @@ class Context:
         chance = _chance(bench, bench.intervals, Hypothesis())
         return self._with(bench, bench.intervals, self.judge.heavy, chance)
 
+    def trying(self, bench: Bench) -> Context:
+        """The same, with what effects would give as it was."""
+        return self._with(bench, bench.intervals, self.judge.heavy, self.chance)
+
     def until(self, deadline: Deadline) -> Context:
         """With another deadline."""
         bench = dataclasses.replace(self.bench, deadline=deadline)

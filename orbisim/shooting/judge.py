@@ -270,19 +270,25 @@ class Judge:
                 best = again
         return best
 
-    def glance(self, hypothesis: Hypothesis, begin: Beginning) -> float:
+    def glance(self, hypothesis: Hypothesis, begin: Beginning, every: bool = False) -> float:
         """As `sized_glance`, without the size."""
-        return self.sized_glance(hypothesis, begin)[0]
+        return self.sized_glance(hypothesis, begin, every)[0]
 
-    def sized_glance(self, hypothesis: Hypothesis, begin: Beginning) -> tuple[float, float]:
+    def sized_glance(
+        self, hypothesis: Hypothesis, begin: Beginning, every: bool = False
+    ) -> tuple[float, float]:
         """What a hypothesis would leave, at the price of one simulation: mean squared residual over
         every other window, with starts, the numbers of the explanation that they are of, and the
         size of the difference to that, corrected linearly, and this size; infinite if it cannot be
         simulated, or if `begin` has no starts.
+
+        Args:
+          every: whether every window is simulated, also where there are many.
         """
         if begin.start is None or begin.free is None:
             return np.inf, 1.0
-        some = np.arange(len(self.fitted)) % 2 == 0 if len(self.fitted) >= _MANY else None
+        many = len(self.fitted) >= _MANY and not every
+        some = np.arange(len(self.fitted)) % 2 == 0 if many else None
         try:
             variant = hypothesis.variant(self.bench.scene)
             left, size = glanced(
