@@ -90,12 +90,17 @@ Refit = Callable[[Hypothesis, Judged], Judged | None]
 
 def plain(context: Context, judged: Judged, refit: Refit) -> Judged:
     """Without effects that cannot be told from nothing beside the others, the least apart first: in
-    linear approximation, as to fit each of a dozen without takes long; then fitted once."""
+    linear approximation, as to fit each of a dozen without takes long; then fitted once. What
+    another refines stays as long as that does."""
     scene, hypothesis = context.bench.scene, judged.hypothesis
     wider = max(judged.fit.count / independent_data(judged), 1.0)
     fit = dataclasses.replace(judged.fit, covariance=wider * judged.fit.covariance)
     while len(hypothesis.effects) > 1:
-        known = [apart(scene, hypothesis, fit, n) for n in range(len(hypothesis.effects))]
+        refined = {(find(one.effect).refines, one.target) for one in hypothesis.effects}
+        known = [
+            np.inf if (one.effect, one.target) in refined else apart(scene, hypothesis, fit, n)
+            for n, one in enumerate(hypothesis.effects)
+        ]
         least = int(np.argmin(known))
         if known[least] >= TOLD**2:
             break

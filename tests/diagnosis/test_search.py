@@ -18,13 +18,14 @@ from orbisim.diagnosis.moves import _generalized
 from orbisim.diagnosis.proposals import events, exchanges, merged
 from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.simplification import VAGUE
+from orbisim.diagnosis.simplification import VAGUE, plain
 from orbisim.diagnosis.worth import number_costs, prior, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.judge import Judged
 from orbisim.shooting.retune import Tunable, retuned
 from orbisim.testing import inject_effect
 
@@ -222,3 +223,22 @@ def test_a_number_of_a_usual_size_costs_the_width_of_its_prior(arm: orbisim.Scen
     assert costs(2e-4) == pytest.approx([np.log(np.sqrt(np.pi / 2) * 5), most])
     assert costs(1e-9) == pytest.approx([most, most])  # never more than one of unknown size
     assert costs(1.0) == pytest.approx([0.0, most])  # nor a reward
+
+
+def test_what_cannot_be_told_from_nothing_goes_but_not_what_is_refined(
+    arm: orbisim.Scene,
+) -> None:
+    """Static friction that is refined by nothing of the machine, and an idle inertia."""
+    context = begun(bench_of(arm, FRICTION), Settings(), lambda _: None)
+    rise = {"coulomb": 0.0, "static": 0.01, "velocity": 0.05}
+    idle = EffectInstance("armature", "shoulder", {"inertia": 1e-4})
+    every = Hypothesis((FRICTION, EffectInstance("stribeck_friction", "shoulder", rise), idle))
+    judged = context.judge.judge(every)
+    assert judged is not None
+
+    def refit(less: Hypothesis, now: Judged) -> Judged | None:
+        return context.judge.judge(less, begin=context.judge.begin(now))
+
+    kept = plain(context, judged, refit).hypothesis
+    assert ("coulomb_friction", "shoulder") in names(kept)
+    assert ("armature", "shoulder") not in names(kept)
