@@ -253,8 +253,9 @@ class Judge:
 
     def closer(self, judged: Judged, iterations: int = 5) -> Judged:
         """The hypothesis fitted again, if that is better: with what a window's start does along its
-        own scene, then as differences show. Along the declared scene it may be quite another thing.
-        Where bodies touch, only the latter.
+        own scene, then as differences show. Along the declared scene it may be quite another thing;
+        where it is not, and both fits end alike, differences will show no more. Where bodies touch,
+        only they are taken.
         """
         best = judged
         for own in (False,) if self.bench.contacts else (True, False):
@@ -266,8 +267,11 @@ class Judge:
             elif not self.bench.contacts:
                 begin = dataclasses.replace(begin, free=None, check_free=None)
             again = self.judge(best.hypothesis, iterations, begin=begin)
+            alike = own and again is not None and abs(again.loss - best.loss) < _ALIKE
             if again is not None and again.loss < best.loss:
                 best = again
+            if alike:
+                break
         return best
 
     def glance(self, hypothesis: Hypothesis, begin: Beginning, every: bool = False) -> float:
@@ -500,6 +504,8 @@ _IMPACTS = 4.0
 """Huber threshold where there are contacts: some impacts no fit of the start reproduces."""
 _REACHED = 1.05
 """Residual over noise below which a fit is not made better."""
+_ALIKE = 1e-3
+"""Difference of the losses of two fits that end alike: the share of the cost that ends a fit."""
 _GRID_STEPS = 12
 """Steps along a grid at most, each a fit."""
 _FINER = (0.12, 0.03, 0.008)

@@ -160,17 +160,24 @@ def test_events_are_tried_where_something_is_left(arm: orbisim.Scene) -> None:
     bench = SimpleNamespace(scene=arm, contacts=False, samples=[samples])
 
     def quick_loss(hypothesis: Hypothesis, begin: None) -> float:
+        fitted.append(hypothesis)
         return abs(hypothesis.effects[-1].values["position"] - 1.44)
 
+    def glance(hypothesis: Hypothesis, begin: None, every: bool) -> float:
+        assert every  # an event may happen in few windows
+        return abs(hypothesis.effects[-1].values["position"] - 1.43)
+
+    fitted: list[Hypothesis] = []
+    judge = SimpleNamespace(quick_loss=quick_loss, glance=glance, begin=lambda judged: None)
     context: Any = SimpleNamespace(
-        bench=bench, judge=SimpleNamespace(quick_loss=quick_loss, begin=lambda judged: None),
-        allowed=lambda one: one.effect == "hard_stop",
-    )  # fmt: skip
+        bench=bench, judge=judge, allowed=lambda one: one.effect == "hard_stop"
+    )
     current: Any = SimpleNamespace(hypothesis=Hypothesis())
     found = [one.instance for one in events(context, current, np.array([0.9, 0.01]))]
     assert [one.target for one in found] == ["shoulder"] * 2
     assert found[0].values == pytest.approx({"position": 1.44, "side": 1.0})  # 3 % of the travel
     assert found[1].values == pytest.approx({"position": -0.34, "side": -1.0})
+    assert len(fitted) == 6  # those that a glance likes best, on either side
     current.hypothesis = Hypothesis((found[0],))
     assert list(events(context, current, np.array([0.9, 0.01]))) == []
 
