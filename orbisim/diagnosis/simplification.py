@@ -22,7 +22,7 @@ from orbisim.diagnosis.explanations import (
     winner,
 )
 from orbisim.diagnosis.proposals import exchanges, laws, merged
-from orbisim.diagnosis.worth import apart, independent_data, sized, worth
+from orbisim.diagnosis.worth import apart, gains, independent_data, sized, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.unnamed import POWERS
 from orbisim.evidence import NEAR, Gain
@@ -89,12 +89,14 @@ Refit = Callable[[Hypothesis, Judged], Judged | None]
 
 
 def plain(context: Context, judged: Judged, refit: Refit) -> Judged:
-    """Without effects that cannot be told from nothing beside the others, the least apart first: in
-    linear approximation, as to fit each of a dozen without takes long; then fitted once. What
-    another refines stays as long as that does."""
+    """The best of nested explanations: effects that cannot be told from nothing beside the others
+    go, the least apart first, in linear approximation, as to fit each of a dozen without takes
+    long. What is left in the end is fitted, and twice as many, four times as many, ... What another
+    effect refines stays as long as that does."""
     scene, hypothesis = context.bench.scene, judged.hypothesis
     wider = max(judged.fit.count / independent_data(judged), 1.0)
     fit = dataclasses.replace(judged.fit, covariance=wider * judged.fit.covariance)
+    path: list[Hypothesis] = []
     while len(hypothesis.effects) > 1:
         refined = {(find(one.effect).refines, one.target) for one in hypothesis.effects}
         known = [
@@ -107,13 +109,18 @@ def plain(context: Context, judged: Judged, refit: Refit) -> Judged:
         own, neutral = sized(scene, hypothesis, least)
         every = [k for k, (i, _) in enumerate(hypothesis.free(scene)) if i == least]
         fit, hypothesis = _held(fit, own, neutral, every), hypothesis.without(least)
-    if hypothesis is judged.hypothesis:
+        bounds = hypothesis.unknowns(scene)
+        values = np.clip(fit.values, [one.low for one in bounds], [one.high for one in bounds])
+        path.append(hypothesis.at(scene, values))
+    fewest = len(hypothesis.effects)
+    some = {fewest * 2**k for k in range(len(path))}
+    tried = [refit(less, judged) for less in path if len(less.effects) in some]
+    simpler = [one for one in tried if one is not None]
+    if not simpler:
         return judged
-    bounds = hypothesis.unknowns(scene)
-    values = np.clip(fit.values, [one.low for one in bounds], [one.high for one in bounds])
-    again = refit(hypothesis.at(scene, values), judged)
-    better = again is not None and worth(context.bench, judged, again).total > 0
-    return again if again is not None and better else judged
+    known_gains = gains(context.bench, judged, simpler)
+    best = max(range(len(simpler)), key=lambda i: known_gains[i].total)
+    return simpler[best] if known_gains[best].total > 0 else judged
 
 
 def _held(fit: Fit, own: Sequence[int], neutral: Sequence[float], gone: Sequence[int]) -> Fit:
