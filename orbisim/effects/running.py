@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -74,14 +73,14 @@ def _equal(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
 
 def same_physics(one: mujoco.MjModel, other: mujoco.MjModel) -> bool:
     """Whether two models simulate alike, whatever names and texts they have."""
+    parts = ((one, other, _OF_MODEL), (one.opt, other.opt, _OF_OPTIONS))
     return all(
         np.array_equal(getattr(mine, name), getattr(others, name))
-        for mine, others in ((one, other), (one.opt, other.opt))
-        for name in _numbers(type(mine))
+        for mine, others, names in parts
+        for name in names
     )
 
 
-@functools.cache
 def _numbers(kind: type) -> tuple[str, ...]:
     """Attributes of a model, or of its options, that are numbers of the simulation: neither methods
     nor what only stores names and texts (`ntextdata`, `names_map`)."""
@@ -92,6 +91,7 @@ def _numbers(kind: type) -> tuple[str, ...]:
 
 _OWN = {"opt", "vis", "stat"}
 """Structures of a model: options are compared apart, the others only say how it looks."""
+_OF_MODEL, _OF_OPTIONS = _numbers(mujoco.MjModel), _numbers(mujoco.MjOption)
 
 
 class HookRunner:
