@@ -75,7 +75,8 @@ def test_the_stage_that_hooks_need() -> None:
 
 def test_scenes_that_differ_in_texts_alone_simulate_alike() -> None:
     arm = """<mujoco><option gravity="0 0 {g}"/><worldbody><body>
-    <joint name="{name}" damping="{d}"/><geom size=".1"/></body></worldbody><custom><text name="a" data="{text}"/></custom></mujoco>"""
+    <joint name="{name}" damping="{d}"/><geom size=".1"/></body></worldbody>
+    <custom><text name="a" data="{text}"/></custom></mujoco>"""
     usual = {"g": -9.81, "d": 0.1, "name": "hinge", "text": "b"}
     one = mujoco.MjModel.from_xml_string(arm.format(**usual))
     same = mujoco.MjModel.from_xml_string(arm.format(**usual | {"name": "elbow", "text": "bcd"}))
