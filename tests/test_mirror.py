@@ -229,6 +229,7 @@ CROSS_CUTTING = {
     "backends/world_model/test_conformance.py": "what every backend keeps to",
     "backends/world_model/test_equations.py": "docs/equations.md",
     "backends/world_model/test_many_objects.py": "episodes of different shapes, to the end",
+    "backends/world_model/test_mixed.py": "objects and mechanisms in one model, to the end",
     "backends/world_model/test_model.py": "symmetries of the whole model",
     "backends/world_model/test_speedups.py": "fast steps against the plain one",
     "backends/world_model/test_training.py": "a training from its start to its end",

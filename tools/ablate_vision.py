@@ -5,7 +5,8 @@
 
 Each begins from nothing with the same seed and data; then come rollouts of the test episodes. The
 autoencoder, and StaInf for TrajErr, are those of the checkpoint. A line of JSON for each, and a
-checkpoint with the denoiser in DIR/NAME.
+checkpoint with the denoiser in DIR/NAME. With `--train-only` no rollouts follow; where DIR/NAME is
+there already, it is measured as it is.
 """
 
 from __future__ import annotations
@@ -19,7 +20,14 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from orbisim_diffusion.checkpoint import AUTOENCODER, DENOISER, Checkpoint, save_checkpoint
+from orbisim_diffusion.checkpoint import (
+    AUTOENCODER,
+    DENOISER,
+    MANIFEST,
+    Checkpoint,
+    load_checkpoint,
+    save_checkpoint,
+)
 from orbisim_diffusion.config import Config, preset
 from orbisim_diffusion.estimate import load_with_inference
 from orbisim_diffusion.evaluate import evaluate
@@ -39,8 +47,9 @@ NAMES = ("default", "no_decoupling", "no_random_sampling", "no_object_centric", 
 def main() -> None:
     """Trains and measures one after another; prints and writes a line of JSON for each."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("data", type=Path, nargs="+", help="episodes with images")
-    parser.add_argument("--test", type=Path, required=True, help="episodes that none is trained on")
+    parser.add_argument("data", type=Path, nargs="*", help="episodes with images")
+    parser.add_argument("--test", type=Path, help="episodes that none is trained on")
+    parser.add_argument("--train-only", action="store_true")
     parser.add_argument("--out", type=Path, required=True, help="folder for lines and checkpoints")
     parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES)
     parser.add_argument("--checkpoint", type=Path, default=FOLDER / "push")
@@ -56,6 +65,8 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=1, help="processes that read and predict")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     arguments = parser.parse_args()
+    if arguments.test is None and not arguments.train_only:
+        parser.error("--test is needed, unless --train-only is given")
     arguments.out.mkdir(parents=True, exist_ok=True)
     for line in ablations(arguments):
         text = json.dumps(line)
@@ -69,27 +80,38 @@ def ablations(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     begun, device = time.monotonic(), torch.device(arguments.device)
     point, inference = load_with_inference(arguments.checkpoint)
     autoencoder = point.autoencoder.to(device)
-    plain = encoded(autoencoder, load(arguments.data, device, workers=arguments.workers))
-    known = _predictions(arguments)
-    features = None if arguments.no_features else Features(device)
-    yield {"episodes": len(plain.first), "frames": len(plain), "seconds": _since(begun)}
+    left = [name for name in arguments.only if not (arguments.out / name / MANIFEST).exists()]
+    plain = None
+    if left:
+        plain = encoded(autoencoder, load(arguments.data, device, workers=arguments.workers))
+        yield {"episodes": len(plain.first), "frames": len(plain), "seconds": _since(begun)}
+    known = [] if arguments.train_only else _predictions(arguments)
+    features = None if arguments.no_features or arguments.train_only else Features(device)
     store, maps = plain, ""
     for name in arguments.only:
-        config = _config(point, name, arguments.batch)
-        if config.denoiser.maps != maps:
-            maps, store = config.denoiser.maps, plain  # the old maps go before new ones come
-            store = plain.with_maps(config.denoiser) if device.type == "cuda" else plain
-        run = Run(arguments.seconds, arguments.most_steps, None, arguments.seed)
-        model, loop = train_denoiser(config, run, store, lambda _: None)
-        save_checkpoint(
-            arguments.out / name,
-            {AUTOENCODER: autoencoder, DENOISER: model},
-            config,
-            point.scope,
-            {"metrics": {}},
-        )
+        if name in left:
+            config = _config(point, name, arguments.batch)
+            assert plain is not None
+            if config.denoiser.maps != maps:
+                maps, store = config.denoiser.maps, plain  # the old maps go before new ones come
+                store = plain.with_maps(config.denoiser) if device.type == "cuda" else plain
+            run = Run(arguments.seconds, arguments.most_steps, None, arguments.seed)
+            assert store is not None
+            model, loop = train_denoiser(config, run, store, lambda _: None)
+            save_checkpoint(
+                arguments.out / name,
+                {AUTOENCODER: autoencoder, DENOISER: model},
+                config,
+                point.scope,
+                {"metrics": {DENOISER: _spent(loop.history, loop.step)}},
+            )
+        trained = load_checkpoint(arguments.out / name)
+        spent = {"name": name, "seed": arguments.seed, **trained.manifest["metrics"][DENOISER]}
+        if arguments.train_only:
+            yield {**spent, "seconds": _since(begun)}
+            continue
         table = evaluate(
-            Painter(autoencoder, model, None, config, device),
+            Painter.of(trained, device),
             arguments.test,
             episodes=arguments.episodes,
             workflows=("GT-first",),
@@ -101,7 +123,7 @@ def ablations(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
             workers=arguments.workers,
             report=lambda _: None,
         )
-        yield {"name": name, **_spent(loop.history, loop.step), **table, "seconds": _since(begun)}
+        yield {**spent, **table, "seconds": _since(begun)}
 
 
 def _config(point: Checkpoint, name: str, batch: int | None) -> Config:

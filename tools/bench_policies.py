@@ -1,6 +1,7 @@
-"""Environment steps per second of `task:push` in the learned step, all on the device.
+"""Environment steps per second of tasks in the learned step, all on the device.
 
     python tools/bench_policies.py --out out/bench_policies.json
+    python tools/bench_policies.py --tasks suite:cartpole-swingup suite:cheetah-run --steps 1000
 
 A step of `DeviceEnvironment` has everything that a policy's environment has: inverse kinematics,
 the learned step, observations, rewards, ends of episodes and new episodes. Nothing is copied to
@@ -10,6 +11,7 @@ the host. Measured with random actions, and with a policy that acts on the obser
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import time
 import warnings
@@ -21,14 +23,16 @@ import numpy as np
 import torch
 from orbisim_policies.environment import DeviceEnvironment
 from orbisim_policies.network import NetworkConfig, Policy
-from orbisim_policies.problems import make_problem
+from orbisim_policies.problems import available, make_problem
 
 from orbisim.files.writing import write_json
 
 
-def runs(worlds: int, device: str, steps: int = 64) -> tuple[Callable[[], Any], Callable[[], Any]]:
+def runs(
+    task: str, worlds: int, device: str, steps: int
+) -> tuple[Callable[[], Any], Callable[[], Any]]:
     """A step under random actions, and one under a policy; the same worlds go on."""
-    problem = make_problem("push", steps)
+    problem = make_problem(task, steps)
     environment = DeviceEnvironment(problem, worlds, device=device, starts=min(worlds, 256))
     view = environment.reset()["observations"]
     policy = Policy(problem.observations, problem.actions, NetworkConfig()).to(view.device)
@@ -49,7 +53,7 @@ def runs(worlds: int, device: str, steps: int = 64) -> tuple[Callable[[], Any], 
 
 
 def rate(run: Callable[[], Any], worlds: int, device: str, steps: int, repeats: int) -> Any:
-    """Median, 10 % and worst of the environment steps per second, of episodes."""
+    """Median, 10 % and worst of the environment steps per second, of `repeats` of `steps` steps."""
     rates = []
     run()
     for _ in range(repeats):
@@ -73,9 +77,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
+    parser.add_argument("--tasks", nargs="*", default=["task:push"], choices=available())
     parser.add_argument("--worlds", type=int, nargs="*", default=[1, 64, 4096, 16384, 65536])
     parser.add_argument("--device", default="cuda")
-    parser.add_argument("--repeats", type=int, default=20, help="episodes")
+    parser.add_argument("--repeats", type=int, default=20)
+    parser.add_argument("--count", type=int, default=64, help="control steps of a repeat")
     parser.add_argument("--steps", type=int, default=64, help="of an episode")
     parser.add_argument("--out", type=Path, default=Path("out/bench_policies.json"))
     options = parser.parse_args()
@@ -84,19 +90,19 @@ def main() -> None:
     settings = {**vars(options), "out": str(options.out), "on": name}
     found: dict[str, Any] = {"options": settings, "steps_per_s": {}}
     warnings.simplefilter("default")
-    for worlds in options.worlds:
+    for task, worlds in itertools.product(options.tasks, options.worlds):
         measured = {
-            label: rate(run, worlds, options.device, options.steps, options.repeats)
+            label: rate(run, worlds, options.device, options.count, options.repeats)
             for label, run in zip(
                 ("random actions", "policy"),
-                runs(worlds, options.device, options.steps),
+                runs(task, worlds, options.device, options.steps),
                 strict=True,
             )
         }
-        found["steps_per_s"][worlds] = measured
+        found["steps_per_s"].setdefault(task, {})[worlds] = measured
         write_json(options.out, found)
         medians = ", ".join(f"{row['median']:.4g} ({n})" for n, row in measured.items())
-        print(f"{worlds:>7} worlds: environment steps/s {medians}", flush=True)
+        print(f"{task}, {worlds:>7} worlds: environment steps/s {medians}", flush=True)
     print(json.dumps({"out": str(options.out)}))
 
 

@@ -2,13 +2,13 @@
 
     python tools/bench_vector.py --out out/bench_vector.json
 
-For each task and number of worlds: `orbisim.vector` on C MuJoCo (all cores) and, with `--warp`,
-on MuJoCo-Warp; dm_control's own environments in gymnasium's `AsyncVectorEnv` (by shimmy, one
-process for each core, each with its share of the worlds one after the other); gymnasium's own
-MuJoCo environments in `AsyncVectorEnv`, where there is one of that robot. Actions are random;
-episodes begin anew where they end. Best of `--repeats`, each at least `--seconds` long. With
-`--playground PYTHON`, mujoco_playground as well, by that Python (see bench_playground.py). Take the
-figures on a machine that does nothing else.
+For each task and number of worlds: `orbisim.vector` on C MuJoCo (all cores) and, with `--warp`, on
+MuJoCo-Warp or, with `--learned`, in the zoo's dynamics where there are any; dm_control's own
+environments in gymnasium's `AsyncVectorEnv` (by shimmy, one process for each core, each with its
+share of the worlds one after the other); gymnasium's own MuJoCo environments in `AsyncVectorEnv`,
+where there is one of that robot. Actions are random; episodes begin anew where they end. Best of
+`--repeats`, each at least `--seconds` long. With `--playground PYTHON`, mujoco_playground as well,
+by that Python (see bench_playground.py). Take the figures on a machine that does nothing else.
 """
 
 from __future__ import annotations
@@ -149,7 +149,9 @@ def measure(name: str, worlds: int, options: Any) -> dict[str, Any]:
     }
     if options.warp:
         jobs["orbisim warp"] = functools.partial(ours, domain, task, worlds, "warp", options)
-    if worlds <= options.most:
+    if options.learned:
+        jobs["orbisim learned"] = functools.partial(ours, domain, task, worlds, "learned", options)
+    if worlds <= options.most and not options.ours:
         make = functools.partial(_shimmy, domain, task)
         jobs["dm_control async"] = functools.partial(processes, make, worlds, options)
         like = functools.partial(_gymnasium, TASKS[name])
@@ -198,6 +200,8 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=usable_cpus())
     parser.add_argument("--most", type=int, default=4096, help="worlds in processes")
     parser.add_argument("--warp", action="store_true")
+    parser.add_argument("--learned", action="store_true", help="of cartpole, cheetah and walker")
+    parser.add_argument("--ours", action="store_true", help="nothing of dm_control and gymnasium")
     parser.add_argument("--playground", default=None, help="a Python that has mujoco_playground")
     parser.add_argument("--playground-tasks", nargs="*", default=list(TASKS), choices=list(TASKS))
     parser.add_argument("--playground-worlds", nargs="*", type=int, default=[64, 4096])

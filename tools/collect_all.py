@@ -20,7 +20,7 @@ from orbisim.cli.common import quiet_engine
 from orbisim.tasks.collect import collect
 from orbisim.tasks.domains import HELD_OUT_MECHANISMS, MECHANISMS, SUBSTEPS, SUITE_TASKS
 
-TRAIN, TEST, MORE, CALIBRATION = 0, 1, 5, 3
+TRAIN, TEST, MORE, CALIBRATION, EXTRA = 0, 1, 5, 3, 6
 """Seeds."""
 
 MANY = {"acrobot": 2000, "finger": 1200, "cheetah": 2000, "hopper": 1000, "walker": 1000}
@@ -48,7 +48,9 @@ def data_sets() -> list[DataSet]:
         DataSet("push_calibration", "push", 260, CALIBRATION),
         DataSet("push_hold_train", "push_hold"),
         DataSet("push_long_train", "push_hold", 250, MORE, changes={"steps": 500}),
+        DataSet("push_long_calibration", "push_hold", 60, CALIBRATION, changes={"steps": 500}),
         DataSet("push_more_train", "push", seed=MORE),
+        DataSet("push_extra_train", "push", seed=EXTRA),
         DataSet("push_low_friction", episodes=100, changes={"table_friction": 0.2}, **hit),
         DataSet("push_high_friction", episodes=100, changes={"table_friction": 0.6}, **hit),
         DataSet("push_ood_slippery", episodes=100, changes={"table_friction": 0.05}, **hit),

@@ -2,11 +2,16 @@
 
     python tools/collect_clips.py push_train.h5 push_hold_train.h5 --out push_clips_train.pack
         [--clips 60000] [--seconds 120] [--length 16] [--workers 16] [--seed 0]
+        [--hard CHECKPOINT] [--device cuda]
 
 Each clip begins at a state of an episode shortly before a cube's velocity changes (a share of them
 anywhere), turned about the robot's vertical axis, with cubes and arm moved by up to centimetres
 and degrees, and other densities and frictions, and is simulated by C MuJoCo under the episode's
 own controls, as much moved. Starts with an overlap deeper than a millimetre are drawn again.
+
+With `--hard`, half of the clips begin where this checkpoint errs: at a state with a chance in
+proportion to how far off a cube is after a clip's length, open loop along the episode itself. Its
+episodes should be others than those that the checkpoint was trained on, on which it errs less.
 """
 
 from __future__ import annotations
@@ -45,6 +50,8 @@ DENSITY, FRICTION, TABLE, WIDE, OFTEN = (150, 900), (0.2, 0.6), (0.2, 0.6), (0.0
 """Ranges; `WIDE` is the table's in a share `OFTEN` of the clips."""
 DEEP, FAST, TRIES = 1e-3, 8.0, 20
 """m, m/s or rad/s of a cube, draws of a start."""
+BATCH, LEVELS = 8192, (0.5, 0.9, 1.0)
+"""Rollouts of a checkpoint at once, and the quantiles of its errors that are printed."""
 
 
 def main() -> None:
@@ -54,7 +61,12 @@ def main() -> None:
     pack = read_data(options.data)
     rows, episodes = starts(pack, options.length)
     generate = functools.partial(_clip, length=options.length, seed=options.seed)
-    _Worker.give(pack, rows, episodes)
+    chances = np.full(len(rows), 1.0 / len(rows))
+    if options.hard is not None:
+        off = misses(pack, rows, episodes, options)
+        print(json.dumps({"misses_mm": [float(v) for v in 1e3 * np.quantile(off, LEVELS)]}))
+        chances = 0.5 * chances + 0.5 * off / off.sum()
+    _Worker.give(pack, rows, episodes, np.cumsum(chances))
     found, tried = [], 0
     context = multiprocessing.get_context("fork")
     with context.Pool(options.workers) as pool:
@@ -85,21 +97,41 @@ def starts(pack: Pack, length: int) -> tuple[Any, Any]:
     return row[chosen].numpy(), episode[chosen].numpy()
 
 
+@torch.no_grad()
+def misses(pack: Pack, rows: Any, episodes: Any, options: Any) -> Any:
+    """By how much, m, the worst cube is elsewhere after a clip from each of these rows."""
+    from orbisim_world_model.checkpoint import load_for
+    from orbisim_world_model.sampling import Windows
+    from orbisim_world_model.unroll import open_loop
+
+    pack = pack.to(options.device)
+    model = load_for(options.hard, pack.layout).model.to(options.device).eval()
+    windows = Windows(pack, options.length, model.config)
+    found = []
+    for part in zip(*(torch.as_tensor(a).split(BATCH) for a in (rows, episodes)), strict=True):
+        batch = windows.batch(*(a.to(options.device) for a in part))
+        end = open_loop(model, batch, 0).pos[-1]
+        off = (end - batch.states.pos[-1]).norm(dim=-1).amax(1)
+        found.append(off.nan_to_num(1.0).clamp(max=1.0).cpu())
+    return torch.cat(found).double().numpy()
+
+
 class _Worker:
     """What a process has: set before it is forked."""
 
     pack: Any
     rows: Any
     episodes: Any
+    upto: Any
     model: Any
     data: Any
 
     @classmethod
-    def give(cls, pack: Pack, rows: Any, episodes: Any) -> None:
-        """Takes over the episodes."""
+    def give(cls, pack: Pack, rows: Any, episodes: Any, upto: Any) -> None:
+        """Takes over the episodes; `upto` are the chances of the rows, added up."""
         cls.pack = {n: getattr(pack, n).double().numpy() for n in ("qpos", "qvel", "ctrl")}
         cls.pack |= {"attributes": pack.attributes.double().numpy(), "layout": pack.layout}
-        cls.rows, cls.episodes = rows, episodes
+        cls.rows, cls.episodes, cls.upto = rows, episodes, upto
         cls.model = assets.spec("push").compile()
         cls.data = mujoco.MjData(cls.model)
 
@@ -108,7 +140,7 @@ def _clip(number: int, length: int, seed: int) -> dict[str, Any] | None:
     """One clip, or None if no start was found or the simulation went wrong."""
     rng = np.random.default_rng([seed, number])
     w, model, data = _Worker, _Worker.model, _Worker.data
-    index = int(rng.integers(len(w.rows)))
+    index = min(int(np.searchsorted(w.upto, rng.random(), side="right")), len(w.rows) - 1)
     row, episode = int(w.rows[index]), int(w.episodes[index])
     describe(model, data, w.pack["attributes"][episode], w.pack["layout"], rng)
     for _ in range(TRIES):
@@ -140,17 +172,23 @@ def _clip(number: int, length: int, seed: int) -> dict[str, Any] | None:
 def describe(model: Any, data: Any, rows: Any, layout: Any, rng: Any) -> None:
     """Gives the model the cubes' sizes of an episode, and densities and frictions of its own."""
     sizes = [layout.attributes.index(f"half_{axis}") for axis in "xyz"]
-    for name, row in zip(layout.objects, rows, strict=True):
-        half, body, geom = row[sizes], model.body(name).id, model.geom(name).id
-        mass = float(rng.uniform(*DENSITY)) * 8 * float(np.prod(half))
+    drawn = [(rng.uniform(*DENSITY), rng.uniform(*FRICTION)) for _ in layout.objects]
+    table = rng.uniform(*(WIDE if rng.random() < OFTEN else TABLE))
+    made(model, data, layout.objects, rows[:, sizes], drawn, table)
+
+
+def made(model: Any, data: Any, names: Any, halves: Any, drawn: Any, table: float) -> None:
+    """Gives the model cubes of these half sides [N, 3] and (density, friction), and the table's."""
+    for name, half, (density, friction) in zip(names, halves, drawn, strict=True):
+        body, geom = model.body(name).id, model.geom(name).id
+        mass = float(density) * 8 * float(np.prod(half))
         model.geom_size[geom] = half
         model.geom_rbound[geom] = np.linalg.norm(half)
         model.geom_aabb[geom] = [0, 0, 0, *half]
         model.body_mass[body] = mass
         model.body_inertia[body] = mass / 3 * (np.sum(half**2) - half**2)
-        model.geom_friction[geom, 0] = rng.uniform(*FRICTION)
-    table = WIDE if rng.random() < OFTEN else TABLE
-    model.geom_friction[model.geom("table").id, 0] = rng.uniform(*table)
+        model.geom_friction[geom, 0] = friction
+    model.geom_friction[model.geom("table").id, 0] = table
     mujoco.mj_resetData(model, data)
     mujoco.mj_setConst(model, data)
 
@@ -226,6 +264,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--length", type=int, default=16)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--hard", type=Path, help="checkpoint whose errors say where to begin")
+    parser.add_argument("--device", default="cpu", help="of `--hard`")
     return parser
 
 

@@ -1,10 +1,12 @@
 """Methods that make policies, on equal terms: tasks, methods and seeds, one line of JSON for each.
 
-`apg` and `bc_apg` (cloned first) learn by analytic gradients in the zoo's dynamics of the task,
-`bc` from the task's script, `ppo`, `ppo_rnd`, `sac` and `dreamer` by trying in C MuJoCo. All have
-the same observations, actions, rewards, episodes, seconds (--limit) and, where they try, at most
-the same true control steps. The policy that is kept is of every method the best by 48 episodes on
-the way, the same for all. All are evaluated in C MuJoCo, and beside it inside the learned dynamics.
+`apg`, `shac` (gradients over short horizons that end in a value) and `bc_apg` (cloned first) learn
+by analytic gradients in the zoo's dynamics of the task, `apg_mujoco` by those of C MuJoCo's finite
+differences, `bc` from the task's script, `ppo`, `ppo_rnd`, `sac` and `dreamer` by trying in C
+MuJoCo. All have the same observations, actions,
+rewards, episodes, seconds (--limit) and, where they try, at most the same true control steps. The
+policy that is kept is of every method the best by 48 episodes on the way, the same for all. All are
+evaluated in C MuJoCo, and beside it inside the learned dynamics.
 
 --search tries four configurations of each method (`SPACE`) with a seed of their own, for the same
 seconds each; without it, every method has the configuration that did best there, and its first one
@@ -31,6 +33,7 @@ from from_source import register  # noqa: E402
 from orbisim_policies.apg import ApgConfig  # noqa: E402
 from orbisim_policies.checkpoint import MANIFEST, load_policy, read_manifest  # noqa: E402
 from orbisim_policies.cloning import CloneConfig  # noqa: E402
+from orbisim_policies.differenced import DifferencedWorlds  # noqa: E402
 from orbisim_policies.dreamer import DreamerConfig, train_dreamer  # noqa: E402
 from orbisim_policies.evaluate import evaluate  # noqa: E402
 from orbisim_policies.learned import LearnedWorlds  # noqa: E402
@@ -42,8 +45,10 @@ from orbisim_policies.suite import SUITE  # noqa: E402
 from plans import carry_out, left, read_rows  # noqa: E402
 from policy_table import curves, figure, table  # noqa: E402
 
-METHODS = ("bc", "apg", "bc_apg", "ppo", "ppo_rnd", "sac", "dreamer")
-ON_DEVICE = ("apg", "bc_apg", "dreamer")
+METHODS = ("bc", "apg", "shac", "bc_apg", "apg_mujoco", "ppo", "ppo_rnd", "sac", "dreamer")
+GRADIENTS = ("apg", "shac", "bc_apg")
+"""Methods that differentiate the learned step."""
+ON_DEVICE = (*GRADIENTS, "dreamer")
 """What is trained on --device; the others, whose networks are small, are not faster there."""
 DYNAMICS = {"task:push": "push_contacts"}
 """Checkpoint of the zoo that a task is trained in; if not here, the one that fits best."""
@@ -54,23 +59,27 @@ CHECK = 48
 SPACE: Mapping[str, Sequence[Mapping[str, Any]]] = {
     "bc": ({}, {"rate": 3e-4}, {"rate": 3e-3}, {"batch": 512}),
     "apg": ({"rate": 2e-4}, {"rate": 5e-4}, {"rate": 2e-4, "noise": 0.4}, {"rate": 1e-4}),
+    "shac": ({"rate": 2e-4}, {"rate": 5e-4}, {"rate": 2e-4, "horizon": 32}, {"rate": 1e-3}),
     "bc_apg": ({"rate": 5e-5}, {"rate": 2e-5}, {"rate": 1e-4}, {"rate": 5e-5, "noise": 0.2}),
+    "apg_mujoco": ({"rate": 5e-4}, {"rate": 2e-4}, {"rate": 1e-3}, {"rate": 5e-4, "batch": 64}),
     "ppo": ({}, {"rate": 1e-3}, {"window": 64}, {"rate": 1e-3, "window": 64}),
     "ppo_rnd": ({}, {"rate": 1e-3}, {"curiosity": 0.01}, {"rate": 1e-3, "curiosity": 0.01}),
-    "sac": ({}, {"rate": 1e-3}, {"updates": 4}, {"rate": 1e-3, "updates": 4}),
+    "sac": ({}, {"rate": 1e-3}, {"returns": 16}, {"returns": 16, "updates": 4}),
     "dreamer": ({}, {"rate": 1e-3}, {"ratio": 128.0}, {"entropy": 3e-3}),
 }
 """Four configurations of each method: changes of `BASE`; the first is what it has unsearched."""
+HORIZON, SPARSE_HORIZON = 25, 16
+"""Control steps whose gradients are taken at once in tasks of the suite, and, by `shac`, where the
+reward comes at the end: they divide episodes of 1,000 and of 64 steps."""
 BASE: Mapping[str, Mapping[str, Any]] = {
     "bc_apg": {"noise": 0.1},
+    "apg_mujoco": {"batch": 16, "horizon": HORIZON},
     "ppo": {"batch": 32},
     "ppo_rnd": {"batch": 32},
     "sac": {"batch": 8},
 }
 """PPO learns from many worlds, SAC makes one update for each eight steps; noise before the bounds
 of actions would undo what a clone knows."""
-HORIZON = 25
-"""Control steps whose gradients are taken at once in tasks of the suite: it divides 1,000."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,9 +138,12 @@ def dynamics_of(problem: Problem, device: torch.device) -> LearnedWorlds:
 def settings(job: Job, problem: Problem) -> dict[str, Any]:
     """What is not said otherwise by a method's defaults."""
     found = dict(BASE.get(job.method, {})) | dict(SPACE[job.method][job.choice])
-    if job.method in ("apg", "bc_apg"):
+    if job.method == "apg_mujoco":
+        found["final_rate"] = found["rate"] / 10
+    if job.method in GRADIENTS:
         found |= {"batch": job.worlds, "final_rate": found["rate"] / 10}
-        found |= {"horizon": 0 if problem.sparse else HORIZON}
+        horizon = min(SPARSE_HORIZON, problem.steps) if job.method == "shac" else 0
+        found = {"horizon": horizon if problem.sparse else HORIZON, **found}
         if not problem.sparse:
             found |= {"rate": 2.5 * found["rate"], "final_rate": 0.25 * found["rate"]}
     return found
@@ -157,7 +169,7 @@ def learn(job: Job, problem: Problem, out: Path) -> None:
     if job.method == "bc":
         assert isinstance(problem, PushProblem)
         train_clone(problem, CloneConfig(**changes), run)
-    elif job.method in ("apg", "bc_apg"):
+    elif job.method in GRADIENTS:
         if job.method == "bc_apg":
             assert isinstance(problem, PushProblem)
             clone = dataclasses.replace(run, out=out.with_name(f"{out.name}-clone"), check=0)
@@ -169,6 +181,11 @@ def learn(job: Job, problem: Problem, out: Path) -> None:
             limit = None if run.limit is None else max(run.limit - spent, 1.0)
             run = dataclasses.replace(run, start=clone.out, limit=limit)
         train_apg(problem, ApgConfig(**changes), run, DYNAMICS.get(problem.name))
+    elif job.method == "apg_mujoco":
+        config = ApgConfig(**changes)
+        cost = DifferencedWorlds(problem).true_per_step * config.batch * config.horizon
+        budget = None if job.steps is None else max(1, job.steps // cost)
+        train_apg(problem, config, dataclasses.replace(run, steps=budget), differences=True)
     else:
         run = dataclasses.replace(run, steps=job.steps)
         if job.method == "dreamer":
@@ -266,6 +283,8 @@ def main() -> None:
             for task in tasks:
                 if method in ("bc", "bc_apg") and task != PushProblem.name:
                     continue  # there is no script to imitate
+                if method == "apg_mujoco" and task == PushProblem.name:
+                    continue  # each episode has a scene of its own
                 choice = given.get(method, best(rows, task, method))
                 choices = range(len(SPACE[method])) if options.search else [choice]
                 for choice in choices:

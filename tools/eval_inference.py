@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -56,16 +57,21 @@ def main() -> None:
     parser.add_argument("--open", action="store_true", help="sizes and colours are fitted, too")
     parser.add_argument("--out", type=Path, help="a file for the lines, too")
     parser.add_argument("--network", action="store_true", help="the network alone")
-    parser.add_argument("--episodes", type=int, help="`--network`: at most so many")
+    parser.add_argument("--episodes", type=int, help="at most so many")
+    parser.add_argument("--workers", type=int, default=1, help="processes")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     if arguments.network:
         _say(alone(arguments), arguments.out)
         return
+    with EpisodeFile(arguments.data) as file:
+        count = min(len(file), arguments.episodes or len(file))
     lines: list[dict[str, Any]] = []
-    for line in trials(arguments):
-        lines.append(line)
-        _say(line, arguments.out)
+    with ProcessPoolExecutor(arguments.workers, get_context("spawn")) as pool:
+        for some in pool.map(trials, [arguments] * count, range(count)):
+            for line in some:
+                lines.append(line)
+                _say(line, arguments.out)
     _say(summary(lines), arguments.out)
 
 
@@ -84,39 +90,38 @@ def alone(arguments: argparse.Namespace) -> dict[str, Any]:
     return found
 
 
-def trials(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """Errors in some frames of each episode."""
+def trials(arguments: argparse.Namespace, episode: int) -> list[dict[str, Any]]:
+    """Errors in some frames of an episode."""
+    torch.set_num_threads(1)
     point, model = load_inference(arguments.checkpoint)
-    rng = np.random.default_rng(arguments.seed)
+    rng = np.random.default_rng([arguments.seed, episode])
     with EpisodeFile(arguments.data) as file:
         changes = {n: tuple(v) if isinstance(v, list) else v for n, v in file.config.items()}
         task = make(file.task, **changes)
-        for episode in range(len(file)):
-            known = file.attributes(episode)
-            scene = task.scene(known["subtask"], known["seed"])
-            arrays = file.episode(episode, ["qpos", "frames/side"])
-            frames, qpos = arrays["frames/side"], arrays["qpos"]
-            refiner = Refiner(scene, scene.model.camera("side").id, frames.shape[1])
-            chosen = np.sort(rng.choice(len(qpos), arguments.frames, replace=False))
-            network = read_frames(frames[chosen], point, model)
-            read, hands = reading(network, len(refiner.scalar.qpos)), Hands(task, scene)
-            for i, t in enumerate(chosen):
-                if arguments.open:
-                    found = opened(scene, frames[t], qpos[t], read, i)
-                else:
-                    found = one(refiner, frames[t], qpos[t], read, i)
-                fitted = found.pop("qpos")
-                columns = refiner.scalar.qpos
-                told = qpos[t].copy()
-                told[columns] = read.joints[i]
-                found["hand_network"] = hands.apart(
-                    network.hand_pos[i].double().numpy(),
-                    network.hand_rot[i].double().numpy(),
-                    qpos[t],
-                )
-                found["hand_of_network_joints"] = hands.apart(*hands.at(told), qpos[t])
-                found["hand_fit"] = hands.apart(*hands.at(fitted), qpos[t])
-                yield {"episode": episode, "frame": int(t), **found}
+        known = file.attributes(episode)
+        arrays = file.episode(episode, ["qpos", "frames/side"])
+    scene = task.scene(known["subtask"], known["seed"])
+    frames, qpos = arrays["frames/side"], arrays["qpos"]
+    refiner = Refiner(scene, scene.model.camera("side").id, frames.shape[1])
+    chosen = np.sort(rng.choice(len(qpos), arguments.frames, replace=False))
+    network = read_frames(frames[chosen], point, model)
+    read, hands = reading(network, len(refiner.scalar.qpos)), Hands(task, scene)
+    lines = []
+    for i, t in enumerate(chosen):
+        if arguments.open:
+            found = opened(scene, frames[t], qpos[t], read, i)
+        else:
+            found = one(refiner, frames[t], qpos[t], read, i)
+        fitted = found.pop("qpos")
+        told = qpos[t].copy()
+        told[refiner.scalar.qpos] = read.joints[i]
+        found["hand_network"] = hands.apart(
+            network.hand_pos[i].double().numpy(), network.hand_rot[i].double().numpy(), qpos[t]
+        )
+        found["hand_of_network_joints"] = hands.apart(*hands.at(told), qpos[t])
+        found["hand_fit"] = hands.apart(*hands.at(fitted), qpos[t])
+        lines.append({"episode": episode, "frame": int(t), **found})
+    return lines
 
 
 class Hands:

@@ -3,11 +3,13 @@
     python tools/mechanism_trials.py generate --out trials --count 12
     python tools/blind_trials.py run --trials trials --out results.jsonl --tools diagnose
     python tools/mechanism_trials.py score --trials trials --results results.jsonl
+    python tools/mechanism_trials.py history --numbers 3 11
 
 Every trial is an instance of a family of mechanisms. A compliant hand moves each joint in turn and
 all at once, forces are recorded with positions, and one property of the instance, as it was
 generated, is left out of the declared scene. `--hide` leaves a lock out whose other joint is
-neither declared nor recorded. `generate` writes what `run` opens apart from `truth/`.
+neither declared nor recorded. `generate` writes what `run` opens apart from `truth/`. `history`
+says which joints are called history-dependent before any search, of all families and kinds.
 """
 
 from __future__ import annotations
@@ -27,9 +29,12 @@ import numpy.typing as npt
 from processes import read_lines
 
 from orbisim import Recording, Scene, load_scene, make_backend, replay
+from orbisim.diagnosis.history import history_dependent
 from orbisim.effects import EffectInstance
 from orbisim.effects.carry import write_carried
 from orbisim.files.temporary import temporary_folder
+from orbisim.motion.samples import prepare_all
+from orbisim.shooting.bench import make_bench
 from orbisim.tasks.mechanisms.catalogue import FAMILIES, INSTANCES, make
 from orbisim.tasks.mechanisms.model import Joint, Mechanism
 from orbisim.tasks.mechanisms.urdf import write_urdf
@@ -288,6 +293,28 @@ def generate(args: argparse.Namespace) -> int:
     return 0
 
 
+def history(args: argparse.Namespace) -> int:
+    """Prints a line for each instance and kind: locks whose release is hidden, then the others."""
+    found: dict[bool, list[bool]] = {True: [], False: []}
+    every = itertools.product(
+        [(True, "latch"), *((False, k) for k in KINDS)], args.numbers, FAMILIES
+    )
+    for (hide, kind), number, family in every:
+        made = trial(Wish(kind, family, number, hide), 1000 + number)
+        if made is None:
+            continue
+        samples = prepare_all(made.recordings[:FIT], made.declared)
+        called = history_dependent(make_bench(made.declared, samples, WINDOW))
+        found[hide].append(bool(called))
+        line = {"kind": kind, "family": family, "number": number, "hidden": hide,
+                "joint": made.missing.target, "called": [one.joint for one in called],
+                "ratios": [round(one.ratio, 2) for one in called]}  # fmt: skip
+        print(json.dumps(line), flush=True)
+    for hide, said in found.items():
+        print(f"{'hidden' if hide else 'recorded'}: {sum(said)} of {len(said)} history-dependent")
+    return 0
+
+
 # -- scores ----------------------------------------------------------------------------------------
 
 
@@ -297,7 +324,8 @@ _SAME = {"detent": ("cogging",)}
 
 def judge(truth: dict[str, Any], report: dict[str, Any]) -> dict[str, Any]:
     """What the diagnosis of a trial is worth: `found` if what was left out is named at its joint,
-    `first` if it is named first, and how many effects are named besides."""
+    `first` if it is named first, how many effects are named besides, and which joints are said to
+    depend on their history."""
     one, named = truth["effect"], report["effects"]
     names = {one["effect"], *_SAME.get(one["effect"], ())}
     right = [e["effect"] in names and e["target"] == one["target"] for e in named]
@@ -309,6 +337,7 @@ def judge(truth: dict[str, Any], report: dict[str, Any]) -> dict[str, Any]:
         "found": any(right),
         "first": bool(right[:1] == [True]),
         "besides": len(named) - sum(right),
+        "history_dependent": [entry["joint"] for entry in report["history_dependent"]],
         "value_over_truth": value,
         "verdict": report["verdict"],
         "left": report["residual"].get("ratio_after"),
@@ -321,8 +350,10 @@ def score(args: argparse.Namespace) -> int:
     for entry in read_lines(Path(args.results)):
         truth = json.loads((Path(args.trials) / "truth" / f"{entry['trial']}.json").read_text())
         report = entry["report"]
-        judged = {"found": False, "first": False} if report is None else judge(truth, report)
-        rows.append(judged)
+        judged: dict[str, Any] = {"found": False, "first": False, "history_dependent": []}
+        if report is not None:
+            judged = judge(truth, report)
+        rows.append({**judged, "hide": truth["wish"]["hide"], "target": truth["effect"]["target"]})
         named = (
             "no answer"
             if report is None
@@ -332,6 +363,14 @@ def score(args: argparse.Namespace) -> int:
         print(json.dumps({"trial": entry["trial"], **wish, "true": one, "named": named, **judged}))
     found, first = (sum(row[key] for row in rows) for key in ("found", "first"))
     print(f"{found} of {len(rows)} named at their joints, {first} first")
+    hidden, said = [row["hide"] for row in rows], [bool(row["history_dependent"]) for row in rows]
+    right = sum(row["hide"] and row["history_dependent"] == [row["target"]] for row in rows)
+    wrong = sum(s and not h for s, h in zip(said, hidden, strict=True))
+    print(
+        f"of {sum(hidden)} locks whose release is not recorded, {right} are called "
+        "history-dependent at their joints and nowhere else; of the other "
+        f"{len(rows) - sum(hidden)} {wrong} are"
+    )
     return 0
 
 
@@ -345,6 +384,9 @@ def main(argv: list[str] | None = None) -> int:
     making.add_argument("--seed", type=int, default=1)
     making.add_argument("--hide", action="store_true", help="locks by joints that nobody sees")
     making.set_defaults(work=generate)
+    looking = commands.add_parser("history", help="what depends on its history, before a search")
+    looking.add_argument("--numbers", type=int, nargs="+", default=[3, 11])
+    looking.set_defaults(work=history)
     scoring = commands.add_parser("score", help="open the truth and count")
     scoring.add_argument("--trials", required=True)
     scoring.add_argument("--results", required=True)

@@ -138,27 +138,37 @@ def _searched(rows: Rows) -> str:
 
 
 def figure(rows: Rows, path: Path) -> None:
-    """Live estimates of each seed against true episodes, and against seconds."""
+    """Live estimates of each seed against true episodes, and against seconds.
+
+    Of the suite the mean reward, of other tasks each part of it and the main success.
+    """
     from matplotlib.figure import Figure
 
     mine = [row for row in rows if row["kind"] == "policy" and row["curve"]["true_steps"]]
-    task = order(mine, "task")[0]
-    mine = [row for row in mine if row["task"] == task]
-    names = [n for n in mine[0]["curve"] if n.startswith("true_") and n != "true_steps"]
-    names.append(next(n for n in mine[0]["curve"] if n.startswith("success_")))
-    page = Figure(figsize=(2.6 * len(names) + 1.2, 5), layout="constrained")
-    axes = page.subplots(2, len(names), sharey="col", squeeze=False)
-    for number, method in enumerate(order(mine, "method")):
-        for place, row in enumerate(chosen(mine, task, method)):
-            curve, label = row["curve"], method if place == 0 else None
-            episodes = np.array(curve["true_steps"]) / row["steps_of_episode"]
-            for column, name in enumerate(names):
-                how: Any = {"color": f"C{number}", "marker": "o", "ms": 2, "lw": 1, "label": label}
+    columns = []
+    for task in order(mine, "task"):
+        names = next(list(row["curve"]) for row in mine if row["task"] == task)
+        shown = [n for n in names if n.startswith("true_") and n != "true_steps"]
+        if not task.startswith("suite:"):  # there it is another name of the return
+            shown.append(next(n for n in names if n.startswith("success_")))
+        columns += [(task, name) for name in shown]
+    methods = order(mine, "method")
+    page = Figure(figsize=(2.6 * len(columns) + 1.2, 5), layout="constrained")
+    axes = page.subplots(2, len(columns), sharey="col", squeeze=False)
+    for column, (task, name) in enumerate(columns):
+        for number, method in enumerate(methods):
+            for row in chosen(mine, task, method):
+                curve = row["curve"]
+                episodes = np.array(curve["true_steps"]) / row["steps_of_episode"]
+                how: Any = {"color": f"C{number}", "marker": "o", "ms": 2, "lw": 1}
                 axes[0, column].plot(episodes, curve[name], **how)
                 axes[1, column].plot(curve["seconds"], curve[name], **how)
-                axes[0, column].set(title=name.removeprefix("true_"), xscale="log")
-                axes[0, column].set_xlabel("episodes of C MuJoCo")
-                axes[1, column].set_xlabel("s")
+        title = name.removeprefix("true_")
+        axes[0, column].set(title=task if title == "return" else title, xscale="log")
+        axes[0, column].set_xlabel("episodes of C MuJoCo")
+        axes[1, column].set_xlabel("s")
+    for number, method in enumerate(methods):
+        axes[0, 0].plot([], [], color=f"C{number}", label=method)
     axes[0, 0].legend(frameon=False, fontsize=7)
     with writing(path) as part:
         page.savefig(part, dpi=100)

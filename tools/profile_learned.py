@@ -1,6 +1,7 @@
 """What the learned step's time on a GPU is made of: kernels by name, tiles, environments.
 
     python tools/profile_learned.py OUT [--jobs tiles step environment rollout gradient]
+        [--checkpoint CHECKPOINT]
 
 Each measurement is a process of its own. All compile at the same time; when all are ready, or
 after `--patience`, one after the other measures: milliseconds by CUDA events, and the kernels of
@@ -70,12 +71,14 @@ def main() -> int:
     parser.add_argument("--patience", type=float, default=75.0, help="s that all may compile")
     parser.add_argument("--limit", type=float, default=150.0, help="s that one may compile")
     parser.add_argument("--largest", type=int, default=SIZES[-1], help="number of worlds")
+    parser.add_argument("--checkpoint", type=Path, default=PUSH, help="`tiles`, `step`, `gradient`")
     options = parser.parse_args()
     if options.job:
         return job(options)
     options.out.mkdir(parents=True, exist_ok=True)
     names = [n for part in options.jobs for n in JOBS.get(part, [part])]
     words = [sys.executable, __file__, str(options.out), "--largest", str(options.largest)]
+    words += ["--checkpoint", str(options.checkpoint)]
     environment = {**os.environ, "TORCHINDUCTOR_COMPILE_THREADS": "2", "OMP_NUM_THREADS": "1"}
     running = {
         name: subprocess.Popen(
@@ -147,7 +150,7 @@ def tile(rest: str, options: Any) -> Measure:
     from orbisim_world_model.graphs import Graphed
     from orbisim_world_model.network.fused import FusedNetwork, Tile
 
-    model, device = _model(), _device()
+    model, device = _model(options), _device()
     torch.backends.cuda.matmul.allow_tf32 = False
     exact = model.network.to(device).requires_grad_(False)
     fused = FusedNetwork(model.network, Tile(*map(int, rest.split(","))))
@@ -186,7 +189,7 @@ def step(rest: str, options: Any) -> Measure:
     words, _, worlds = rest.partition(":")
     kind, *more = words.split("/")
     compiler: Any = "fused" if "fused" in more else "joined"
-    model = _model()
+    model = _model(options)
     stepper = Stepper(model, _device(), Speedups(kernels=kind == "kernels", compiled=compiler))
     tiles = [word for word in more if "," in word]
     if tiles and stepper._kernels is not None:
@@ -267,7 +270,7 @@ def gradient(rest: str, options: Any) -> Measure:
     from bench_learned import policy_update, update_row
 
     compiler, _, worlds = rest.partition(":")
-    run = policy_update(_model(), int(worlds), str(_device()), compiler)
+    run = policy_update(_model(options), int(worlds), str(_device()), compiler)
     run()
 
     def measure() -> dict[str, Any]:
@@ -286,10 +289,10 @@ PREPARE: dict[str, Callable[[str, Any], Measure]] = {
 }
 
 
-def _model() -> Any:
+def _model(options: Any) -> Any:
     from orbisim_world_model.checkpoint import load_checkpoint
 
-    return load_checkpoint(PUSH).model.eval()
+    return load_checkpoint(options.checkpoint).model.eval()
 
 
 def _device() -> torch.device:

@@ -2,12 +2,14 @@
 
     MUJOCO_GL=egl python tools/real_camera.py render DATA.h5 REAL.h5 [--workers 14]
     python tools/real_camera.py measure CHECKPOINT REAL.h5 DATA.h5 [--episodes 48] [--out FILE]
+    python tools/real_camera.py simple REAL_TRAIN.h5 DATA_TRAIN.h5 REAL.h5 DATA.h5 [--episodes 48]
 
 `render` takes episodes with images (`orbisim collect push --frames side`) and writes the same ones
 as this camera sees them. A checkpoint trained on some of them
 (`orbisim train vision REAL.h5 --start CHECKPOINT`) is measured on others: how far MuJoCo's images
-of the true states are from the camera's, and how far the diffusion renderer's. Nothing in the
-package reads what stands here.
+of the true states are from the camera's, and how far the diffusion renderer's. `simple` measures
+what needs no network: MuJoCo's images with the affine map of colours that is best on the training
+episodes, and the mean image of these. Nothing in the package reads what stands here.
 """
 
 from __future__ import annotations
@@ -67,18 +69,22 @@ def main() -> None:
     measuring.add_argument("checkpoint", type=Path)
     measuring.add_argument("real", type=Path)
     measuring.add_argument("data", type=Path, help="the same episodes as MuJoCo shows them")
-    measuring.add_argument("--episodes", type=int, default=48)
     measuring.add_argument("--steps", type=int, nargs="+", default=[1])
-    measuring.add_argument("--no-features", action="store_true")
-    measuring.add_argument("--out", type=Path, help="a file for the lines, too")
-    measuring.add_argument("--workers", type=int, default=1, help="processes that read")
-    measuring.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
+    plain = commands.add_parser("simple")
+    for name in ("real_train", "data_train", "real", "data"):
+        plain.add_argument(name, type=Path)
+    for one in (measuring, plain):
+        one.add_argument("--episodes", type=int, default=48)
+        one.add_argument("--no-features", action="store_true")
+        one.add_argument("--out", type=Path, help="a file for the lines, too")
+        one.add_argument("--workers", type=int, default=1, help="processes that read")
+        one.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     arguments = parser.parse_args()
     if arguments.what == "render":
         render(arguments.data, arguments.out, arguments.episodes, arguments.workers)
         return
     lines = []
-    for line in measured(arguments):
+    for line in (measured if arguments.what == "measure" else simple)(arguments):
         lines.append(json.dumps(line))
         print(lines[-1], flush=True)
         if arguments.out:
@@ -216,6 +222,30 @@ def measured(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
             video = torch.cat([rollout(painter, real, p, workflow, horizon, steps) for p in parts])
             line = {"renderer": "diffusion", "workflow": workflow, "steps": steps}
             yield {**line, **_compared(video, true, features)}
+
+
+def simple(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """Means over frames 1 to 100 of held-out episodes, of what needs no network."""
+    device = torch.device(arguments.device)
+    how = {"workers": arguments.workers, "limit": arguments.episodes}
+    seen, drawn = (load([p], device, **how) for p in (arguments.real_train, arguments.data_train))
+    count = min(len(seen.frames), len(drawn.frames))
+    inputs, wanted = (s.frames[:count].reshape(-1, 3).double() for s in (drawn, seen))
+    one = torch.ones_like(inputs[:, :1])
+    colours = torch.linalg.lstsq(torch.cat([inputs, one], 1), wanted).solution
+    real, plain = (load([p], device, **how) for p in (arguments.real, arguments.data))
+    horizon = min(100, int(real.length.min()) - 1)
+    index = real.first[:, None] + torch.arange(1, horizon + 1, device=device)
+    features = None if arguments.no_features else Features(device)
+    true, video = real.frames[index], plain.frames[index]
+    mapped = video.double() @ colours[:3] + colours[3]
+    rows = {
+        "mujoco": video,
+        "mujoco, colours fitted": mapped.round().clamp(0, 255).to(torch.uint8),
+        "mean training image": seen.frames.float().mean(0).round().to(torch.uint8).expand_as(true),
+    }
+    for name, found in rows.items():
+        yield {"renderer": name, **_compared(found, true, features)}
 
 
 def _compared(found: Tensor, true: Tensor, features: Features | None) -> dict[str, float]:

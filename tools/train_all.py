@@ -118,7 +118,7 @@ _TAIL = (
 """After that: rollouts of a whole episode, gradients cut every 25 steps, at a low rate."""
 _CUBES = (("train.stages", "0.35x1x8192,0.4x8x2048ar,0.25x24x1024arf"),)
 """Larger batches than usual: they are halved between the two robots."""
-_ONE = (
+_TABLETOP = (
     ("model.rest", True),
     ("train.rate", 5e-4),
     ("train.stages", "0.35x8x1024arf,0.65x32x1024arf"),
@@ -137,6 +137,13 @@ _PARTS = (
     ("train.stages", "0.2x1x512,0.25x8x512ar,0.35x32x512arf,0.2x96x512arf/24"),
 )
 """One batch size for all stages, so that torch compiles the losses once."""
+_MIXED = (
+    ("model.mixed", True),
+    ("model.layers", 3),
+    ("train.noise", 0.005),
+    ("train.stages", "0.3x1x1536,0.35x8x1536ar,0.35x32x1536arf"),
+)
+"""Cubes with two robots and mechanisms in one model: a third of a batch is of each."""
 _SMALL_PARTS = (
     ("model.width", 48),
     ("model.heads", 3),
@@ -149,10 +156,10 @@ _SMALL_PARTS = (
 """For `mechanism_door` on one core of a CPU."""
 _ONE = (
     ("model.width", 192),
-    ("train.stages", "0.35x1x2048,0.4x6x1024ar,0.25x16x1024arf"),
+    ("train.stages", "0.25x1x1024,0.35x8x1024ar,0.4x24x1024arf"),
 )
 """One model of all the suite's robots. A step takes long, whatever the batch: kinematics and
-impulses are many small operations."""
+impulses are many small operations. One batch size, so that torch compiles the losses once."""
 _DRAPE = ("drape_primitives", "drape_meshes", "drape_unseen")
 """Of the last there are only episodes to measure on."""
 _WIDE = (
@@ -181,7 +188,10 @@ JOBS: dict[str, Job] = {
     "push": Job(("push", "push_hold"), settings=_HOLDS, weight=6.0),
     "push_contacts": Job(("push", "push_hold"), settings=_CONTACTS, weight=6.0),
     "push_clips": Job(
-        ("push", "push_hold", "push_clips"), settings=_CLIPS, weight=6.0, start="push_contacts"
+        ("push", "push_hold", "push_extra", "push_clips"),
+        settings=_CLIPS,
+        weight=6.0,
+        start="push_contacts",
     ),
     "push_tail": Job(
         ("push", "push_hold", "push_more", "push_long"), settings=_TAIL, weight=6.0, start="push"
@@ -189,7 +199,7 @@ JOBS: dict[str, Job] = {
     "cubes": Job(("push_cubes", "pick_and_place"), settings=_CUBES, weight=6.0),
     "tabletop": Job(
         ("push", "push_cubes", "pick_and_place", "stack"),
-        settings=_ONE,
+        settings=_TABLETOP,
         weight=6.0,
         horizons=(10, 100),
         start="cubes",
@@ -219,6 +229,14 @@ JOBS: dict[str, Job] = {
         _ONE,
         weight=10.0,
         horizons=(10, 50, 100),
+        burn=0,
+    ),
+    "one": Job(
+        ("push", "push_cubes", "pick_and_place", "stack", *_MECHANISMS),
+        "parts",
+        _MIXED,
+        weight=6.0,
+        horizons=(10, 100),
         burn=0,
     ),
     "mechanism_door": Job(

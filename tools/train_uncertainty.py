@@ -4,7 +4,8 @@
         --test FILES [--out FOLDER] [--ensemble 4]
 
 The spread (see `orbisim_world_model.spread`) is trained on rollouts in FILES, calibrated on the
-held-out ones, and measured on the test ones, none of which the others have. FOLDER gets the
+held-out ones, and measured on the test ones, none of which the others have. Rollouts are as long
+as the longest episode of their file (`--length`: at most), and files take turns. FOLDER gets the
 checkpoint with it. `--ensemble N` measures N decoders beside it, each trained anew on a frozen
 trunk with batches of its own: their disagreement as the uncertainty, calibrated in the same way.
 
@@ -34,7 +35,7 @@ from orbisim_world_model.checkpoint import (  # noqa: E402  (needs the path abov
     load_checkpoint,
     save_checkpoint,
 )
-from orbisim_world_model.pack import Pack  # noqa: E402
+from orbisim_world_model.pack import Pack, joined  # noqa: E402
 from orbisim_world_model.packing import read_data  # noqa: E402
 from orbisim_world_model.schedule import Clock  # noqa: E402
 from orbisim_world_model.spread import UNITS, factors_of  # noqa: E402
@@ -55,16 +56,17 @@ def main() -> None:
     """Trains, measures, writes."""
     options = _parser().parse_args()
     checkpoint = load_checkpoint(options.checkpoint)
-    train, held, test = (
-        _read(group, options) for group in (options.data, options.held, options.test)
+    train, held = (
+        [_read([path], options) for path in paths] for paths in (options.data, options.held)
     )
+    test = _read(options.test, options)
     model, began = checkpoint.model.to(options.device), time.monotonic()
     run = SpreadRun(
         steps=options.steps, windows=options.windows, length=options.length, seed=options.seed
     )
     known = fit_spread(model, train, held, run)
-    length = run.length or int(train.length.max())
-    data = rollouts(model, test, min(length, int(test.length.max())), options.test_windows, 99)
+    length = min(run.length or int(test.length.max()), int(test.length.max()))
+    data = rollouts(model, test, length, options.test_windows, 99)
     with torch.no_grad():
         interval = deviations(model, data) * _factor(known["factor"], model, data)
     result = {"seconds": round(time.monotonic() - began, 1), **known}
@@ -112,13 +114,15 @@ def auroc(score: Any, positive: Any) -> float | None:
     return float((rank[positive].sum() - many * (many + 1) / 2) / (many * few))
 
 
-def ensemble(checkpoint: Any, train: Pack, held: Pack, test: Any, options: Any) -> dict[str, Any]:
+def ensemble(
+    checkpoint: Any, packs: list[Pack], held: list[Pack], test: Any, options: Any
+) -> dict[str, Any]:
     """The same figures of the disagreement of decoders."""
+    train = joined(packs)
     members = [_member(checkpoint, train, seed, options) for seed in range(options.ensemble)]
     length = test.control.shape[0]
-    there = rollouts(checkpoint.model, held, length, 512, 98)
-    spread = _disagreement(members, there)
-    known = factors(spread, there, 1)
+    there = rollouts(checkpoint.model, held[0], length, 512, 98)
+    known = factors([(_disagreement(members, there), there)], 1)
     interval = _disagreement(members, test) * _factor(known, checkpoint.model, test)
     return {
         "factor": known,

@@ -56,6 +56,7 @@ def fit(
     geoms: torch.Tensor | None = None,
     steps: int = 12,
     wide: bool = True,
+    fine: int = 1,
 ) -> Fit:
     """The states near the starts whose image is most like one that was seen.
 
@@ -67,13 +68,13 @@ def fit(
       starts: [S, nq]. directions: [S, nv, k] of coordinates that may change.
       noise: standard deviation of a pixel's value. prior: [k, k], centre: [k].
       geoms: that matter in these pixels; all if None.
-      steps: at most. wide: whether starts may be pixels off.
+      steps: at most. wide: whether starts may be pixels off. fine: see `Eye.draw`.
     """
     count, k = len(starts), directions.shape[-1]
     prior = np.zeros((k, k)) if prior is None else prior
     centre = np.zeros(k) if centre is None else centre
     wanted = image.reshape(-1, 3)[pixels].double().numpy().reshape(-1)
-    problem = _Problem(eye, wanted, pixels, geoms, noise)
+    problem = _Problem(eye, wanted, pixels, geoms, noise, fine)
     at, x, damping = starts.copy(), np.zeros((count, k)), np.full(count, _FIRST)
     width = np.full(count, _WIDE if wide else _NARROW)
     cost, gradient, curvature = problem.linear(at, directions, width)
@@ -118,13 +119,14 @@ class _Problem:
         pixels: torch.Tensor,
         geoms: torch.Tensor | None,
         noise: float,
+        fine: int,
     ) -> None:
         self.eye, self.wanted, self.pixels, self.geoms = eye, wanted, pixels, geoms
-        self.noise = noise
+        self.noise, self.fine = noise, fine
 
     def cost(self, at: Floats) -> Floats:
         """[S] of states [S, nq]."""
-        drawn = self.eye.draw(at, self.pixels, self.geoms)
+        drawn = self.eye.draw(at, self.pixels, self.geoms, self.fine)
         error = drawn.pixels.double().numpy().reshape(len(at), -1) - self.wanted
         found: Floats = losses(error).sum(-1) / self.noise**2
         return found
@@ -138,7 +140,9 @@ class _Problem:
         aside = (directions * width_of[:, None]).transpose(0, 2, 1)
         change = np.concatenate([np.zeros((count, 1, aside.shape[-1])), aside, -aside], axis=1)
         states = self.eye.moved(at[:, None].repeat(2 * k + 1, 1), change)
-        drawn = self.eye.draw(states.reshape(count * (2 * k + 1), -1), self.pixels, self.geoms)
+        drawn = self.eye.draw(
+            states.reshape(count * (2 * k + 1), -1), self.pixels, self.geoms, self.fine
+        )
         values = drawn.pixels.double().numpy().reshape(count, 2 * k + 1, -1)
         error = values[:, 0] - self.wanted
         slope = (values[:, 1 : k + 1] - values[:, k + 1 :]) / (2 * width_of[..., None])

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import numpy.typing as npt
 import torch
@@ -28,10 +29,55 @@ from orbisim_diffusion.store import Store
 
 Arrays = dict[str, npt.NDArray[Any]]
 _FRAMES = "frames/"
+RECORDED = "recorded"
+"""In the place of a backend: the states of the file."""
+
+
+@dataclasses.dataclass(frozen=True)
+class StateNoise:
+    """Gaussian noise on coordinates, as estimates from images have it; velocities get none.
+
+    Attributes:
+      metres: standard deviation of each coordinate of a free body's position, and of sliding
+        joints. radians: of each component of its turn, and of hinges.
+      every: whether each state gets noise of its own; else the first alone, from which the others
+        are predicted.
+    """
+
+    metres: float
+    radians: float
+    every: bool = False
+
+
+def perturbed(
+    model: mujoco.MjModel, qpos: npt.NDArray[Any], noise: StateNoise, rng: np.random.Generator
+) -> npt.NDArray[Any]:
+    """Coordinates [..., nq] with noise; joints stay in their ranges."""
+    kinds = mujoco.mjtJoint
+    scale = np.full(model.nv, noise.radians)
+    for joint in range(model.njnt):
+        first, kind = int(model.jnt_dofadr[joint]), int(model.jnt_type[joint])
+        if kind in (int(kinds.mjJNT_FREE), int(kinds.mjJNT_SLIDE)):
+            scale[first : first + (3 if kind == int(kinds.mjJNT_FREE) else 1)] = noise.metres
+    found = np.array(qpos, float)
+    for row in found.reshape(-1, model.nq):
+        mujoco.mj_integratePos(model, row, scale * rng.standard_normal(model.nv), 1.0)
+    for joint in np.flatnonzero(model.jnt_limited).tolist():
+        if int(model.jnt_type[joint]) in (int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE)):
+            column = int(model.jnt_qposadr[joint])
+            # a recorded joint may be a little beyond its range; noise takes none further
+            low = np.minimum(model.jnt_range[joint, 0], qpos[..., column])
+            high = np.maximum(model.jnt_range[joint, 1], qpos[..., column])
+            found[..., column] = np.clip(found[..., column], low, high)
+    return found
 
 
 def predicted_episode(
-    path: Path, index: int, backend: str = "learned", seen: bool = False
+    path: Path,
+    index: int,
+    backend: str = "learned",
+    seen: bool = False,
+    noise: StateNoise | None = None,
 ) -> Arrays:
     """`geoms/pos` and `geoms/quat` [T+1, G, ...] of one episode, free-running.
 
@@ -39,9 +85,9 @@ def predicted_episode(
     and its controls.
 
     Args:
-      path, index: the episode. backend: what predicts.
+      path, index: the episode. backend: what predicts, or `RECORDED`.
       seen: whether MuJoCo's images of the predicted states are wanted, too: `frames` [T+1, H, W, 3]
-        of the episode's camera.
+        of the episode's camera. noise: on the states, drawn from the episode's seed.
     """
     torch.set_num_threads(1)
     with EpisodeFile(path) as file:
@@ -51,7 +97,24 @@ def predicted_episode(
         camera = next(n for n in file.names(index) if n.startswith(_FRAMES)) if seen else ""
         size = len(file.episode(index, [camera])[camera][0]) if seen else 0
         camera = camera.removeprefix(_FRAMES)
-    options: dict[str, Any] = {"native": False} if backend == "learned" else {}
+    rng = np.random.default_rng([known["seed"], 45])
+    qpos = arrays["qpos"]
+    if noise is not None and not noise.every:
+        arrays["qpos"] = np.concatenate([perturbed(scene.model, qpos[:1], noise, rng), qpos[1:]])
+    if backend != RECORDED:
+        qpos = _rollout(scene, arrays, backend)
+    if noise is not None and noise.every:
+        qpos = perturbed(scene.model, qpos, noise, rng)
+    found: Arrays = dict(visible.poses(scene.model, qpos))
+    if seen:
+        found["frames"] = _images(scene, arrays["time"], qpos, known["seed"], camera, size)
+    return found
+
+
+def _rollout(scene: Scene, arrays: Arrays, backend: str) -> npt.NDArray[Any]:
+    """Coordinates [T+1, nq] of a free run from the first state under the recorded controls."""
+    # one world in each of many processes: a GPU would be slower, and they would share its memory
+    options: dict[str, Any] = {"native": False, "device": "cpu"} if backend == "learned" else {}
     engine = make_backend(backend, scene, **options)
     start = State(*(arrays[name][:1] for name in ("time", "qpos", "qvel", "act")))  # type: ignore[arg-type]
     nstep = round(float(arrays["time"][1] - arrays["time"][0]) / engine.timestep)
@@ -60,10 +123,7 @@ def predicted_episode(
     lost = ~np.isfinite(qpos).all(1)
     if lost.any():  # a rollout that diverged stays where it was last
         qpos[lost] = qpos[np.argmax(lost) - 1]
-    found: Arrays = dict(visible.poses(scene.model, qpos))
-    if seen:
-        found["frames"] = _images(scene, arrays["time"], qpos, known["seed"], camera, size)
-    return found
+    return qpos
 
 
 def _images(
@@ -104,13 +164,16 @@ def predict(
     workers: int = 1,
     backend: str = "learned",
     seen: bool = False,
+    noise: StateNoise | None = None,
 ) -> list[Arrays]:
     """`predicted_episode` of some episodes of a file.
 
     Args:
-      path: the file. episodes: which. workers: processes. backend, seen: see `predicted_episode`.
+      path: the file. episodes: which. workers: processes. backend, seen, noise: see
+        `predicted_episode`.
     """
-    return list(track(_all(path, episodes, workers, backend, seen), "predicting", len(episodes)))
+    made = _all(path, episodes, workers, backend, seen, noise)
+    return list(track(made, "predicting", len(episodes)))
 
 
 def with_predictions(store: Store, found: Sequence[Arrays]) -> Store:
@@ -147,9 +210,16 @@ def read_predictions(path: Path) -> list[Arrays]:
     return [found[number] for number in sorted(found)]
 
 
-def _all(path: Path, episodes: Sequence[int], workers: int, backend: str, seen: bool) -> Any:
+def _all(
+    path: Path,
+    episodes: Sequence[int],
+    workers: int,
+    backend: str,
+    seen: bool,
+    noise: StateNoise | None,
+) -> Any:
     if workers == 1:
-        yield from (predicted_episode(path, index, backend, seen) for index in episodes)
+        yield from (predicted_episode(path, index, backend, seen, noise) for index in episodes)
         return
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # for the processes that are started now
     context = multiprocessing.get_context("spawn")
@@ -161,5 +231,6 @@ def _all(path: Path, episodes: Sequence[int], workers: int, backend: str, seen: 
             episodes,
             [backend] * count,
             [seen] * count,
+            [noise] * count,
             chunksize=2,
         )

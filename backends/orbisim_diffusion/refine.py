@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from scipy import ndimage
+from scipy.spatial.transform import Rotation
 
 from orbisim.scene import Scene
 from orbisim.scene.visible import ROBOT
@@ -26,7 +27,7 @@ from orbisim_diffusion.resting import (
     window,
 )
 from orbisim_diffusion.solids import rays
-from orbisim_diffusion.synthesis import Eye
+from orbisim_diffusion.synthesis import FINE, Eye
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -54,8 +55,12 @@ _ROBOT_PIXELS = 700
 """Pixels that a robot's fit looks at, at most."""
 _CERTAIN = 3.0
 """Standard deviations by which two objects must be within each other to be called impossible."""
-_SURE, _SAME = 0.75, 0.015
-"""Share of the improvement from which on no other place is tried; places so near, m, are one."""
+_SURE, _LESS, _SAME = 0.75, 0.05, 0.015
+"""Share of the improvement from which on no other place is tried, unless the frame before had so
+much more; places so near, m, are one."""
+_STEADY, _ROUNDS = 1.0, 3
+"""Pixels from which on a motion counts: the window that a fit looks at moves along, so often at
+most."""
 _ROUGH, _STEPS = 6, 12
 """Steps of a fit that shows whether a place is worth it, and of one to the end."""
 
@@ -67,6 +72,7 @@ class Pose(NamedTuple):
       qpos: [7] of its free joint. seen: whether the frame shows it. explained: share of the
         improvement that a perfect match would be. std: [6] of position, m, and turn, rad.
       jitter: [6] the part of `std` that changes from frame to frame.
+      rests: whether it lies on a surface.
     """
 
     qpos: Floats
@@ -74,6 +80,7 @@ class Pose(NamedTuple):
     explained: float
     std: Floats
     jitter: Floats = np.full(6, np.inf)
+    rests: bool = True
 
 
 class Frame(NamedTuple):
@@ -120,16 +127,17 @@ class Refiner:
         """A frame by itself.
 
         Args:
-          frame: [H, W, 3]. joints: [joints] where the network sees the scalar joints.
+          frame: [H, W, 3]. joints: [joints] of the scalar joints, nearly.
           places: for each body, poses [7] of what the
             network sees that it might be; none is fine, too.
         """
-        return self._frame(frame, self._half_turned(joints), None, places, None)
+        return self._frame(frame, joints, None, places, None)
 
-    def _half_turned(self, joints: Floats) -> Floats:
+    def half_turned(self, joints: Floats) -> Floats:
         """The joints, those that look the same after half a turn as near to rest as they can be.
 
-        No image tells such turns of a gripper apart; the scene's first keyframe (or `qpos0`) does.
+        No image tells such turns of a gripper apart. A network knows how the arm is held from what
+        it was trained on; without one the scene's first keyframe (or `qpos0`) decides.
         """
         qpos, found = np.array(self.rest), np.array(joints)
         for i, column in enumerate(self.scalar.qpos):
@@ -152,9 +160,16 @@ class Refiner:
         places: Sequence[Sequence[Floats]],
         before: Frame,
         known: Floats | None = None,
+        ahead: Sequence[Floats | None] = (),
     ) -> Frame:
-        """The next frame of a video (see `first`); `known` are joints that need no fit."""
-        return self._frame(frame, joints, known, places, before)
+        """The next frame of a video.
+
+        Args:
+          frame, joints, places: see `first`. before: the frame before it. known: joints that need
+            no fit. ahead: for each body, the pose [7] that it has if it goes on as it moved; None
+            where that is not known.
+        """
+        return self._frame(frame, joints, known, places, before, ahead)
 
     def _frame(
         self,
@@ -163,6 +178,7 @@ class Refiner:
         known: Floats | None,
         places: Sequence[Sequence[Floats]],
         before: Frame | None,
+        ahead: Sequence[Floats | None] = (),
     ) -> Frame:
         image = torch.as_tensor(frame).double() / 255.0
         qpos = np.array(self.rest if before is None else before.qpos)
@@ -180,7 +196,9 @@ class Refiner:
         for i in order:
             others = [j for j in range(len(self.bodies)) if j != i and j in present]
             last = before.objects[i] if before is not None else None
-            pose = self._object(image, qpos, i, others, places[i], last)
+            pose = self._object(
+                image, qpos, i, others, places[i], last, ahead[i] if ahead else None
+            )
             found[i] = pose
             body = self.bodies[i]
             qpos[body.qpos : body.qpos + 7] = pose.qpos
@@ -301,13 +319,19 @@ class Refiner:
         others: list[int],
         places: Sequence[Floats],
         last: Pose | None,
+        ahead: Floats | None = None,
     ) -> Pose:
-        """Where an object is: near its last pose if that holds, else from everywhere."""
+        """Where an object is: near where it was or goes if that holds, else from everywhere."""
         scene = _Around(image, qpos, number, tuple(others))
         tried = []
         if last is not None and last.seen:
-            near = self._near(scene, last.qpos[None])
-            if near.seen and near.explained > max(_SURE, 0.9 * last.explained - 0.05):
+            starts = [last.qpos]
+            if ahead is not None and self.apart(self.bodies[number], ahead, last.qpos) > _STEADY:
+                starts = [ahead, last.qpos]
+            near = self._near(scene, np.stack(starts))
+            as_well = near.explained > max(_SURE, last.explained - _LESS)
+            # what has just left its surface may as well be a fit that went astray
+            if near.seen and as_well and (near.rests or not last.rests):
                 return near
             tried.append(near)
         spots = [place for place in places if np.isfinite(place).all()]
@@ -347,16 +371,24 @@ class Refiner:
         rest = np.concatenate(
             [at_rest(body, start, self.surfaces, self._eye, True) for start in starts]
         )
-        pixels = window(self.view, self.size, body, starts[0, :3], 1.5)
-        if not len(pixels):
-            return Pose(starts[0], False, 0.0, np.full(6, np.inf))
-        geoms = self._relevant(scene, starts[0], pixels)
-        upright = self._fit(scene, rest, geoms, pixels, True, _STEPS)
+        centre, best = starts[0], rest
+        for _ in range(_ROUNDS):
+            pixels = window(self.view, self.size, body, centre[:3], 1.5)
+            if not len(pixels):
+                return Pose(centre, False, 0.0, np.full(6, np.inf))
+            geoms = self._relevant(scene, centre, pixels)
+            upright = self._fit(scene, best, geoms, pixels, True, _STEPS)
+            reached = upright.qpos[upright.best, body.qpos : body.qpos + 7]
+            if self.apart(body, reached, centre) < _STEADY:
+                break
+            centre, best = reached, reached[None]  # the window was about another place
+        place = upright.qpos[upright.best, body.qpos : body.qpos + 7]
+        upright = self._fit(scene, place[None], geoms, pixels, True, _STEPS, FINE)
         chosen, k, row = upright, 3, upright.best
         seen, explained = self._judged(scene, upright.qpos[row], geoms, pixels)
         if explained < _LIES:
             best = upright.qpos[row, body.qpos : body.qpos + 7]
-            loose = self._fit(scene, best[None], geoms, pixels, False, _STEPS)
+            loose = self._fit(scene, best[None], geoms, pixels, False, _STEPS, FINE)
             if loose.cost[0] < (1.0 - _FREE) * upright.cost[row]:
                 chosen, k, row = loose, 6, 0
                 seen, explained = self._judged(scene, loose.qpos[0], geoms, pixels)
@@ -366,7 +398,16 @@ class Refiner:
             spread = np.array([spread[0], spread[1], 0.0, 0.0, 0.0, spread[2]])
         pose = chosen.qpos[row, body.qpos : body.qpos + 7]
         bias, wander = (self.outline(body, pose[:3], part) for part in (_BIAS, _WANDER))
-        return Pose(pose, seen, explained, np.hypot(spread, bias), np.hypot(spread, wander))
+        std, jitter = np.hypot(spread, bias), np.hypot(spread, wander)
+        return Pose(pose, seen, explained, std, jitter, k == 3)
+
+    def apart(self, body: Body, one: Floats, other: Floats) -> float:
+        """How many pixels a body's outline moves between two poses [7], about."""
+        far = float(np.linalg.norm(one[:3] - self._eye))
+        first, second = Rotation.from_quat(np.roll(np.stack([one, other])[:, 3:], -1, axis=1))
+        turn = (first * second.inv()).magnitude() * float(np.linalg.norm(body.half))
+        moved = float(np.linalg.norm(one[:3] - other[:3])) + turn
+        return moved * self.size * float(self.view.focal[0, 1]) / far
 
     def outline(self, body: Body, place: Floats, pixels: float = _BIAS) -> Floats:
         """[6] m and rad that stand for so many pixels, by default what outlines are off."""
@@ -382,8 +423,9 @@ class Refiner:
         pixels: torch.Tensor,
         upright: bool,
         steps: int,
+        fine: int = 1,
     ) -> Fit:
-        """From poses [S, 7]."""
+        """From poses [S, 7]; see `levenberg.fit`."""
         body = self.bodies[scene.number]
         states = np.repeat(scene.qpos[None], len(starts), 0)
         states[:, body.qpos : body.qpos + 7] = starts
@@ -397,6 +439,7 @@ class Refiner:
             noise=NOISE,
             geoms=geoms,
             steps=steps,
+            fine=fine,
         )
 
     def _relevant(self, scene: _Around, pose: Floats, pixels: torch.Tensor) -> torch.Tensor:

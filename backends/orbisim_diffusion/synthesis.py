@@ -24,6 +24,11 @@ _SMALL = 1e-3
 """Of a coordinate, m or rad, for its speed in the image."""
 
 
+FINE = 2
+"""Rays along a pixel's side where it counts: with one, an edge that has no soft outline (between
+faces, of a shadow) jumps from pixel to pixel, and a fit ends where it began to find no better."""
+
+
 class Sight(NamedTuple):
     """What is drawn of states.
 
@@ -57,20 +62,31 @@ class Eye:
         )
         self._still = kinematics.view(torch.as_tensor(scene.model.qpos0)[None].float(), camera)
         level = self._still._replace(rot=torch.eye(3)[None])
-        self._rays = rays(level, size, size)[0]
+        self._rays = {fine: rays(level, fine * size, fine * size)[0] for fine in (1, FINE)}
 
     @torch.no_grad()  # type: ignore[untyped-decorator]
-    def draw(self, qpos: Floats, pixels: Tensor, geoms: Tensor | None = None) -> Sight:
-        """Pixels [P] (numbers, row by row) of states [B, nq], of some geoms or of all."""
-        some = self.geoms if geoms is None else geoms
-        step = max(1, _CHUNK // max(1, len(some) * len(pixels)))
+    def draw(
+        self, qpos: Floats, pixels: Tensor, geoms: Tensor | None = None, fine: int = 1
+    ) -> Sight:
+        """Pixels [P] (numbers, row by row) of states [B, nq], of some geoms or of all.
+
+        A pixel is the mean of `fine` times `fine` rays (1 or `FINE`).
+        """
+        some, places = self.geoms if geoms is None else geoms, _parts(pixels, self.size, fine)
+        step = max(1, _CHUNK // max(1, len(some) * len(places)))
         parts = [
-            self._drawn(qpos[first : first + step], pixels, some)
+            self._drawn(qpos[first : first + step], places, some, fine)
             for first in range(0, len(qpos), step)
         ]
-        return Sight(*(torch.cat(field) for field in zip(*parts, strict=True)))
+        found = Sight(*(torch.cat(field) for field in zip(*parts, strict=True)))
+        if fine == 1:
+            return found
+        shape = len(pixels), fine * fine
+        return Sight(
+            found.pixels.unflatten(1, shape).mean(2), found.weight.unflatten(2, shape).mean(3)
+        )
 
-    def _drawn(self, qpos: Floats, pixels: Tensor, some: Tensor) -> Sight:
+    def _drawn(self, qpos: Floats, pixels: Tensor, some: Tensor, fine: int) -> Sight:
         if not len(some):  # MuJoCo's background is black
             shape = len(qpos), len(pixels)
             return Sight(torch.zeros(*shape, 3), torch.zeros(shape[0], 0, shape[1]))
@@ -78,9 +94,9 @@ class Eye:
         solids = Solids(*(field[:, some] for field in solids))
         meshes = {i: self.meshes[g] for i, g in enumerate(some.tolist()) if g in self.meshes}
         # the camera's own axes are turned with it
-        ray = self._rays[pixels] @ view.rot.transpose(-1, -2)
-        seen = look(solids, view, ray, self.size, meshes)
-        shown = self.lighting.colours(seen, solids, view, self.size, some, meshes)
+        ray = self._rays[fine][pixels] @ view.rot.transpose(-1, -2)
+        seen = look(solids, view, ray, fine * self.size, meshes)
+        shown = self.lighting.colours(seen, solids, view, fine * self.size, some, meshes)
         return Sight(shown, seen.weight)
 
     def placed(self, qpos: Floats) -> tuple[Solids, View]:
@@ -145,3 +161,13 @@ class Eye:
         found = (gone + turned * reach) * scale.repeat_interleave(k, 0) / _SMALL
         fastest: Floats = found.amax(1).clamp_min(1e-3).reshape(count, k).numpy()
         return fastest
+
+
+def _parts(pixels: Tensor, size: int, fine: int) -> Tensor:
+    """Of an image `fine` times as wide and high, the pixels [P * fine^2] that those [P] hold."""
+    if fine == 1:
+        return pixels
+    row, column = pixels // size * fine, pixels % size * fine
+    wide, inside = size * fine, torch.arange(fine)
+    parts = (row[:, None, None] + inside[:, None]) * wide + column[:, None, None] + inside
+    return parts.flatten()

@@ -65,11 +65,13 @@ def follow(refiner: Refiner, frames: npt.NDArray[np.uint8], read: Reading | None
     for t, frame in enumerate(track(frames, "fitting frames", len(frames))):
         places = [places_of(read, t, body) for body in refiner.bodies]
         if not found:
-            joints = start(refiner, frame) if read is None else read.joints[t]
+            guess = None if read is None else read.joints[t]
+            joints = refiner.half_turned(start(refiner, frame)) if guess is None else guess
             one = refiner.first(frame, joints, places)
         else:
             joints = _expected(found, refiner.scalar.qpos)
-            one = refiner.following(frame, joints, places, found[-1])
+            ahead = [_ahead(found, i) for i in range(len(refiner.bodies))]
+            one = refiner.following(frame, joints, places, found[-1], ahead=ahead)
         if len(refiner.scalar.qpos):
             present = [i for i, pose in enumerate(one.objects) if pose.seen]
             one = one._replace(joints_seen=shows_joints(refiner, frame, one.qpos, present))
@@ -151,6 +153,16 @@ def _expected(found: list[Frame], columns: npt.NDArray[np.int64]) -> Floats:
         return last
     ahead: Floats = 2.0 * last - found[-2].qpos[columns]
     return ahead
+
+
+def _ahead(found: list[Frame], number: int) -> Floats | None:
+    """The pose [7] of an object in the next frame at the speed of the last two."""
+    if len(found) < 2 or not (found[-1].objects[number].seen and found[-2].objects[number].seen):
+        return None
+    last, before = found[-1].objects[number].qpos, found[-2].objects[number].qpos
+    turns = Rotation.from_quat(np.roll(np.stack([last, before])[:, 3:], -1, axis=1))
+    turn = turns[0] * turns[1].inv() * turns[0]
+    return np.concatenate([2.0 * last[:3] - before[:3], np.roll(turn.as_quat(), 1)])
 
 
 def places_of(read: Reading | None, t: int, body: Body) -> list[Floats]:

@@ -21,7 +21,7 @@ from orbisim_world_model.stepper import cause
 from torch import Tensor
 
 from orbisim.errors import InputError
-from orbisim_policies.learned import LearnedWorlds, Pool
+from orbisim_policies.learned import DifferentiableWorlds, Pool
 from orbisim_policies.network import NetworkConfig, Policy, value_network
 from orbisim_policies.rollout import Acted, Running, acted, began, observation, worth
 from orbisim_policies.rollout import compiled as compile_step
@@ -65,7 +65,7 @@ class Apg:
     """The policy gradient of section 3.5, one training, resumable to the exact step.
 
     Args:
-      worlds: the learned step.
+      worlds: the step.
       pool: where episodes begin; drawn from it at random.
       config: how to train.
       seed: of weights, starts and noise.
@@ -79,7 +79,7 @@ class Apg:
 
     def __init__(
         self,
-        worlds: LearnedWorlds,
+        worlds: DifferentiableWorlds,
         pool: Pool,
         config: ApgConfig,
         *,
@@ -179,8 +179,10 @@ class Apg:
             torch.stack([torch.where(fell, best, level), best, scale * (1.0 - 0.5 * fell.float())])
         )
 
-    true_steps = 0
-    """Of C MuJoCo that it makes itself."""
+    @property
+    def true_steps(self) -> int:
+        """Control steps of C MuJoCo that it has made itself."""
+        return self.done * self.horizon * self.config.batch * self.worlds.true_per_step
 
     @property
     def current(self) -> Policy:

@@ -56,6 +56,8 @@ class Baseline:
       window: control steps of each world between updates of PPO.
       curiosity: weight of the intrinsic reward of `ppo_rnd`.
       updates: of SAC after a control step in every world; one for eight worlds if 0.
+      returns: control steps of rewards before SAC's own value of what follows (n-step returns):
+        with 1, a reward at the end of an episode comes back one control step at a time.
     """
 
     method: str
@@ -65,6 +67,7 @@ class Baseline:
     window: int = 128
     curiosity: float = 0.05
     updates: int = 0
+    returns: int = 1
 
 
 LINE = 4096
@@ -381,6 +384,7 @@ def _learner(
             gamma=discount,
             train_freq=1,
             gradient_steps=config.updates or max(1, config.batch // 8),
+            n_steps=config.returns,
             policy_kwargs={"net_arch": hidden},
             seed=seed,
             device="cpu",

@@ -50,17 +50,17 @@ def begun(act: Any, count: int) -> Act:
 
 
 def in_mujoco(
-    problem: Problem, act: Act, starts: Starts, nthread: int = 0
+    problem: Problem, act: Act, starts: Starts, nthread: int = 0, nominal: bool = False
 ) -> tuple[Floats, Floats, int]:
     """Episodes in C MuJoCo: qpos at the end, `measure` [N, parts], and how many diverged.
 
     What diverges, or has no finite reward, counts as if nothing had been done: it ends where it
-    began, with no value.
+    began, with no value. With `nominal`, observations have nominal values of what no image shows.
     """
     ends, values, lost = [], [], 0
     for first in range(0, len(starts), _AT_ONCE):
         part = starts.at(slice(first, first + _AT_ONCE))
-        worlds = TrueWorlds(problem, len(part), nthread)
+        worlds = TrueWorlds(problem, len(part), nthread, nominal)
         worlds.begin(np.arange(len(part)), part)
         alive, end = np.arange(len(part)), part.qpos.copy()
         playing = begun(act, len(part))
@@ -122,6 +122,7 @@ def evaluate(
     seeds: Sequence[int] = (0, 1, 2),
     worlds: LearnedWorlds | None = None,
     nthread: int = 0,
+    nominal: bool = False,
 ) -> dict[str, Any]:
     """Success of a policy over episodes of several seeds, in MuJoCo and in the model.
 
@@ -130,10 +131,11 @@ def evaluate(
       episodes: of each seed. seeds: of the episodes.
       worlds: the model to compare with; none if None.
       nthread: threads that step MuJoCo; 0 for one per usable core.
+      nominal: see `in_mujoco`; of MuJoCo alone.
     """
     drawn = [starts_of(problem, episodes, seed) for seed in seeds]
     everything = joined(drawn)
-    qpos, value, lost = in_mujoco(problem, policy.cpu(), everything, nthread)
+    qpos, value, lost = in_mujoco(problem, policy.cpu(), everything, nthread, nominal)
     result: dict[str, Any] = {
         "schema": "orbisim.eval_policy/1",
         "task": problem.name,

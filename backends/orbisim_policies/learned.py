@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import copy
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import torch
 from orbisim_world_model import zoo
 from orbisim_world_model.checkpoint import load_checkpoint
+from orbisim_world_model.engine import parts_of
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.fitting import fit
 from orbisim_world_model.manifest import read_manifest
@@ -37,6 +38,32 @@ class Pool(NamedTuple):
         return Pool(*(rows[index] for rows in self))
 
 
+class DifferentiableWorlds(Protocol):
+    """Worlds whose control steps have gradients, see `LearnedWorlds`.
+
+    Attributes:
+      name: of what steps them. problem, device: see there.
+      true_per_step: control steps of C MuJoCo that one of theirs takes.
+    """
+
+    name: str
+    problem: Problem
+    device: torch.device
+    true_per_step: int
+
+    def pool(self, starts: Starts) -> Pool:
+        """Starts as tensors."""
+
+    def begin(self, starts: Pool) -> tuple[Entities, Context]:
+        """The states, and what the step is conditioned on."""
+
+    def step(self, x: Entities, control: Tensor, context: Context) -> Entities:
+        """The states after a control step."""
+
+    def coordinates(self, x: Entities) -> tuple[Tensor, Tensor]:
+        """qpos [N, nq] and qvel [N, nv]."""
+
+
 class LearnedWorlds:
     """The learned step of a problem's scene, in float32, with gradients.
 
@@ -55,6 +82,8 @@ class LearnedWorlds:
       UnsupportedSceneError: the checkpoint does not fit the scene.
     """
 
+    true_per_step = 0
+
     def __init__(
         self, problem: Problem, checkpoint: str | Path | None, device: torch.device
     ) -> None:
@@ -62,6 +91,7 @@ class LearnedWorlds:
         folder = zoo.find(scene)[0] if checkpoint is None else _named(checkpoint)
         found = fit(read_manifest(folder), scene)
         self.folder, self.problem, self.device = folder, problem, device
+        self.name = folder.name
         self.layout = found.layout
         model = load_checkpoint(folder, found.layout, found.variant).model
         ratio = problem.timestep / self.layout.timestep
@@ -77,6 +107,7 @@ class LearnedWorlds:
         self.substeps = round(ratio)
         self.model = model.to(device).requires_grad_(False).train()
         self._memory = self.model.initial_memory(1)
+        self._parts = parts_of(scene, self.layout, device)
         index = self.layout._indices(str(device))
         self._to_qpos, self._to_qvel = index["to_qpos"], index["to_qvel"]
 
@@ -122,6 +153,8 @@ class LearnedWorlds:
 
     def step(self, x: Entities, control: Tensor, context: Context) -> Entities:
         """The states after a control step of the problem."""
+        if self._parts is not None:
+            context = context._replace(parts=self._parts.expand(len(context.attributes), -1, -1))
         for _ in range(self.substeps):
             x = self._step(x, control, context)
         return x

@@ -1,4 +1,4 @@
-"""Episodes of a policy in the learned step, with gradients: equation of section 3.5."""
+"""Episodes of a policy in a step with gradients: equation of section 3.5."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 from orbisim_world_model.entities import Context, Entities
 from torch import Tensor
 
-from orbisim_policies.learned import LearnedWorlds, Pool
+from orbisim_policies.learned import DifferentiableWorlds, Pool
 from orbisim_policies.network import Policy
 from orbisim_policies.problem import Moment, Problem
 
@@ -40,7 +40,7 @@ class Running(NamedTuple):
         return Running(self.x.detach(), *fields)
 
 
-def began(worlds: LearnedWorlds, starts: Pool) -> Running:
+def began(worlds: DifferentiableWorlds, starts: Pool) -> Running:
     """Episodes before their first step."""
     x, context = worlds.begin(starts)
     score = worlds.problem.begin(*worlds.coordinates(x), starts.command)
@@ -48,7 +48,7 @@ def began(worlds: LearnedWorlds, starts: Pool) -> Running:
     return Running(x, starts.command, score, done, starts.params, context.attributes, context.world)
 
 
-def observation(worlds: LearnedWorlds, now: Running) -> Tensor:
+def observation(worlds: DifferentiableWorlds, now: Running) -> Tensor:
     """What the policy sees, [N, F]."""
     qpos, qvel = worlds.coordinates(now.x)
     time = now.done / worlds.problem.steps
@@ -56,11 +56,11 @@ def observation(worlds: LearnedWorlds, now: Running) -> Tensor:
     return torch.nan_to_num(worlds.problem.observe(moment), 0.0, 0.0, 0.0)
 
 
-def advanced(worlds: LearnedWorlds, now: Running, action: Tensor, limit: float) -> Running:
+def advanced(worlds: DifferentiableWorlds, now: Running, action: Tensor, limit: float) -> Running:
     """One control step of all worlds.
 
     Args:
-      worlds: the learned step. now: before it. action: [N, A].
+      worlds: the step. now: before it. action: [N, A].
       limit: largest norm of the gradient that a world hands back to the step before; 0 for none.
     """
     problem: Problem = worlds.problem
@@ -73,20 +73,20 @@ def advanced(worlds: LearnedWorlds, now: Running, action: Tensor, limit: float) 
     return now._replace(x=after, command=command, score=score, done=now.done + 1)
 
 
-def worth(worlds: LearnedWorlds, now: Running) -> Tensor:
+def worth(worlds: DifferentiableWorlds, now: Running) -> Tensor:
     """[N, parts]: the value of the episode if it ends here."""
     return worlds.problem.value(now.score, worlds.coordinates(now.x)[0])
 
 
 def acted(
-    worlds: LearnedWorlds, policy: Policy, now: Running, noise: Tensor, limit: float
+    worlds: DifferentiableWorlds, policy: Policy, now: Running, noise: Tensor, limit: float
 ) -> tuple[Running, Tensor]:
     """One control step of a policy, and what it saw before."""
     view = observation(worlds, now)
     return advanced(worlds, now, policy(view, noise), limit), view
 
 
-def compiled(worlds: LearnedWorlds, policy: Policy, limit: float) -> Acted:
+def compiled(worlds: DifferentiableWorlds, policy: Policy, limit: float) -> Acted:
     """`acted` compiled by torch for the number of worlds that it is called with.
 
     From tensors to tensors, as `orbisim_world_model.stepper.compiled_step`.
@@ -115,7 +115,7 @@ def compiled(worlds: LearnedWorlds, policy: Policy, limit: float) -> Acted:
 
 
 @torch.no_grad()  # type: ignore[untyped-decorator]
-def play(worlds: LearnedWorlds, policy: Any, starts: Pool) -> Running:
+def play(worlds: DifferentiableWorlds, policy: Any, starts: Pool) -> Running:
     """Whole episodes without noise and without gradients."""
     now = began(worlds, starts)
     act = policy.begin(len(now.done))

@@ -33,8 +33,9 @@ from orbisim_policies.checkpoint import (
 )
 from orbisim_policies.cloning import CloneConfig, Cloning
 from orbisim_policies.demonstrations import Demonstrations, demonstrate
+from orbisim_policies.differenced import DifferencedWorlds
 from orbisim_policies.evaluate import in_mujoco, starts_of, summary
-from orbisim_policies.learned import LearnedWorlds
+from orbisim_policies.learned import DifferentiableWorlds, LearnedWorlds
 from orbisim_policies.network import Policy
 from orbisim_policies.problem import Problem
 from orbisim_policies.push import PushProblem
@@ -115,12 +116,15 @@ def train_apg(
     run: Run,
     checkpoint: str | Path | None = None,
     report: Report = lambda _: None,
+    *,
+    differences: bool = False,
 ) -> dict[str, Any]:
     """Trains a policy by analytic gradients through the learned step; returns its manifest.
 
     Args:
       problem: on the CPU. config: of the training. run: budgets and folders.
       checkpoint: folder of the dynamics, or its name in the zoo; the zoo's that fits if None.
+      differences: through finite differences of C MuJoCo instead, on the CPU.
       report: called with each line of metrics.
 
     Raises:
@@ -128,10 +132,16 @@ def train_apg(
       OrbiSimError: no objective is finite any more; what was saved before stays.
     """
     check_run(run)
+    run = dataclasses.replace(run, device="cpu" if differences else run.device)
     clock, device = Clock(run.steps, run.limit), torch.device(run.device)
     if device.type == "cuda":
         torch.backends.cuda.matmul.allow_tf32 = True
-    worlds = LearnedWorlds(problem.to(device), checkpoint, device)
+    worlds: DifferentiableWorlds
+    if differences:
+        worlds, known = DifferencedWorlds(problem, run.nthread), 0
+    else:
+        worlds = learned = LearnedWorlds(problem.to(device), checkpoint, device)
+        known = _true_steps(learned)
     seeds = training_seeds(problem, run)
     pool = worlds.pool(problem.draw(seeds))
     start = load_policy(run.start, problem) if run.start else None
@@ -143,8 +153,8 @@ def train_apg(
     notes = {
         "method": "apg",
         "config": dataclasses.asdict(config),
-        "dynamics": worlds.folder.name,
-        "true_steps": _true_steps(worlds) + _inherited(run),
+        "dynamics": worlds.name,
+        "true_steps": known + _inherited(run),
         "start": run.start.name if run.start else "",
         **problem.conditions,
     }

@@ -30,14 +30,17 @@ class TrueWorlds:
       problem: on the CPU.
       nworld: number of worlds.
       nthread: threads; 0 for one per usable core.
+      nominal: whether observations have nominal values of what no image shows of a scene.
 
     Attributes:
       diverged: [nworld] how often each world has diverged.
       steps: control steps of all worlds so far.
     """
 
-    def __init__(self, problem: Problem, nworld: int, nthread: int = 0) -> None:
-        self.problem, self.nworld = problem, nworld
+    def __init__(
+        self, problem: Problem, nworld: int, nthread: int = 0, nominal: bool = False
+    ) -> None:
+        self.problem, self.nworld, self._nominal = problem, nworld, nominal
         model = problem.model
         self._working = copy.copy(model)
         self._fields = ModelFields(model, self._working, nworld)
@@ -78,7 +81,8 @@ class TrueWorlds:
             self._params = torch.zeros((self.nworld, starts.params.shape[1]))
         index = torch.as_tensor(worlds)
         self._command[index] = _float(starts.command)
-        self._params[index] = _float(starts.params)
+        params = _float(starts.params)
+        self._params[index] = self.problem.unseen(params) if self._nominal else params
         fields = (starts.qpos, starts.qvel, starts.command)
         score = self.problem.begin(*map(_float, fields))
         if self._score is None:

@@ -49,16 +49,15 @@ def train(
     def report(line: dict[str, Any]) -> None:
         note(sentence(line))
 
-    backend = options["backend"] or ("learned" if method == "apg" else "mujoco")
+    kinds = ("learned", "mujoco") if method == "apg" else ("mujoco",)
+    backend = options["backend"] or kinds[0]
     kind, _, path = backend.partition(":")
-    if kind != ("learned" if method == "apg" else "mujoco"):
-        raise InputError(
-            f"--method {method} learns in {'learned' if method == 'apg' else 'mujoco'}; got "
-            f"--backend {backend}"
-        )
+    if kind not in kinds:
+        raise InputError(f"--method {method} learns in {' or '.join(kinds)}; got {backend}")
     if method == "apg":
         config = _changed(ApgConfig(), options)
-        return train_apg(problem, config, run, path or None, report)
+        differences = kind == "mujoco"
+        return train_apg(problem, config, run, path or None, report, differences=differences)
     if run.start is not None:
         raise InputError(f"--start is for --method apg; got {method}")
     if method == "bc":
@@ -71,7 +70,10 @@ def train(
         return train_dreamer(problem, _changed(DreamerConfig(), options), run, report)
     from orbisim_policies.baselines import Baseline, train_baseline
 
-    baseline = _changed(Baseline(method), options)
+    plain = Baseline(method)
+    if method == "sac" and problem.sparse:  # the best of a search on push: docs/benchmarks.md
+        plain = Baseline(method, batch=8, updates=4, returns=16)
+    baseline = _changed(plain, options)
     return train_baseline(problem, baseline, run, report)
 
 
@@ -94,17 +96,17 @@ def evaluate(
     steps = int(manifest.get("steps", 0)) or None
     plain = make_problem(task or str(manifest.get("task")), steps)
     policy, problem = load_policy(folder, plain), _drawn(plain, randomize, min(seeds))
-    if observe != "state":
+    if observe not in ("state", "nominal"):
         return _from_pixels(
             folder, manifest, policy, problem, episodes, seeds, observe, camera, threads
         )
-    worlds = None if model == "none" else _model(model, problem, torch.device(device))
-    result = evaluation.evaluate(
-        problem, policy, episodes=episodes, seeds=seeds, worlds=worlds, nthread=threads
-    )
-    known: dict[str, Any] = {
-        name: manifest[name] for name in ("method", "true_steps") if name in manifest
-    }
+    nominal = observe == "nominal"
+    alone = nominal or model == "none"
+    worlds = None if alone else _model(model, problem, torch.device(device))
+    how: Any = {"episodes": episodes, "seeds": seeds, "worlds": worlds, "nthread": threads}
+    result = evaluation.evaluate(problem, policy, **how, nominal=nominal)
+    known: dict[str, Any] = {"observe": observe}
+    known |= {name: manifest[name] for name in ("method", "true_steps") if name in manifest}
     return {**result, **known, **problem.conditions, "policy": str(folder)}
 
 

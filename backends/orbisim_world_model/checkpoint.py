@@ -70,13 +70,14 @@ def save_checkpoint(
     make_folder(folder)
     model = models[0]
     tensors: dict[str, Tensor] = {}
+    first = model.state_dict()
     for number, each in enumerate(models):
         prefix = f"{_VARIANT}{number}." if number else ""
         few = matrices[number] if matrices else {}
         for name, tensor in each.state_dict().items():
             if name in few:
                 tensors |= few[name].tensors(prefix + name)
-            elif not (number and _is_shared(name)):
+            elif not (number and _is_shared(name) and _same(first.get(name), tensor)):
                 exact = tensor.detach().cpu().contiguous()  # vectors: they cost little
                 tensors[prefix + name] = exact if few else _stored(name, tensor)
     header = {
@@ -197,25 +198,37 @@ def _weights(path: Path, variant: int, expected: dict[str, Any]) -> dict[str, Te
     """
     size_of(path)
     with safe_open(str(path), framework="pt") as file:
-        stored = _of_variant({name: name for name in file.keys()}, variant)  # noqa: SIM118
+        stored = _of_variant({name: name for name in file.keys()}, variant, expected)  # noqa: SIM118
         try:
             return read_weights(file, stored, expected)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
 
 
-def _of_variant(tensors: dict[str, T], variant: int) -> dict[str, T]:
-    """What there is of one robot's model, by the names in it."""
+def _of_variant(tensors: dict[str, T], variant: int, expected: Mapping[str, Any]) -> dict[str, T]:
+    """What there is of one robot's model, by the names in it: its own, and what it shares with the
+    first of the parts that it has (objects, or parts of mechanisms)."""
     plain = {n: t for n, t in tensors.items() if not n.startswith(_VARIANT)}
     if not variant:
         return plain
     prefix = f"{_VARIANT}{variant}."
     own = {n.removeprefix(prefix): t for n, t in tensors.items() if n.startswith(prefix)}
-    return {n: t for n, t in plain.items() if _is_shared(n)} | own
+    has = [part for part in SHARED if any(_within(name, part) for name in expected)]
+    shared = {n: t for n, t in plain.items() if any(_within(n, part) for part in has)}
+    return shared | own
 
 
 def _is_shared(name: str) -> bool:
-    return any(name == part or name.startswith(f"{part}.") for part in SHARED)
+    return any(_within(name, part) for part in SHARED)
+
+
+def _within(name: str, part: str) -> bool:
+    return name == part or name.startswith(f"{part}.")
+
+
+def _same(first: Tensor | None, tensor: Tensor) -> bool:
+    """Whether this is the first model's own tensor."""
+    return first is not None and first.data_ptr() == tensor.data_ptr()
 
 
 def ranges(pack: Pack) -> dict[str, Any]:

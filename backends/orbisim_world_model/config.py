@@ -40,6 +40,8 @@ class ModelConfig:
       joints: ... and by the metadata of their joints (see `parts.JOINT`).
       articulated: every joint of a robot is a token, and nothing belongs to one robot alone (see
         `articulation`); for scenes without free bodies.
+      mixed: objects and parts of mechanisms in one model, each robot with either (see `pairs` of
+        `features`); a model of one kind has no room for the other's relations.
       linear: the robot's change is a linear function of what is seen of it and of the control,
         fitted to the data by least squares, and what the network adds to it.
     """
@@ -66,6 +68,7 @@ class ModelConfig:
     joints: bool = True
     linear: bool = False
     articulated: bool = False
+    mixed: bool = False
     baseline: Literal["none", "mujoco"] = "none"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -414,25 +415,33 @@ class Dynamics(nn.Module):
 
     # -- several robots ------------------------------------------------------------------------
 
-    def share(self, lead: Dynamics) -> None:
-        """Takes over all of another model's parts but those of its robot.
+    def share(self, others: Sequence[Dynamics]) -> None:
+        """Takes over all parts of other models but those of their robots; each from the first that
+        has the same (a model of objects has none of what mechanisms need, and the other way round).
 
         Raises:
-          InputError: their objects or world settings differ, or the network has no tokens.
+          InputError: their objects or world settings differ, the network has no tokens, or one has
+            objects and another mechanisms without `ModelConfig.mixed`.
         """
-        ours, theirs = self.layout, lead.layout
-        same = (ours.attributes, ours.settings) == (theirs.attributes, theirs.settings)
-        same = same and self.sizes.edges == lead.sizes.edges
-        same = same and ours.part_columns == theirs.part_columns
-        many = (ours.objects and theirs.objects) or (ours.parts and theirs.parts)
-        if self.config.kind != "objects" or not same or not many:
-            raise InputError(
-                f"robots with joints {ours.joints} and {theirs.joints} fit into one model only "
-                "with object-centric tokens and the same descriptors"
-            )
-        for name in SHARED:
+        for lead in others:
+            ours, theirs = self.layout, lead.layout
+            same = ours.settings == theirs.settings and self.sizes.edges == lead.sizes.edges
+            kinds = (ours.attributes, ours.part_columns), (theirs.attributes, theirs.part_columns)
+            many = (ours.objects and theirs.objects) or (ours.parts and theirs.parts)
+            fits = self.config.mixed or (many and kinds[0] == kinds[1])
+            if self.config.kind != "objects" or not same or not fits:
+                raise InputError(
+                    f"robots with joints {ours.joints} and {theirs.joints} fit into one model only "
+                    "with object-centric tokens and the same descriptors, and objects and "
+                    "mechanisms only with model.mixed"
+                )
+        for name in SHARED if others else ():
             module, last = _place(self, name)
-            setattr(module, last, getattr(_place(lead, name)[0], last))
+            own = _shape(getattr(module, last))
+            found = (getattr(_place(lead, name)[0], last) for lead in others)
+            theirs_first = next((part for part in found if _shape(part) == own), None)
+            if theirs_first is not None:
+                setattr(module, last, theirs_first)
 
     def _unscaled(self, out: Outputs, dtype: Any, context: Context) -> tuple[Tensor, Tensor]:
         """The decoder's numbers in SI units."""
@@ -462,17 +471,21 @@ def fit_together(models: list[Dynamics], transitions: list[Transitions]) -> None
     for model, part in zip(models, transitions, strict=True):
         if model.contacts is not None:
             model.contacts.fit(model.completed(part.x), part.context)
-    for model, mine in zip(models, rows, strict=True):
-        for name, (values, weights) in mine.items():
-            if name not in SHARED or len(models) == 1:
-                getattr(model, name).fit(values, weights)
     lead = models[0]
-    for name in SHARED if len(models) > 1 else ():
-        if name in rows[0]:
-            parts = [part[name] for part in rows]
-            values = torch.cat([v.reshape(-1, v.shape[-1]) for v, _ in parts])
-            weights = [v.new_ones(v.shape[:-1]) if w is None else w for v, w in parts]
-            getattr(lead, name).fit(values, torch.cat([w.reshape(-1) for w in weights]))
+    for name in dict.fromkeys(name for mine in rows for name in mine):
+        owners = {id(getattr(model, name)): getattr(model, name) for model in models}
+        for owner in owners.values():
+            parts = [
+                mine[name]
+                for model, mine in zip(models, rows, strict=True)
+                if getattr(model, name) is owner and name in mine
+            ]
+            if len(parts) == 1:
+                owner.fit(*parts[0])
+            elif parts:
+                values = torch.cat([v.reshape(-1, v.shape[-1]) for v, _ in parts])
+                weights = [v.new_ones(v.shape[:-1]) if w is None else w for v, w in parts]
+                owner.fit(values, torch.cat([w.reshape(-1) for w in weights]))
     if lead.contacts is not None:
         lead.see_edges.std.clamp_(min=_LEAST)
     for model, part in zip(models, transitions, strict=True):
@@ -484,6 +497,13 @@ def fit_together(models: list[Dynamics], transitions: list[Transitions]) -> None
 def _with_one(inputs: Inputs) -> Tensor:
     """[B, F + U + 1]: what is seen of the robot and of the control, and a 1."""
     return torch.cat([inputs.robot, inputs.control, torch.ones_like(inputs.robot[:, :1])], dim=-1)
+
+
+def _shape(part: nn.Module | Tensor | None) -> Any:
+    """Of a parameter, or of all that a module has; None of what is not there."""
+    if part is None or isinstance(part, Tensor):
+        return None if part is None else part.shape
+    return {name: tensor.shape for name, tensor in part.state_dict().items()}
 
 
 def _place(model: nn.Module, name: str) -> tuple[nn.Module, str]:

@@ -12,13 +12,15 @@ from orbisim.scene import Scene
 from orbisim.state import Array, State
 from orbisim_world_model.arrays import has_gradient, tensor
 from orbisim_world_model.checkpoint import Checkpoint
+from orbisim_world_model.differentiable import DifferentiableStep
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.guard import Guard
+from orbisim_world_model.layout import Layout
 from orbisim_world_model.reading import read_attributes, read_settings
 from orbisim_world_model.reading_articulation import limb_rows
 from orbisim_world_model.reading_parts import read_parts
 from orbisim_world_model.spread import factors_of, half_widths
-from orbisim_world_model.stepper import Speedups, Stepper
+from orbisim_world_model.stepper import Speedups, Stepper, plain_step
 from orbisim_world_model.stepping import MEMORY, STALE, Stepping, Steps
 
 ATTRIBUTES, SETTINGS = "world_model_attributes", "world_model_settings"
@@ -48,13 +50,7 @@ class Engine(Stepping):
         )
         self._attributes, self._settings = attributes[None], settings[None]
         self._scenes: Context | None = None  # of as many worlds as were asked for last
-        self._parts: Tensor | None = None
-        if self.layout.parts:
-            if self.layout.articulated:
-                rows = limb_rows(scene.model, scene.source)
-            else:
-                rows = read_parts(scene.model, self.layout, scene.source)
-            self._parts = torch.as_tensor(rows, dtype=torch.float32).to(self.device)[None]
+        self._parts = parts_of(scene, self.layout, self.device)
         self.guard = Guard(self.checkpoint.manifest, self.layout, scene.model)
         if self.native is not None:
             self.prepare_native()
@@ -145,14 +141,23 @@ class Engine(Stepping):
             step = model(x, memory, tensor(control, self.device), context, base=base)
             return Steps(Entities(*(field[None] for field in step.state)), step.memory)
 
+    @property
+    def recorded(self) -> bool:
+        """Whether steps with gradients, since the first, are played back from graphs."""
+        return isinstance(self._exact, DifferentiableStep) and self._exact.recorded
+
     def _step_exactly(
         self, x: Entities, memory: Tensor, control: Tensor, context: Context
     ) -> tuple[Entities, Tensor]:
-        """With gradients, in float32."""
+        """With gradients, in float32; on a GPU by graphs."""
         if self._exact is None:
-            self._exact = self.checkpoint.model.to(self.device).requires_grad_(False)
-        step = self._exact(x, memory, control, context)
-        return step.state, step.memory
+            model = self.checkpoint.model.to(self.device).requires_grad_(False)
+            self._exact = plain_step(model)
+            if self.device.type == "cuda":
+                compiler = self.stepper.speedups.compiled
+                self._exact = DifferentiableStep(model, self.device, compiler)
+        found: tuple[Entities, Tensor] = self._exact(x, memory, control, context)
+        return found
 
     def memory(self, state: State) -> Tensor:
         """The recurrent memory that a state carries, or a fresh one."""
@@ -178,3 +183,14 @@ class Engine(Stepping):
         if not own:
             self._scenes = found
         return found
+
+
+def parts_of(scene: Scene, layout: Layout, device: torch.device) -> Tensor | None:
+    """[1, P, D] what a model is conditioned on of a scene's parts or limbs; None without."""
+    if not layout.parts:
+        return None
+    if layout.articulated:
+        rows = limb_rows(scene.model, scene.source)
+    else:
+        rows = read_parts(scene.model, layout, scene.source)
+    return torch.as_tensor(rows, dtype=torch.float32).to(device)[None]

@@ -93,7 +93,12 @@ class Features(nn.Module):
     @property
     def pairs(self) -> int:
         """How many numbers `edges` gives."""
-        return EDGE_FEATURES + (RELATIONS if self.parts is not None and self.config.joints else 0)
+        return EDGE_FEATURES + (RELATIONS if self._related else 0)
+
+    @property
+    def _related(self) -> bool:
+        """Whether edges also say which part carries which; objects of a mixed model carry none."""
+        return self.config.joints and (self.parts is not None or self.config.mixed)
 
     def edges(self, x: Entities, context: Context | None = None) -> Tensor:
         """[B, K, K, E]: entity j as entity i sees it from its own frame.
@@ -110,7 +115,9 @@ class Features(nn.Module):
         offset = from_i(pos)
         turn = product(seen.transpose(-1, -2), rot[:, None])  # [B, K, K, 3, 3]
         parts = [offset, fine(offset, _NEAR), turn[..., :2].flatten(-2), from_i(vel), from_i(ang)]
-        if self.parts is not None and context is not None and self.config.joints:
+        if self._related and self.parts is None:
+            parts.append(offset.new_zeros((*offset.shape[:-1], RELATIONS)))
+        elif self._related and self.parts is not None and context is not None:
             parts.append(self.parts.relations(context, 1 + len(self.layout.objects)))
         return torch.cat(parts, dim=-1)
 

@@ -51,6 +51,11 @@ class Graphed:
             self._result = function()
         self._graph = graph
 
+    @property
+    def recorded(self) -> bool:
+        """Whether there is a graph."""
+        return self._graph is not None
+
     def __call__(self) -> Any:
         """Runs it once; with a graph, the result's tensors are the same each time."""
         if self._graph is None:

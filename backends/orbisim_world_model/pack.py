@@ -235,7 +235,7 @@ def grouped(packs: list[Pack]) -> list[Pack]:
     groups: dict[Any, list[Pack]] = {}
     for pack in packs:
         layout = pack.layout
-        key: Any = (layout.robot, layout.nu, layout.hand)
+        key: Any = (layout.robot, layout.nu, layout.hand, bool(layout.parts))
         if layout.articulated:  # any robot, if the engine integrates in the same way
             key = layout.runge_kutta
         groups.setdefault(key, []).append(pack)

@@ -147,6 +147,8 @@ def _train(
     kept, spare = _kept_and_held(packs, held, run, device)
     clock = Clock(run.steps, seconds_for_training(run), most=run.most)
     models = [load_for(run.start, p.layout).model for p in kept] if run.start else None
+    for model in models or ():
+        model.spread = None  # of a finished model alone is it known how far off it is
     if models and config.model.rest:
         models = [model.with_rest() for model in models]
     trainer = Trainer(
@@ -279,6 +281,7 @@ def _save(trainer: Trainer, run: Run, held: list[Pack] | None) -> dict[str, Any]
         "control_timestep": pack.layout.timestep,
         "ranges": ranges(pack),
         "data": {
+            **_shapes_of(packs),
             **pack.notes,
             "groups": [name for part in packs for name in part.notes["groups"]],
             "sources": [source for part in packs for source in part.notes["sources"]],
@@ -297,6 +300,12 @@ def _save(trainer: Trainer, run: Run, held: list[Pack] | None) -> dict[str, Any]
         manifest["metrics"] = {**found[0], "variants": found[1:]}
         save_checkpoint(run.out, trainer.models, manifest)
     return json.loads((run.out / "manifest.json").read_text())
+
+
+def _shapes_of(packs: list[Pack]) -> dict[str, Any]:
+    """Which encoder the tokens of shapes are from, in whatever pack they are."""
+    digests = {pack.notes["shapes"] for pack in packs if "shapes" in pack.notes}
+    return {"shapes": digests.pop()} if digests else {}
 
 
 def progress_of(trainer: Any, run: Run, clock: Clock) -> dict[str, Any]:

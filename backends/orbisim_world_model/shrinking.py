@@ -50,8 +50,8 @@ def save_in_few_bits(
     models = [load_checkpoint(source, variant=number).model for number in range(count)]
     if models[0].config.kind != "objects" or models[0].config.memory != "none":
         raise InputError(f"{source}: only networks with tokens and without memory are calibrated")
-    for model in models[1:]:
-        model.share(models[0])
+    for number, model in enumerate(models):
+        model.share(models[:number])
     remove_unused(models)
     networks = [model.network for model in models]
     if packs is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -19,6 +20,8 @@ from orbisim_world_model.unroll import open_loop
 
 _FREEDOM = 3.0
 """Degrees of freedom of Student's t: errors after contacts have heavy tails."""
+_TOGETHER = 4096
+"""Rollouts at once: a GPU takes as long for fewer, and more take memory."""
 
 
 class Rollouts(NamedTuple):
@@ -56,7 +59,8 @@ class SpreadRun:
     Attributes:
       steps, batch: of training; rollouts in a batch. rate: of learning, at the start.
       windows: rollouts to train on. length: of each, control steps; as long as the longest episode
-        if None.
+        if None. Where packs differ in it, longer rollouts are fewer by as much, in `windows` and in
+        `batch`.
     """
 
     steps: int = 1500
@@ -68,12 +72,14 @@ class SpreadRun:
     seed: int = 0
 
 
-def fit_spread(model: Dynamics, pack: Pack, held: Pack, run: SpreadRun) -> dict[str, Any]:
-    """Gives the model a spread, trained on one pack and calibrated on another.
+def fit_spread(
+    model: Dynamics, packs: Sequence[Pack], held: Sequence[Pack], run: SpreadRun
+) -> dict[str, Any]:
+    """Gives the model a spread, trained on some packs in turn and calibrated on others.
 
     Args:
       model: finished; on the packs' device.
-      pack: rollouts start anywhere in its episodes. held: episodes that were not trained on.
+      packs: rollouts start anywhere in their episodes. held: episodes that were not trained on.
       run: see `SpreadRun`.
 
     Returns:
@@ -83,18 +89,20 @@ def fit_spread(model: Dynamics, pack: Pack, held: Pack, run: SpreadRun) -> dict[
     torch.manual_seed(run.seed)
     model.eval().requires_grad_(False)
     model.spread = None
-    length = run.length or int(pack.length.max())
-    data = rollouts(model, pack, length, run.windows, run.seed)
-    model.with_spread(run.width).spread.to(pack.device)  # type: ignore[union-attr]
+    data = _groups(model, packs, run, run.windows, run.seed)
+    model.with_spread(run.width).spread.to(packs[0].device)  # type: ignore[union-attr]
     assert model.spread is not None
     optimizer = torch.optim.Adam(model.spread.parameters(), lr=run.rate)
-    count = data.control.shape[1]
+    shortest = min(len(group.control) for group in data)
     for step in range(run.steps):
-        generator = generator_of(pack.device, run.seed, step)
-        chosen = torch.randint(count, (run.batch,), generator=generator, device=pack.device)
-        for group in optimizer.param_groups:
-            group["lr"] = run.rate * 0.5 * (1 + math.cos(math.pi * step / run.steps))
-        part = data.at(chosen)
+        group = data[step % len(data)]
+        length, count = group.control.shape[:2]
+        size = max(1, run.batch * shortest // length)
+        generator = generator_of(group.control.device, run.seed, step)
+        chosen = torch.randint(count, (size,), generator=generator, device=group.control.device)
+        for parameters in optimizer.param_groups:
+            parameters["lr"] = run.rate * 0.5 * (1 + math.cos(math.pi * step / run.steps))
+        part = group.at(chosen)
         loss = spread_loss(deviations(model, part), part)
         optimizer.zero_grad()
         loss.backward()
@@ -102,7 +110,19 @@ def fit_spread(model: Dynamics, pack: Pack, held: Pack, run: SpreadRun) -> dict[
         optimizer.step()
     model.spread.requires_grad_(False)
     model.spread.eval()
-    return {"width": run.width, "level": LEVEL, "factor": calibrated(model, held, length, run)}
+    return {"width": run.width, "level": LEVEL, "factor": calibrated(model, held, run)}
+
+
+def _groups(
+    model: Dynamics, packs: Sequence[Pack], run: SpreadRun, windows: int, seed: int
+) -> list[Rollouts]:
+    """Rollouts of each pack; the longer, the fewer."""
+    longest = [int(pack.length.max()) for pack in packs]
+    lengths = [min(run.length or most, most) for most in longest]
+    return [
+        rollouts(model, pack, length, max(1, windows * min(lengths) // length), seed)
+        for pack, length in zip(packs, lengths, strict=True)
+    ]
 
 
 def rollouts(model: Dynamics, pack: Pack, length: int, count: int, seed: int) -> Rollouts:
@@ -111,7 +131,7 @@ def rollouts(model: Dynamics, pack: Pack, length: int, count: int, seed: int) ->
     generator = generator_of(pack.device, seed, 0)
     number = torch.randint(windows.count, (count,), generator=generator, device=pack.device)
     found = []
-    for part in number.split(1024):
+    for part in number.split(_TOGETHER):
         batch = windows.batch(*windows.locate(part))
         predicted = open_loop(model, batch, 0)
         truth = Entities(*(field[1:] for field in batch.states))
@@ -154,27 +174,31 @@ def spread_loss(sizes: Tensor, data: Rollouts) -> Tensor:
 
 
 @torch.no_grad()  # type: ignore[untyped-decorator]
-def calibrated(model: Dynamics, held: Pack, length: int, run: SpreadRun) -> dict[str, list[float]]:
+def calibrated(model: Dynamics, held: Sequence[Pack], run: SpreadRun) -> dict[str, list[float]]:
     """Factors of the standard deviations that cover `LEVEL` of the errors of held-out rollouts.
 
     Of the second half of each rollout, since at first nothing has happened and any interval will
     do; of robots and of objects apart, since a robot is hardly ever wrong.
     """
-    data = rollouts(model, held, min(length, int(held.length.max())), 1024, run.seed + 1)
-    return factors(deviations(model, data), data, int(model.layout.has_robot))
+    data = _groups(model, held, run, 1024, run.seed + 1)
+    return factors([(deviations(model, d), d) for d in data], int(model.layout.has_robot))
 
 
-def factors(sizes: Tensor, data: Rollouts, robots: int) -> dict[str, list[float]]:
-    """See `calibrated`; `robots` is how many of the entities are."""
-    late = len(sizes) // 2
-    ratio = (data.errors / sizes)[late:]
-    there = data.mask.expand(len(ratio), *data.mask.shape) > 0
+def factors(known: Sequence[tuple[Tensor, Rollouts]], robots: int) -> dict[str, list[float]]:
+    """See `calibrated`, from deviations and rollouts; `robots` is how many entities are robots."""
     found = {}
     for kind, part in (("robot", slice(0, robots)), ("objects", slice(robots, None))):
-        rows = ratio[:, :, part][there[:, :, part]]
-        known = [_quantile(rows[:, i], LEVEL) if len(rows) else torch.ones(()) for i in range(2)]
-        found[kind] = [max(float(value), 1e-6) for value in known]
+        rows = torch.cat([_ratios(sizes, data, part) for sizes, data in known])
+        level = [_quantile(rows[:, i], LEVEL) if len(rows) else torch.ones(()) for i in range(2)]
+        found[kind] = [max(float(value), 1e-6) for value in level]
     return found
+
+
+def _ratios(sizes: Tensor, data: Rollouts, part: slice) -> Tensor:
+    """[n, 2]: errors over deviations of some entities, over the second half of each rollout."""
+    late = len(sizes) // 2
+    ratio = (data.errors / sizes)[late:, :, part]
+    return ratio[data.mask[:, part].expand(len(ratio), -1, -1) > 0]
 
 
 def _quantile(values: Tensor, level: float) -> Tensor:

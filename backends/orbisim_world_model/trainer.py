@@ -38,12 +38,14 @@ class Part:
 
     Attributes:
       scales: units of errors and noise.
+      count: control steps of the data.
       windows: sequences of the current stage.
     """
 
     pack: Pack
     model: Dynamics
     scales: Scales
+    count: int
     windows: Windows | None = None
 
 
@@ -81,10 +83,11 @@ class Trainer:
         models = models or new_models(packs, config, seed)
         for model in models:
             model.to(self.device).train()
-            if model is not models[0]:
-                model.share(models[0])
+        for number, model in enumerate(models):
+            model.share(models[:number])
         self.parts = [
-            Part(pack, model, _scales(pack)) for pack, model in zip(packs, models, strict=True)
+            Part(pack, model, _scales(pack), int(pack.length.sum()))
+            for pack, model in zip(packs, models, strict=True)
         ]
         everything = torch.nn.ModuleList(models)
         self.optimizer = FlatAdamW(everything, config.train.decay, config.train.clip)
@@ -191,10 +194,11 @@ class Trainer:
             _copy(self._buffers, fresh)
 
     def _shares(self, batch: int) -> list[int]:
-        """Sequences of each part: as many of each robot; of limbs, by how many there are."""
+        """Sequences of each part: as many of each robot; of limbs, by how many there are, whatever
+        their length, so that a stage with the same batch has the same shapes."""
         if not self.config.model.articulated:
             return [-(-batch // len(self.parts))] * len(self.parts)
-        counts = [part.windows.count for part in self.parts if part.windows is not None]
+        counts = [part.count for part in self.parts]
         return [max(1, round(batch * count / sum(counts))) for count in counts]
 
     def _drawn(
@@ -245,8 +249,7 @@ def new_models(packs: Sequence[Pack], config: Config, seed: int) -> list[Dynamic
             torch.manual_seed(seed + 1_000_003 * number)
             model = Dynamics(pack.layout, config.model).build(pack.controls(config.model).shape[1])
         model.to(pack.device)
-        if models:
-            model.share(models[0])
+        model.share(models)
         models.append(model)
         most = _FEW if pack.layout.articulated else 200_000
         row, episode = pack.transitions(most // len(packs))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -116,7 +117,8 @@ _VISION = "Example: orbisim eval vision checkpoints/look test_push.h5 --steps 1 
     "--weights",
     default=None,
     type=click.Path(path_type=Path),
-    help="Weights of EfficientNet-Lite0. Default: those of the package.",
+    help="Weights of EfficientNet-Lite0 (default: those of the package), or a folder with those of "
+    "LPIPS and FVD.",
 )
 @click.option(
     "--mujoco", is_flag=True, help="MuJoCo's images of the predicted states as a row, too."
@@ -126,6 +128,14 @@ _VISION = "Example: orbisim eval vision checkpoints/look test_push.h5 --steps 1 
     default=None,
     type=click.Path(path_type=Path),
     help="An .npz file of predicted states: read if it is there, else made. For one file of DATA.",
+)
+@click.option(
+    "--state-noise",
+    nargs=2,
+    default=None,
+    type=click.FloatRange(min=0.0),
+    metavar="MM DEGREES",
+    help="Noise on states: on the first, and on each that GT-state and Recon-all show.",
 )
 @click.option("--workers", type=click.IntRange(min=1), default=1, help="Processes.")
 @device_option
@@ -142,16 +152,20 @@ def vision(
     weights: Path | None,
     mujoco: bool,
     predictions: Path | None,
+    state_noise: tuple[float, float] | None,
     workers: int,
     device: str | None,
     as_json: bool,
 ) -> None:
-    """Images of rollouts against the true ones: PSNR, SSIM, EffNet-PD, EffNet-FVD, and, of a
-    checkpoint with StaInf, TrajErr.
+    """Images of rollouts against the true ones: PSNR, SSIM, EffNet-PD, EffNet-FVD, with the weights
+    for them LPIPS and FVD, and, of a checkpoint with StaInf, TrajErr.
 
     DATA are episode files with images. GT-first and Recon-first use states that the backend
     predicts from the first one, GT-state and Recon-all the true states.
     """
+    if state_noise is not None and predictions is not None:
+        raise InputError("--state-noise: makes predictions of its own; leave --predictions out")
+    noise = None if state_noise is None else (1e-3 * state_noise[0], math.radians(state_noise[1]))
     try:
         import torch
         from orbisim_diffusion import evaluate as evaluation
@@ -159,12 +173,15 @@ def vision(
         from orbisim_diffusion.features import Features
         from orbisim_diffusion.model import Painter
         from orbisim_diffusion.predictions import predict, read_predictions, save_predictions
+        from orbisim_diffusion.pretrained import load_pretrained
     except ImportError as error:
         raise MissingDependencyError("evaluation", "learned", str(error)) from error
     on = torch.device(torch_device(device))
     point, inference = load_with_inference(checkpoint)
     painter = Painter.of(point, on)
-    seen = Features(on, weights) if features else None
+    folder = weights if weights is not None and weights.is_dir() else None
+    seen = Features(on, None if folder else weights) if features else None
+    pretrained = load_pretrained(folder, on) if folder else None
     known = []
     if predictions is not None:
         if len(data) != 1:
@@ -183,11 +200,13 @@ def vision(
             steps=steps or (1,),
             horizons=horizons or evaluation.HORIZONS,
             features=seen,
+            pretrained=pretrained,
             inference=inference and inference.to(on),
             mujoco=mujoco,
             predictions=known,
             workers=workers,
             backend=backend,
+            noise=noise,
             report=note,
         )
         for path in data
@@ -225,12 +244,12 @@ _POLICY = "Example: orbisim eval policy policies/push --episodes 200 --json"
 @randomize_option
 @click.option(
     "--observe",
-    type=click.Choice(["state", "infer", "objects", "stainf"]),
+    type=click.Choice(["state", "nominal", "infer", "objects", "stainf"]),
     default="state",
     show_default=True,
-    help="What the policy sees: the true state, or the one that is read off a camera's frames, by "
-    "a network and a fit (infer), with joints as measured (objects), or by the network alone "
-    "(stainf).",
+    help="What the policy sees: the true state, that with nominal values of what no image shows "
+    "(densities, friction), or the one that is read off a camera's frames, by a network and a fit "
+    "(infer), with joints as measured (objects), or by the network alone (stainf).",
 )
 @click.option("--camera", default="side", show_default=True, help="Of --observe.")
 @click.option("--threads", default=0, help="Of MuJoCo; 0 for all cores.")

@@ -401,7 +401,7 @@ _POLICY = "Example: orbisim train policy push --method apg --out policies/push -
     "--backend",
     default=None,
     help="What the policy learns in: learned, learned:PATH or learned:NAME of the zoo (apg), "
-    "mujoco (all others).",
+    "mujoco (all others; apg by finite differences).",
 )
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder to write to.")
 @click.option("--steps", type=click.IntRange(min=1), default=None, help="Iterations; env steps.")

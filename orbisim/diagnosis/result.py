@@ -18,6 +18,7 @@ from orbisim import plugins
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.force_search import ForceAttribution
 from orbisim.diagnosis.found import Alternative, Candidate, Retuned, Verdict
+from orbisim.diagnosis.history import HistoryDependent
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.wording import sentence
 from orbisim.effects.carry import save_with_effects
@@ -57,6 +58,7 @@ class Diagnosis:
       sensors: what became of sensors that do not read the joints themselves.
       settings: how the search went about it, as it was told.
       rest: a learned force for what is left, if it was asked for; it is no effect.
+      history: joints that no function of the recorded state explains, where something is left.
     """
 
     scene: Scene
@@ -78,6 +80,7 @@ class Diagnosis:
     candidates: tuple[Candidate, ...] = ()
     sensors: Sensed | None = None
     settings: Settings = dataclasses.field(default_factory=Settings)
+    history: tuple[HistoryDependent, ...] = ()
 
     @property
     def sentence(self) -> str:
@@ -90,6 +93,7 @@ class Diagnosis:
             residual=self.residual,
             of_sensors=self.error_is_of_sensors,
             cut_short=getattr(self.attribution, "cut_short", False),
+            history=self.history,
         )
 
     @property
@@ -132,6 +136,7 @@ class Diagnosis:
             "augmented_scene": "augmented/scene.xml",
             "patch": f"augmented/{PATCH}" if self.patch.text else None,
             "no_patch": self.patch.problem or None,
+            "history_dependent": [dataclasses.asdict(one) for one in self.history],
             "rest": None if self.rest is None else self.rest.to_json(),
             "notes": list(self.notes),
             "origin": self.origin,

@@ -34,6 +34,7 @@ from orbisim.diagnosis.findings import (
 )
 from orbisim.diagnosis.force_result import diagnose_forces
 from orbisim.diagnosis.force_search import ForceAttribution
+from orbisim.diagnosis.history import history_dependent
 from orbisim.diagnosis.rest import learn_rest as learn
 from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.scoring import score
@@ -195,6 +196,8 @@ def _by_motion(
     notes += doubts(found)
     sensed = sensor_faults(found, unseen, notes, say)
     result = _result(scene, named, found, settings, fit, held, window, backend, notes, sensed)
+    if result.verdict in ("partly_explained", "unexplained"):
+        result = dataclasses.replace(result, history=history_dependent(found.bench))
     if rest:
         motion, augmented = verdict_of(found, settings), result.augmented_scene
         learned = learn(
@@ -248,6 +251,8 @@ def _weighed(motion: Diagnosis, forces: Diagnosis) -> Diagnosis:
     if worth.sure > 0:
         whole = forces.verdict != "explained" or alone.left <= NEAR
         better = forces if whole else dataclasses.replace(forces, verdict="partly_explained")
+        if better.verdict != "explained":
+            better = dataclasses.replace(better, history=motion.history)
     return dataclasses.replace(better, notes=tuple(dict.fromkeys([*better.notes, told])))
 
 

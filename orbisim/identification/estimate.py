@@ -53,8 +53,8 @@ def estimate(
     """Fits the parameters of each problem to its windows.
 
     Args:
-      residuals: from values [W, P] of each window to its errors [W, R], in units of typical ones,
-        0 where nothing was recorded.
+      residuals: from values [K W, P] of each window, in K copies of all windows one after another,
+        to their errors [K W, R], in units of typical ones, 0 where nothing was recorded.
       start: [G, P] values above 0.
       bounds: low and high, [P].
       group: [W] the problem that each window belongs to.
@@ -90,18 +90,18 @@ def estimate(
 
 
 def _linear(residuals: Callable[[Tensor], Tensor], z: Tensor) -> tuple[Tensor, Tensor]:
-    """Errors [W, R] and their derivatives [W, R, P] by the logarithms [W, P]."""
-    slopes = []
-    for number in range(z.shape[1]):
-        tangent = torch.zeros_like(z)
-        tangent[:, number] = 1.0
-        with forward_ad.dual_level():
-            dual = forward_ad.make_dual(z.detach().clone().requires_grad_(), tangent)
-            found = forward_ad.unpack_dual(residuals(dual.exp()))
-            slope = torch.zeros_like(found.primal) if found.tangent is None else found.tangent
-            errors = found.primal.detach()
-            slopes.append(slope.detach())
-    stacked = torch.stack(slopes, dim=-1)
+    """Errors [W, R] and their derivatives [W, R, P] by the logarithms [W, P].
+
+    All directions at once, each in a copy of the windows.
+    """
+    windows, size = z.shape
+    tangent = torch.eye(size, dtype=z.dtype, device=z.device).repeat_interleave(windows, dim=0)
+    with forward_ad.dual_level():
+        dual = forward_ad.make_dual(z.detach().repeat(size, 1).requires_grad_(), tangent)
+        found = forward_ad.unpack_dual(residuals(dual.exp()))
+        slope = torch.zeros_like(found.primal) if found.tangent is None else found.tangent
+        errors, slopes = found.primal[:windows].detach(), slope.detach()
+    stacked = slopes.unflatten(0, (size, windows)).permute(1, 2, 0)
     return errors.nan_to_num(1e3, 1e3, -1e3), stacked.nan_to_num(0.0, 0.0, 0.0)
 
 

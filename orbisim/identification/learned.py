@@ -37,7 +37,7 @@ class Conditioned(Protocol):
 def simulation(
     backend: Conditioned, parameters: Sequence[Parameter], grid: Grid, device: str = "cpu"
 ) -> Callable[[Tensor], Tensor]:
-    """From values [W, P] to errors [W, R] of the backend's rollouts.
+    """From values [K W, P] to errors [K W, R] of the backend's rollouts (see `estimate`).
 
     Raises:
       InputError: a parameter is none that the model is conditioned on.
@@ -59,12 +59,16 @@ def simulation(
                 world["friction_slide"] = value
             else:
                 objects.setdefault(parameter.target, {})[_OBJECT[parameter.name]] = value
-        state = State(time, qpos, qvel, act)
+        first, *others, wanted = (
+            torch.cat([given] * (len(values) // len(qpos)))
+            for given in (time, qpos, qvel, act, ctrl, target)
+        )
+        state, controls = State(first, *others[:3]), others[3]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of values far from the data, on the way
             state = backend.with_properties(state, objects, world)
-            path = backend.rollout(state, ctrl)
-        return errors(path.qpos.to(target.dtype), target, joints, bodies)
+            path = backend.rollout(state, controls)
+        return errors(path.qpos.to(target.dtype), wanted, joints, bodies)
 
     return run
 

@@ -10,12 +10,12 @@ from typing import ClassVar
 import numpy as np
 
 from orbisim.tasks.adapting import Frame, Piece, bridge, commanded
-from orbisim.tasks.arm import pointing_down
+from orbisim.tasks.arm import ArmController, pointing_down
 from orbisim.tasks.episode import Floats, Rollout
 from orbisim.tasks.motion import OPEN, Hold, Plan
 from orbisim.tasks.pick_and_place import PickAndPlace, PickConfig
-from orbisim.tasks.sampling import Range
-from orbisim.tasks.staging import Script, Stage
+from orbisim.tasks.sampling import Range, stream
+from orbisim.tasks.staging import Script, Stage, perform
 from orbisim.tasks.tabletop import Setting, scatter
 
 DEMONSTRATIONS = 10
@@ -64,8 +64,18 @@ class Stack(PickAndPlace):
     def script(self, subtask: str, setting: Setting, rng: np.random.Generator) -> Script:
         """Where everything stands and what the arm does."""
         poses = scatter(setting, self.config, rng, gap=0.045)
-        plan = self._scripted if subtask == "scripted" else self._adapted
-        return Script(poses, _TOOL, lambda stage: plan(stage, setting, rng), grip=OPEN)
+        if subtask == "scripted":
+            return Script(
+                poses, _TOOL, lambda stage: self._scripted(stage, setting, rng), grip=OPEN
+            )
+        off, number = self._drawn(rng)
+        return Script(poses, _TOOL, lambda stage: self._adapted(stage, off, number, rng), grip=OPEN)
+
+    def source(self, seed: int) -> int:
+        """Which demonstration the adapted episode of a seed is made of, 0 to 9."""
+        rng = stream(seed, 1)
+        scatter(self.setting("adapted", seed), self.config, rng, gap=0.045)
+        return self._drawn(rng)[1]
 
     def success(self, subtask: str, setting: Setting, cubes: Floats) -> bool | None:
         """Each cube rests on the one before, and none moves any more."""
@@ -87,11 +97,14 @@ class Stack(PickAndPlace):
             yield from self._carry(stage, setting, rng, index, goal, yaw)
             top += 2 * setting.cubes[index].half
 
-    def _adapted(self, stage: Stage, setting: Setting, rng: np.random.Generator) -> Plan:
+    def _drawn(self, rng: np.random.Generator) -> tuple[float, int]:
+        """How far pieces may be off, m, and the number of the demonstration."""
+        return float(rng.uniform(*self.config.noise)), int(rng.integers(DEMONSTRATIONS))
+
+    def _adapted(self, stage: Stage, off: float, number: int, rng: np.random.Generator) -> Plan:
         """The pieces of a demonstration, each moved with its cube and a little off."""
         now = (np.array(_TOOL), pointing_down(0.0))
-        off = rng.uniform(*self.config.noise)
-        for piece in demonstration(int(rng.integers(DEMONSTRATIONS))):
+        for piece in demonstration(number):
             here = piece.moved(frame_of(stage, piece.about), np.pi / 2)
             here = dataclasses.replace(here, pos=here.pos + rng.uniform(-off, off, 3) * [1, 1, 0])
             yield bridge(now, (here.pos[0], here.rot[0]), 0.25, self.control_timestep)
@@ -110,7 +123,9 @@ def demonstration(seed: int) -> tuple[Piece, ...]:
     """The pieces of a scripted episode: to the second cube, onto the first, and the same again."""
     task = Stack()
     setting, scene = task.setting("scripted", seed), task.scene("scripted", seed)
-    rollout, _ = task._perform(scene.model, setting, "scripted", seed)
+    script = task.script("scripted", setting, stream(seed, 1))
+    arm = ArmController(task.arm)  # not that of the episode which asks for the demonstration
+    rollout, _ = perform(scene.model, script, arm, task.steps, task.control_timestep)
     stage = Stage(scene.model)
     pos, rot = commanded(rollout.action, np.array(_TOOL), pointing_down(0.0))
     pieces, first = [], 0

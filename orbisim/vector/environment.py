@@ -310,6 +310,8 @@ class VectorEnvironment:
             for world in worlds:
                 self._tasks.each[world].after_step(self._exact.at(world))
                 self._keep(world)
+        if len(worlds) == 1:  # the same bits, in a fifth of the time
+            return self._exact.values(worlds)
         try:
             return self._evaluator.values(worlds)
         except Exception:  # in a branch that was not taken before; the task's own are raised here:

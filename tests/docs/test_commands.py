@@ -21,7 +21,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-COMMANDED = ("_trials.py", "real_camera.py", "clone_stack.py", "clone_stack_vision.py")
+COMMANDED = ("_trials.py", "real_camera.py", "clone_stack.py")
 """Tools whose first word is a subcommand with options of its own."""
 COMMAND = re.compile(r'python (tools/\w+\.py[^`"\n]*)')
 

@@ -51,3 +51,10 @@ def test_what_counts_as_success() -> None:
     assert success(TOWER, TOWER + [0.002, 0, 0]) is False  # it still moves
     assert success(TOWER[[0, 2, 1]]) is False  # in another order
     assert success(TOWER * [1, 1, 0] + [0, 0, 0.0225]) is False
+
+
+def test_an_adapted_episode_does_not_depend_on_what_was_asked_before() -> None:
+    task = tasks.make("stack")
+    demonstration.cache_clear()
+    first, again = (task.episode("adapted", 100) for _ in range(2))
+    np.testing.assert_array_equal(first.arrays["ctrl"], again.arrays["ctrl"])

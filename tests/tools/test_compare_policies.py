@@ -86,6 +86,14 @@ def test_tasks_of_the_suite_have_short_horizons_and_larger_rates(job: Job) -> No
     assert suite["rate"] == 2.5 * push["rate"] == 5e-4
 
 
+def test_short_horizons_with_a_value_are_a_method_of_their_own(job: Job) -> None:
+    job = dataclasses.replace(job, method="shac")
+    assert settings(job, make_problem("task:push"))["horizon"] == compare_policies.SPARSE_HORIZON
+    longer = dataclasses.replace(job, choice=2)
+    assert settings(longer, make_problem("task:push"))["horizon"] == 32
+    assert job.lane == "device"
+
+
 def test_every_method_is_searched_as_much() -> None:
     assert {len(space) for space in compare_policies.SPACE.values()} == {4}
     assert set(compare_policies.SPACE) == set(compare_policies.METHODS)

@@ -162,7 +162,7 @@ def recordings_of(folder: Path, part: str) -> list[Path]:
 
 KEPT = (
     "verdict", "sentence", "effects", "retuned", "alternatives", "candidates", "error", "residual",
-    "noise", "notes",
+    "noise", "notes", "history_dependent",
 )  # fmt: skip
 
 

@@ -32,7 +32,7 @@ class ObjectCentricNetwork(TokenNetwork):
         self.robot_token, self.count = int(sizes.robot > 0), sizes.many
         self.parts = sizes.parts
         # of the robot's, the objects' and the parts' memory
-        self.start = nn.Parameter(torch.zeros(3 if sizes.parts else 2, width))
+        self.start = nn.Parameter(torch.zeros(3 if sizes.parts or config.mixed else 2, width))
         objects = sizes.objects if sizes.many else 0
         self.f_enc = Encoder(sizes.robot, objects, width, sizes.part_features)
         self.f_cp = Coupling(width, config.layers, config.heads, config.expansion, sizes.edges)

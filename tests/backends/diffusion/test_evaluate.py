@@ -15,6 +15,7 @@ from orbisim_diffusion.workflows import rollout
 
 from orbisim.cli.main import run
 from orbisim.scene import visible
+from tests.backends.diffusion.test_pretrained import write_lpips
 from tests.backends.diffusion.tiny import arm, episode_of, save_tiny, store_of
 
 
@@ -73,5 +74,13 @@ def test_the_command_prints_a_table(
     (table,) = json.loads(capsys.readouterr().out)["tables"]
     assert set(table["rows"]) == {"copy first frame", "GT-state, 1 steps", "GT-state, 2 steps"}
     assert table["rows"]["GT-state, 1 steps"]["PSNR2"] > 0
+    write_lpips(tmp_path)
+    assert run([*command, *options, "--weights", str(tmp_path), "--json"]) == 0
+    (more,) = json.loads(capsys.readouterr().out)["tables"]
+    assert (
+        0
+        < more["rows"]["GT-state, 1 steps"]["LPIPS2"]
+        < more["rows"]["copy first frame"]["LPIPS2"] * 100
+    )
     assert run([*command, *options]) == 0
     assert "PSNR2" in capsys.readouterr().out

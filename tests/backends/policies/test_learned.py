@@ -5,6 +5,7 @@ import pytest
 import torch
 from orbisim_policies.learned import LearnedWorlds
 from orbisim_policies.push import PushProblem
+from orbisim_policies.rollout import advanced, began
 from orbisim_policies.suite import SuiteProblem
 
 from orbisim import State, make_backend
@@ -62,3 +63,19 @@ def test_another_control_step_is_refused(cartpole: SuiteProblem) -> None:
     other.timestep = 0.015
     with pytest.raises(InputError, match="multiple"):
         LearnedWorlds(other, None, torch.device("cpu"))
+
+
+def test_one_model_of_many_robots_steps_as_its_backend_does(cartpole: SuiteProblem) -> None:
+    """A model of limbs is conditioned on the scene's bodies, too."""
+    worlds = LearnedWorlds(cartpole, "suite_one", torch.device("cpu"))
+    worlds.model.eval()
+    starts = cartpole.draw([1, 2])
+    now = began(worlds, worlds.pool(starts))
+    state = State(np.zeros(2), starts.qpos, starts.qvel, np.zeros((2, 0)))
+    backend = make_backend(f"learned:{worlds.folder}", cartpole.scene, nworld=2, device="cpu")
+    action = torch.tensor([[0.3], [-0.8]])
+    for _ in range(3):
+        now = advanced(worlds, now, action, 0.0)
+        state = backend.step(state, action.numpy(), worlds.substeps)
+    found = worlds.coordinates(now.x)[0].detach().numpy()
+    np.testing.assert_allclose(found, np.asarray(state.qpos), atol=1e-5)

@@ -20,9 +20,11 @@ def drawn(learner: Any) -> list[Any]:
     return [shuffled, torch.rand(3), learner.action_space.sample()]
 
 
-@pytest.mark.parametrize("method", ["sac", "ppo"])
-def test_a_fresh_learner_takes_all_of_another(cartpole: SuiteProblem, method: str) -> None:
-    config = Baseline(method, batch=2, window=64, network=NetworkConfig((8,)))
+@pytest.mark.parametrize(("method", "returns"), [("sac", 1), ("sac", 4), ("ppo", 1)])
+def test_a_fresh_learner_takes_all_of_another(
+    cartpole: SuiteProblem, method: str, returns: int
+) -> None:
+    config = Baseline(method, batch=2, window=64, returns=returns, network=NetworkConfig((8,)))
     environment = ProblemVecEnv(cartpole, 2, cartpole.draw([1, 2]), nthread=1)
     first, _ = _learner(config, environment, 0)
     first.learn(128)
@@ -32,6 +34,8 @@ def test_a_fresh_learner_takes_all_of_another(cartpole: SuiteProblem, method: st
     learner_state.restore(second, tensors, notes)
     for one, other in zip(numbers, drawn(second), strict=True):
         np.testing.assert_array_equal(one, other)
+    if returns > 1:
+        assert second.replay_buffer.n_steps == returns
     found, kept = learner_state.state_of(second)
     assert found.keys() == tensors.keys() and kept["timesteps"] == 128
     for name, tensor in tensors.items():

@@ -90,3 +90,19 @@ def test_a_problem_may_name_what_steps_it() -> None:
     expected = np.asarray(engine.step(state, np.ones((2, 1)), 3).qpos)
     np.testing.assert_allclose(worlds.coordinates[0], expected, atol=1e-5)
     worlds.close()
+
+
+def test_what_no_image_shows_can_be_nominal(push: PushProblem) -> None:
+    starts = push.draw([3, 4])
+    seen = []
+    for nominal in (False, True):
+        worlds = TrueWorlds(push, 2, 1, nominal)
+        worlds.begin(np.arange(2), starts)
+        seen.append(worlds.observation())
+        worlds.step(torch.zeros((2, push.actions)))  # the scene itself is that of the episode
+        seen.append(torch.as_tensor(worlds.coordinates[0]))
+        worlds.close()
+    differ = (seen[0] != seen[2]).any(0)
+    assert 0 < int(differ.sum()) <= 3  # two densities, and the friction of the table
+    assert (seen[2][:, differ] == 0).all()
+    assert torch.equal(seen[1], seen[3])

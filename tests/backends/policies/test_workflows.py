@@ -35,6 +35,7 @@ def test_from_a_training_to_an_evaluation_and_a_simulation(
     ("arguments", "text"),
     [
         (["push", "--method", "bc", "--backend", "learned"], "learns in mujoco"),
+        (["push", "--method", "apg", "--backend", "mujoco"], "scenes of their own"),
         (["push", "--method", "bc", "--horizon", "4"], "--horizon means nothing"),
         (["suite:pendulum-swingup", "--method", "bc"], "no script"),
         (["push", "--method", "bc", "--start", "x"], "--start is for"),

@@ -42,7 +42,7 @@ def folder(
     train(pack, toy(request.param, "1x2x32"), Run(out=folder, steps=20))
     checkpoint = load_checkpoint(folder)
     run = SpreadRun(steps=60, windows=32, batch=16, length=12, width=16)
-    known = fit_spread(checkpoint.model, pack, pack, run)
+    known = fit_spread(checkpoint.model, [pack], [pack], run)
     save_checkpoint(folder, [checkpoint.model], {**checkpoint.manifest, "uncertainty": known})
     return folder
 

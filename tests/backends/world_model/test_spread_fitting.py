@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 import torch
+from orbisim_world_model.checkpoint import load_checkpoint, save_checkpoint
 from orbisim_world_model.dynamics import Dynamics
 from orbisim_world_model.pack import Pack
+from orbisim_world_model.run import Run, train
 from orbisim_world_model.spread import factors_of
 from orbisim_world_model.spread_fitting import (
     Rollouts,
@@ -56,7 +60,7 @@ def test_intervals_cover_nine_in_ten_and_tell_small_errors_from_large(
     model: Dynamics, pack: Pack
 ) -> None:
     run = SpreadRun(steps=80, windows=48, batch=16, length=12, width=16)
-    known = fit_spread(model, pack, pack, run)
+    known = fit_spread(model, [pack], [pack], run)
     assert known["width"] == 16
     data = rollouts(model, pack, 12, 64, 5)
     with torch.no_grad():
@@ -66,3 +70,23 @@ def test_intervals_cover_nine_in_ten_and_tell_small_errors_from_large(
         assert (covered.float().mean((0, 1, 2)) - 0.9).abs().max() < 0.09
     order = [t.log().flatten().clamp_min(-9.0) for t in (sizes[..., 0], data.errors[..., 0])]
     assert torch.corrcoef(torch.stack(order))[0, 1] > 0.5
+
+
+def test_episodes_of_other_lengths_take_turns(model: Dynamics, pack: Pack) -> None:
+    short = simulate(TABLE, 4, 8, 4)
+    run = SpreadRun(steps=4, windows=24, batch=6, width=16)
+    known = fit_spread(model, [short, pack], [short, pack], run)
+    assert all(value > 0 for pair in known["factor"].values() for value in pair)
+    only = fit_spread(model, [short, pack], [short], run)
+    assert known["factor"]["objects"] != only["factor"]["objects"]  # the long ones count
+
+
+def test_a_training_that_goes_on_leaves_the_uncertainty_out(pack: Pack, tmp_path: Path) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    train(pack, toy(), Run(out=first, steps=1, horizons=(5,), burn=2))
+    made = load_checkpoint(first)
+    known = fit_spread(made.model, [pack], [pack], SpreadRun(2, 4, windows=8, length=4, width=8))
+    save_checkpoint(first, [made.model], {**made.manifest, "uncertainty": known})
+    assert load_checkpoint(first).model.spread is not None
+    train(pack, toy(), Run(out=second, steps=1, start=first, horizons=(5,), burn=2))
+    assert load_checkpoint(second).model.spread is None
