@@ -25,7 +25,7 @@ from orbisim.diagnosis.explanations import (
 from orbisim.diagnosis.force_search import attribute_forces, common_forces
 from orbisim.diagnosis.glances import generalizations
 from orbisim.diagnosis.proposals import additions, begin, pairs
-from orbisim.diagnosis.simplification import only_sure, plain
+from orbisim.diagnosis.simplification import only_sure
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.together import propose
 from orbisim.diagnosis.worth import gains, worth
@@ -218,9 +218,8 @@ def _two(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged
 def _together(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
     """Many at once: on a real machine each looks wrong as long as the others are missing. What
     every machine has at its joints; what windows of free runs say of all effects together; and what
-    the forces that are missing along the motion say. Each without what cannot be told from nothing,
-    and the best without what is not surely worth it: a dozen cost too much to be compared with
-    one."""
+    the forces that are missing along the motion say. Each without what is not surely worth it: a
+    dozen cost too much to be compared with one."""
     context = found.context
     if number > 1 or context.bench.contacts:
         return
@@ -231,17 +230,13 @@ def _together(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[J
     def refit(less: Hypothesis, now: Judged) -> Judged | None:
         return judge.judge(less, begin=judge.begin(now))
 
-    every: list[Judged] = []
     for proposed in (_usual, _by_windows, _by_forces):
         effects = proposed(context)
         together = Hypothesis(effects).in_parts()
         judged = judge.judge(together, _ITERATIONS) if effects else None
         possible = None if judged is None else possible_of(bench, judge, judged, _ITERATIONS)
         if possible is not None:
-            every.append(plain(context, possible, refit))
-            yield every[-1]
-    for one in best_few(context, found.best, every):
-        yield only_sure(context, one, refit).judged
+            yield only_sure(context, possible, refit).judged
 
 
 def _usual(context: Context) -> tuple[EffectInstance, ...]:

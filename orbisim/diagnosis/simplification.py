@@ -22,12 +22,11 @@ from orbisim.diagnosis.explanations import (
     winner,
 )
 from orbisim.diagnosis.proposals import exchanges, laws, merged
-from orbisim.diagnosis.worth import apart, gains, independent_data, sized, worth
+from orbisim.diagnosis.worth import apart, gains, sized, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.unnamed import POWERS
 from orbisim.evidence import NEAR, Gain
 from orbisim.host.deadline import TimeIsUpError
-from orbisim.shooting.confidence import TOLD
 from orbisim.shooting.fits import Fit
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged, is_structural
@@ -89,14 +88,11 @@ Refit = Callable[[Hypothesis, Judged], Judged | None]
 
 
 def plain(context: Context, judged: Judged, refit: Refit) -> Judged:
-    """The best of nested explanations: effects that cannot be told from nothing beside the others
-    go, the least apart first, in linear approximation, as to fit each of a dozen without takes
-    long. What is left in the end is fitted, and twice as many, four times as many, ... What another
-    effect refines stays as long as that does."""
+    """The best of nested explanations: effects go, the least apart from nothing beside the others
+    first, in linear approximation, as to fit each of a dozen without takes long. With one, two,
+    four, ... effects each is fitted. What another refines stays as long as that does."""
     scene, hypothesis = context.bench.scene, judged.hypothesis
-    wider = max(judged.fit.count / independent_data(judged), 1.0)
-    fit = dataclasses.replace(judged.fit, covariance=wider * judged.fit.covariance)
-    path: list[Hypothesis] = []
+    fit, path = judged.fit, list[Hypothesis]()
     while len(hypothesis.effects) > 1:
         refined = {(find(one.effect).refines, one.target) for one in hypothesis.effects}
         known = [
@@ -104,7 +100,7 @@ def plain(context: Context, judged: Judged, refit: Refit) -> Judged:
             for n, one in enumerate(hypothesis.effects)
         ]
         least = int(np.argmin(known))
-        if known[least] >= TOLD**2:
+        if not np.isfinite(known[least]):
             break
         own, neutral = sized(scene, hypothesis, least)
         every = [k for k, (i, _) in enumerate(hypothesis.free(scene)) if i == least]
@@ -112,15 +108,14 @@ def plain(context: Context, judged: Judged, refit: Refit) -> Judged:
         bounds = hypothesis.unknowns(scene)
         values = np.clip(fit.values, [one.low for one in bounds], [one.high for one in bounds])
         path.append(hypothesis.at(scene, values))
-    fewest = len(hypothesis.effects)
-    some = {fewest * 2**k for k in range(len(path))}
+    some = {2**k for k in range(len(path))}
     tried = [refit(less, judged) for less in path if len(less.effects) in some]
     simpler = [one for one in tried if one is not None]
     if not simpler:
         return judged
-    known_gains = gains(context.bench, judged, simpler)
-    best = max(range(len(simpler)), key=lambda i: known_gains[i].total)
-    return simpler[best] if known_gains[best].total > 0 else judged
+    worths = gains(context.bench, judged, simpler)
+    best = max(range(len(simpler)), key=lambda i: worths[i].total)
+    return simpler[best] if worths[best].total > 0 else judged
 
 
 def _held(fit: Fit, own: Sequence[int], neutral: Sequence[float], gone: Sequence[int]) -> Fit:
