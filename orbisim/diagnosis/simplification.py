@@ -90,7 +90,7 @@ Refit = Callable[[Hypothesis, Judged], Judged | None]
 def plain(context: Context, judged: Judged, refit: Refit) -> Judged:
     """The best of nested explanations: effects go, the least apart from nothing beside the others
     first, in linear approximation, as to fit each of a dozen without takes long. With one, two,
-    four, ... effects each is fitted. What another refines stays as long as that does."""
+    four, ... effects (or what is left in the end) each is fitted. What another refines stays as long as that does."""
     scene, hypothesis = context.bench.scene, judged.hypothesis
     fit, path = judged.fit, list[Hypothesis]()
     while len(hypothesis.effects) > 1:
@@ -108,7 +108,7 @@ def plain(context: Context, judged: Judged, refit: Refit) -> Judged:
         bounds = hypothesis.unknowns(scene)
         values = np.clip(fit.values, [one.low for one in bounds], [one.high for one in bounds])
         path.append(hypothesis.at(scene, values))
-    some = {2**k for k in range(len(path))}
+    some = {len(hypothesis.effects) * 2**k for k in range(len(path))}
     tried = [refit(less, judged) for less in path if len(less.effects) in some]
     simpler = [one for one in tried if one is not None]
     if not simpler:
