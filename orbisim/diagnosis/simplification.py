@@ -90,7 +90,8 @@ Refit = Callable[[Hypothesis, Judged], Judged | None]
 def plain(context: Context, judged: Judged, refit: Refit) -> Judged:
     """The best of nested explanations: effects go, the least apart from nothing beside the others
     first, in linear approximation, as to fit each of a dozen without takes long. With one, two,
-    four, ... effects (or what is left in the end) each is fitted. What another refines stays as long as that does."""
+    four, ... effects (or what is left in the end) each is fitted. What another refines stays as
+    long as that does."""
     scene, hypothesis = context.bench.scene, judged.hypothesis
     fit, path = judged.fit, list[Hypothesis]()
     while len(hypothesis.effects) > 1:
