@@ -13,7 +13,7 @@ import pytest
 import orbisim
 from orbisim.diagnosis.conclusion import attribute, concluded
 from orbisim.diagnosis.context import begun
-from orbisim.diagnosis.explanations import Found, best_few
+from orbisim.diagnosis.explanations import Found, Tried, best_few
 from orbisim.diagnosis.moves import _generalized
 from orbisim.diagnosis.proposals import events, exchanges, merged
 from orbisim.diagnosis.search import search
@@ -249,3 +249,24 @@ def test_what_cannot_be_told_from_nothing_goes_but_not_what_is_refined(
     kept = plain(context, judged, refit).hypothesis
     assert ("coulomb_friction", "shoulder") in names(kept)
     assert ("armature", "shoulder") not in names(kept)
+
+
+def test_what_was_fitted_in_time_is_compared_and_kept(
+    arm: orbisim.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clock ends while a move is weighed: the move is the answer all the same."""
+    from orbisim.diagnosis import search as module
+
+    bench = bench_of(arm, FRICTION)
+    context = begun(bench, Settings(), lambda _: None)
+    declared, best = (context.judge.judge(Hypothesis(e)) for e in ((), (FRICTION,)))
+    assert declared is not None and best is not None
+    late: Any = Counted(-1)
+    passed = begun(dataclasses.replace(bench, deadline=late), Settings(), lambda _: None)
+    assert passed.chance is not None and passed.chance() is not None
+    tried = Tried(best, 1, worth(bench, declared, best))
+    monkeypatch.setattr(module, "other", lambda *_: None)
+    monkeypatch.setattr(module, "best_move", lambda *_: (best, [tried], False))
+    monkeypatch.setattr(module, "_fairly", lambda *_: late.check())
+    found = module._round(Found(context, 0.002, declared, declared), 1)
+    assert found.late and found.best is best and found.tried == (tried,)
