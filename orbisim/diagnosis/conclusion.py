@@ -12,7 +12,7 @@ from orbisim.diagnosis.explanations import Found, Tried
 from orbisim.diagnosis.found import Rival
 from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.simplification import VAGUE, Sure, named, only_sure, plain
+from orbisim.diagnosis.simplification import VAGUE, Sure, only_sure, plain
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.worth import independent_data, told_of, worth
 from orbisim.effects import EffectInstance, find
@@ -77,24 +77,23 @@ def attribute(
     """
     found = search(bench, settings, say)
     try:
-        if found.late:  # what was found has not been held against laws without a name
-            found = named(
-                dataclasses.replace(found, context=found.context.until(deadline or NEVER))
-            )
         say("final fit")
         return concluded(found, deadline or NEVER)
     except TimeIsUpError:
         return _as_found(found)
 
 
-def _runners_up(found: Found) -> list[Judged]:
-    """What else was surely worth it at first, best first: where the explanation that was taken is
-    not on all windows, another may be."""
+def _best_first(found: Found) -> list[Judged]:
+    """The explanation that was taken, if it explains anything, and what else was surely worth it at
+    first, best first: where nothing is left of the former on all windows, or the time was up when
+    only the form of the data had been changed, another may be."""
+    best = found.best.hypothesis
     first = [one for one in found.tried if one.round == 1 and one.gain.sure > 0]
     first.sort(key=lambda one: -one.gain.total)
-    places = {(e.effect, e.target) for e in found.best.hypothesis.effects}
+    places = {(e.effect, e.target) for e in best.effects}
     new = [o for o in first if o.last and (o.last.effect, o.last.target) not in places]
-    return [one.judged for one in new[:_RUNNERS_UP]]
+    taken = [found.best] if best.effects or best.factors else []
+    return [*taken, *(one.judged for one in new[:_RUNNERS_UP])]
 
 
 _RUNNERS_UP = 2
@@ -116,11 +115,10 @@ def concluded(found: Found, deadline: Deadline) -> Attribution:
     before = _finally(found, context, found.declared, Hypothesis()) or found.declared
     after, gains = before, tuple[Gain, ...]()
     rejected: list[tuple[EffectInstance, str]] = []
-    changed = found.best.hypothesis
     if found.law:
-        rejected += [(effect, found.law) for effect in changed.effects]
-    elif changed.effects or changed.factors:
-        for one in [found.best, *_runners_up(found)]:
+        rejected += [(effect, found.law) for effect in found.best.hypothesis.effects]
+    else:
+        for one in _best_first(found):
             after = _finally(found, context, one, one.hypothesis.in_parts()) or one
             after = _resized(context, after)
             after, gains, doubted = _sure(context, before, after)
@@ -141,7 +139,7 @@ def _as_found(found: Found) -> Attribution:
     def refit(less: Hypothesis, now: Judged) -> Judged | None:
         return context.judge.judge(less, 3, begin=context.judge.begin(now))
 
-    best = plain(context, found.best, refit)
+    best = next((plain(context, one, refit) for one in _best_first(found)), found.best)
     gain = 2 * worth(bench, found.declared, best).total if best is not found.declared else 0.0
     evidence = tuple(gain for _ in best.hypothesis.effects)
     tried = rivals_of(found.tried)
