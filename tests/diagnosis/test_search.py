@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.conclusion import attribute, concluded
+from orbisim.diagnosis.conclusion import _as_found, _best_first, attribute, concluded
 from orbisim.diagnosis.context import begun
 from orbisim.diagnosis.explanations import Found, Tried, best_few
 from orbisim.diagnosis.moves import _generalized
@@ -270,3 +270,16 @@ def test_what_was_fitted_in_time_is_compared_and_kept(
     monkeypatch.setattr(module, "_fairly", lambda *_: late.check())
     found = module._round(Found(context, 0.002, declared, declared), 1)
     assert found.late and found.best is best and found.tried == (tried,)
+
+
+def test_where_the_time_was_up_what_was_sure_at_first_is_the_answer(arm: orbisim.Scene) -> None:
+    """Only the form of the data had been changed: the best so far explains nothing by itself."""
+    context = begun(bench_of(arm, FRICTION), Settings(), lambda _: None)
+    declared, sure = (context.judge.judge(Hypothesis(e)) for e in ((), (FRICTION,)))
+    assert declared is not None and sure is not None
+    tried = Tried(sure, 1, worth(context.bench, declared, sure))
+    found = Found(context, 0.002, declared, declared, tried=(tried,), late=True)
+    assert _best_first(found) == [sure]
+    assert _best_first(dataclasses.replace(found, best=sure)) == [sure]
+    for after in (concluded(found, NEVER), _as_found(found)):
+        assert [one.effect for one in after.hypothesis.effects] == ["coulomb_friction"]
