@@ -12,16 +12,14 @@ from orbisim.diagnosis.explanations import Found, Tried
 from orbisim.diagnosis.found import Rival
 from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.simplification import Sure, named, only_sure
+from orbisim.diagnosis.simplification import VAGUE, Sure, only_sure, plain
 from orbisim.diagnosis.suspects import Screening
-from orbisim.diagnosis.worth import apart, independent_data, sized, told_of, worth
+from orbisim.diagnosis.worth import independent_data, told_of, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.evidence import NEAR, Gain
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.motion.samples import Samples
 from orbisim.shooting.bench import Bench
-from orbisim.shooting.confidence import TOLD
-from orbisim.shooting.fits import Fit
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
 
@@ -79,24 +77,23 @@ def attribute(
     """
     found = search(bench, settings, say)
     try:
-        if found.late:  # what was found has not been held against laws without a name
-            found = named(
-                dataclasses.replace(found, context=found.context.until(deadline or NEVER))
-            )
         say("final fit")
         return concluded(found, deadline or NEVER)
     except TimeIsUpError:
         return _as_found(found)
 
 
-def _runners_up(found: Found) -> list[Judged]:
-    """What else was surely worth it at first, best first: where the explanation that was taken is
-    not on all windows, another may be."""
+def _best_first(found: Found) -> list[Judged]:
+    """The explanation that was taken, if it explains anything, and what else was surely worth it at
+    first, best first: where nothing is left of the former on all windows, or the time was up when
+    only the form of the data had been changed, another may be."""
+    best = found.best.hypothesis
     first = [one for one in found.tried if one.round == 1 and one.gain.sure > 0]
     first.sort(key=lambda one: -one.gain.total)
-    places = {(e.effect, e.target) for e in found.best.hypothesis.effects}
+    places = {(e.effect, e.target) for e in best.effects}
     new = [o for o in first if o.last and (o.last.effect, o.last.target) not in places]
-    return [one.judged for one in new[:_RUNNERS_UP]]
+    taken = [found.best] if best.effects or best.factors else []
+    return [*taken, *(one.judged for one in new[:_RUNNERS_UP])]
 
 
 _RUNNERS_UP = 2
@@ -118,11 +115,10 @@ def concluded(found: Found, deadline: Deadline) -> Attribution:
     before = _finally(found, context, found.declared, Hypothesis()) or found.declared
     after, gains = before, tuple[Gain, ...]()
     rejected: list[tuple[EffectInstance, str]] = []
-    changed = found.best.hypothesis
     if found.law:
-        rejected += [(effect, found.law) for effect in changed.effects]
-    elif changed.effects or changed.factors:
-        for one in [found.best, *_runners_up(found)]:
+        rejected += [(effect, found.law) for effect in found.best.hypothesis.effects]
+    else:
+        for one in _best_first(found):
             after = _finally(found, context, one, one.hypothesis.in_parts()) or one
             after = _resized(context, after)
             after, gains, doubted = _sure(context, before, after)
@@ -138,52 +134,17 @@ def concluded(found: Found, deadline: Deadline) -> Attribution:
 
 def _as_found(found: Found) -> Attribution:
     """What the search had when the time was up, without what cannot be told from nothing there."""
-    bench = found.context.bench
-    best = _told(found.context.until(NEVER), found.best)
+    bench, context = found.context.bench, found.context.until(NEVER)
+
+    def refit(less: Hypothesis, now: Judged) -> Judged | None:
+        return context.judge.judge(less, 3, begin=context.judge.begin(now))
+
+    best = next((plain(context, one, refit) for one in _best_first(found)), found.best)
     gain = 2 * worth(bench, found.declared, best).total if best is not found.declared else 0.0
     evidence = tuple(gain for _ in best.hypothesis.effects)
     tried = rivals_of(found.tried)
     before, first = found.declared, found.screening
     return Attribution(_open(bench), before, best, first, tried, evidence, (), True)
-
-
-def _told(context: Context, judged: Judged) -> Judged:
-    """Without effects that cannot be told from nothing beside the others, the least apart first: in
-    linear approximation, as there is no time to fit each of many without; then fitted once."""
-    scene, hypothesis = context.bench.scene, judged.hypothesis
-    wider = max(judged.fit.count / independent_data(judged), 1.0)
-    fit = dataclasses.replace(judged.fit, covariance=wider * judged.fit.covariance)
-    while len(hypothesis.effects) > 1:
-        known = [apart(scene, hypothesis, fit, n) for n in range(len(hypothesis.effects))]
-        least = int(np.argmin(known))
-        if known[least] >= TOLD**2:
-            break
-        own, neutral = sized(scene, hypothesis, least)
-        every = [k for k, (i, _) in enumerate(hypothesis.free(scene)) if i == least]
-        fit, hypothesis = _held(fit, own, neutral, every), hypothesis.without(least)
-    bounds = hypothesis.unknowns(scene)
-    values = np.clip(fit.values, [one.low for one in bounds], [one.high for one in bounds])
-    if hypothesis is judged.hypothesis:
-        return judged
-    less = hypothesis.at(scene, values)
-    again = context.judge.judge(less, _QUICK, begin=context.judge.begin(judged))
-    better = again is not None and worth(context.bench, judged, again).total > 0
-    return again if again is not None and better else judged
-
-
-def _held(fit: Fit, own: Sequence[int], neutral: Sequence[float], gone: Sequence[int]) -> Fit:
-    """A fit with some numbers at neutral values, as far as its covariance tells, and without those
-    that are gone then."""
-    c, index = fit.covariance, list(own)
-    moved = c[:, index] @ np.linalg.pinv(c[np.ix_(index, index)], rcond=1e-12, hermitian=True)
-    kept = np.setdiff1d(np.arange(len(fit.values)), gone)
-    values = fit.values - moved @ (fit.values[index] - np.array(neutral))
-    covariance = c - moved @ c[index]
-    return dataclasses.replace(fit, values=values[kept], covariance=covariance[np.ix_(kept, kept)])
-
-
-_QUICK = 3
-"""Iterations of a fit when the time is up: the linear approximation is where it ends, nearly."""
 
 
 def _finally(
@@ -220,15 +181,12 @@ def _sure(context: Context, before: Judged, after: Judged) -> Sure:
             break
         gone = sure.judged.hypothesis.effects[vague[0]]
         again = only_sure(context, less, refit, before)
-        rejected = (*sure.rejected, (gone, _VAGUE), *again.rejected)
+        rejected = (*sure.rejected, (gone, VAGUE), *again.rejected)
         sure = again._replace(rejected=rejected)
     hypothesis = sure.judged.hypothesis
     if not hypothesis.effects and hypothesis.factors and sure.judged.ratio > NEAR:
         return sure._replace(judged=before)
     return sure
-
-
-_VAGUE = "its interval includes nothing of it"
 
 
 def _vague(context: Context, judged: Judged) -> list[int]:

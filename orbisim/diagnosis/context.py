@@ -15,7 +15,7 @@ from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.suspects import Screening, merged
 from orbisim.effects import EffectInstance, find
 from orbisim.evidence import NEAR
-from orbisim.host.deadline import Deadline
+from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.linear import Intervals, linearize, missing_force
 from orbisim.motion.regressors import MotionView
 from orbisim.shooting.along import along, tame
@@ -72,6 +72,10 @@ class Context:
         """With the same data along another form of the declared scene."""
         chance = _chance(bench, bench.intervals, Hypothesis())
         return self._with(bench, bench.intervals, self.judge.heavy, chance)
+
+    def trying(self, bench: Bench) -> Context:
+        """The same, with what effects would give as it was."""
+        return self._with(bench, bench.intervals, self.judge.heavy, self.chance)
 
     def until(self, deadline: Deadline) -> Context:
         """With another deadline."""
@@ -149,13 +153,14 @@ def _chance(
 ) -> Callable[[], Chance | None] | None:
     """What effects would give along a scene, all of the catalogue: what may not be named tells as
     much of chance as what may. What is left has no say in the columns (frequencies that stand out
-    in it would explain more than chance does), and none is made by simulation, which takes long."""
+    in it would explain more than chance does), and none is made by simulation, which takes long.
+    What was fitted in time is compared whatever the clock says."""
     if bench.contacts:
         return None
 
     @functools.cache
     def asked() -> Chance | None:
-        flow = bench.flow(hypothesis)
+        flow = dataclasses.replace(bench, deadline=NEVER).flow(hypothesis)
         view = MotionView(flow, bench.samples)
         found = candidates_of(view, bench, hypothesis, flow, None, simulated=False)
         return chance_of(intervals, found)

@@ -43,7 +43,7 @@ def other(context: Context, judged: Judged) -> Other | None:
         best = max(known, key=lambda one: one[0], default=None)
         if best is None or not best[0] + EFFECT > 0:
             return found
-        found = context, judged = best[1]
+        found = context, judged = _taken(best[1])
 
 
 def as_declared(context: Context, judged: Judged, declared: float) -> Other | None:
@@ -57,33 +57,42 @@ def as_declared(context: Context, judged: Judged, declared: float) -> Other | No
     def doubled(bench: Bench) -> Bench | None:
         if bench.contacts or 2 * taken(bench) > _SLACK * taken(bench, declared):
             return None
-        return along(bench, with_timestep(bench.scene, 2 * taken(bench)))
+        scene = with_timestep(bench.scene, 2 * taken(bench))
+        return dataclasses.replace(bench, scene=scene)
 
     found = None
     for change in (_logged, doubled):
         while (one := _again(context, judged, change)) is not None:
             if not worth(context.bench, judged, one[1]).total - EFFECT > 0:
                 break
-            found = context, judged = one
+            found = context, judged = _taken(one)
     return found
 
 
 def _again(
     context: Context, judged: Judged, change: Callable[[Bench], Bench | None]
 ) -> Other | None:
-    """An explanation, fitted again with another form of the data; None where there is none."""
+    """An explanation, fitted again with another form of the data; None where there is none. The
+    derivatives that a fit begins with are those along the form that there was: they hardly differ,
+    and to take them anew takes longer than the fit."""
     bench = change(context.bench)
     if bench is None:
         return None
-    there = context.on(bench)
+    there = context.trying(bench)
     again = there.judge.judge(judged.hypothesis, begin=there.judge.begin(judged))
     return None if again is None else (there, again)
+
+
+def _taken(one: Other) -> Other:
+    """With derivatives along the form that was tried."""
+    context, judged = one
+    return context.on(_linearized(context.bench)), judged
 
 
 def _halved(bench: Bench) -> Bench | None:
     if bench.contacts:
         return None
-    return along(bench, with_timestep(bench.scene, taken(bench) / 2))
+    return dataclasses.replace(bench, scene=with_timestep(bench.scene, taken(bench) / 2))
 
 
 def _earlier(context: Context, judged: Judged) -> Other | None:
@@ -95,7 +104,7 @@ def _earlier(context: Context, judged: Judged) -> Other | None:
     found: dict[float, Other] = {}
 
     def gain(share: float) -> float:
-        one = _again(context, judged, lambda bench: leading(bench, share))
+        one = _again(context, judged, lambda bench: _led(bench, share))
         gains[share] = -np.inf if one is None else judged.loss - one[1].loss
         if one is not None:
             found[share] = one
@@ -129,13 +138,19 @@ def _peak(gains: dict[float, float]) -> float | None:
 
 
 def _logged(bench: Bench) -> Bench | None:
-    return leading(bench, 0.0) if bench.lead else None
+    return _led(bench, 0.0) if bench.lead else None
+
+
+def _led(bench: Bench, share: float) -> Bench:
+    """With controls that lead their samples by a share of an interval, and derivatives as they
+    were."""
+    samples = tuple(one.led(share) for one in bench.samples)
+    return dataclasses.replace(bench, samples=samples, lead=share)
 
 
 def leading(bench: Bench, share: float) -> Bench:
     """The same data with controls that lead their samples by a share of an interval."""
-    samples = tuple(one.led(share) for one in bench.samples)
-    return _linearized(dataclasses.replace(bench, samples=samples, lead=share))
+    return _linearized(_led(bench, share))
 
 
 def asked(bench: Bench) -> Bench:

@@ -131,7 +131,9 @@ def candidates(data: ForceData, only: Sequence[str] | None) -> tuple[list[Candid
         if (only is None or name in only) and find(name).adds_force()
         for target in find(name).targets(data.scene.model)
         for candidate in find(name).screen(view, target)
-        if not candidate.fixed and all(column.kind == "force" for column in candidate.columns)
+        if find(name).adds_force(candidate.options)
+        and not candidate.fixed
+        and all(column.kind == "force" for column in candidate.columns)
     ]
     columns = np.zeros((len(data.force), data.scene.model.nv, sum(len(c.columns) for c in found)))
     flat = [column.values[: len(flow)] for candidate in found for column in candidate.columns]

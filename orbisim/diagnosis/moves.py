@@ -28,7 +28,7 @@ from orbisim.diagnosis.proposals import additions, begin, pairs
 from orbisim.diagnosis.simplification import only_sure
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.together import propose
-from orbisim.diagnosis.worth import gains
+from orbisim.diagnosis.worth import gains, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.errors import InputError
 from orbisim.host.deadline import Deadline, TimeIsUpError
@@ -46,13 +46,14 @@ def best_move(found: Found, number: int) -> tuple[Judged | None, list[Tried], bo
     fitted: list[Judged] = []
     best: Judged | None = None
     late = False
-    until = Deadline.after(_OF_TIME * context.deadline.left)
+    share = _OF_TIME * context.deadline.left
+    until = Deadline.after(share)
     for kind in (_added, _retuned, _together, _two):
         if best is not None and (number > 1 or kind is _two):
             if until.passed or _enough_for_now(context, current, best):
                 continue
         else:
-            until = Deadline.after(_OF_TIME * context.deadline.left)
+            until = Deadline.after(share)
         try:
             for judged in kind(found, number, fitted):
                 fitted.append(judged)
@@ -87,7 +88,8 @@ def _enough_for_now(context: Context, current: Judged, best: Judged) -> bool:
 
 
 _OF_TIME = 0.2
-"""Share of the time left that a round may take to look for more than one sure move."""
+"""Share of the time left at its beginning that a round may take to look for more than one sure
+move; in the first, each kind of moves."""
 
 
 _AT_NOISE = float(np.log(2.0))
@@ -173,7 +175,8 @@ def _retuned(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Ju
         return
     yield tuned
     context.say("effects with declared parameters retuned")
-    near = [one.hypothesis for one in best_few(context, current, fitted)]
+    first = best_few(context, current, fitted)
+    near = [one.hypothesis for one in first]
     if number == 1 and found.screening is not None:
         suspects = found.screening.tuned[: context.settings.shortlist]
         near += [current.hypothesis.plus(one.instance) for one in suspects]
@@ -186,6 +189,10 @@ def _retuned(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Ju
         judged = fitted_from(context, hypothesis.tuned(context.tunables), tuned)
         if judged is not None:
             yield judged
+        if first and hypothesis is first[0].hypothesis:
+            both = (current, tuned), (first[0], judged)
+            if all(b is None or worth(context.bench, a, b).total <= 0 for a, b in both):
+                return  # worth nothing alone nor beside the best: nor beside the others
 
 
 def _two(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
@@ -211,8 +218,8 @@ def _two(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged
 def _together(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
     """Many at once: on a real machine each looks wrong as long as the others are missing. What
     every machine has at its joints; what windows of free runs say of all effects together; and what
-    the forces that are missing along the motion say. Each as it is without what it does not need:
-    a dozen that are not pruned cost too much to be compared with one."""
+    the forces that are missing along the motion say. Each without what is not surely worth it: a
+    dozen cost too much to be compared with one."""
     context = found.context
     if number > 1 or context.bench.contacts:
         return
@@ -229,10 +236,7 @@ def _together(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[J
         judged = judge.judge(together, _ITERATIONS) if effects else None
         possible = None if judged is None else possible_of(bench, judge, judged, _ITERATIONS)
         if possible is not None:
-            yield possible
-            simpler = only_sure(context, possible, refit).judged
-            if simpler is not possible:
-                yield simpler
+            yield only_sure(context, possible, refit).judged
 
 
 def _usual(context: Context) -> tuple[EffectInstance, ...]:

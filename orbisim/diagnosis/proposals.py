@@ -6,6 +6,7 @@ Nothing here decides; `orbisim.diagnosis.worth` does.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence
@@ -118,16 +119,24 @@ _SHARE = 0.08
 def _least(
     context: Context, current: Judged, every: Sequence[EffectInstance]
 ) -> EffectInstance | None:
-    """What leaves least, starts alone fitted, over all windows: an event may happen in few."""
+    """What leaves least, starts alone fitted, over all windows: an event may happen in few. Of many
+    values, those that a glance at each window likes best are compared."""
     best, least, begin = None, np.inf, context.judge.begin(current)
+    possible: list[EffectInstance] = []
     for one in every:
+        with contextlib.suppress(OrbiSimError):  # a variant that cannot be is no candidate
+            possible.append(clean(context.bench.scene, one))
+    if len(possible) > _FEW:
+        begun = [current.hypothesis.plus(one) for one in possible]
+        left = [context.judge.glance(one, begin, every=True) for one in begun]
+        possible = [possible[i] for i in np.argsort(left, kind="stable")[:_FEW]]
+    for one in possible:
         try:
-            cleaned_one = clean(context.bench.scene, one)
-            left = context.judge.quick_loss(current.hypothesis.plus(cleaned_one), begin)
-        except OrbiSimError:  # a variant that cannot be is no candidate
+            loss = context.judge.quick_loss(current.hypothesis.plus(one), begin)
+        except OrbiSimError:
             continue
-        if left < least:
-            best, least = cleaned_one, left
+        if loss < least:
+            best, least = one, loss
     return best
 
 
@@ -259,7 +268,8 @@ def laws(context: Context, current: Judged) -> Iterator[Hypothesis]:
                 for values in effect.beginnings(q)
             ]
             start = context.judge.begin(current)
-            left = [context.judge.quick_loss(one, start) for one in begun]
+            many = len(begun) > 1
+            left = [context.judge.glance(one, start) if many else 0.0 for one in begun]
             yield begun[int(np.argmin(left))]
 
 
@@ -280,4 +290,5 @@ def _joints(model: mujoco.MjModel, instance: EffectInstance) -> tuple[str, ...]:
 
 
 _FEW = 3
-"""Suspects of a screening that are tried in the place of an effect."""
+"""Suspects of a screening that are tried in the place of an effect, and values of an event that are
+compared by fits of the starts."""

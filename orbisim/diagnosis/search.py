@@ -15,7 +15,7 @@ import dataclasses
 import itertools
 
 from orbisim.diagnosis.context import Context, Progress, begun
-from orbisim.diagnosis.discretization import other
+from orbisim.diagnosis.discretization import Other, other
 from orbisim.diagnosis.explanations import EVEN, Found, done, quiet
 from orbisim.diagnosis.moves import best_move
 from orbisim.diagnosis.settings import Settings
@@ -77,22 +77,28 @@ def _round(found: Found, number: int) -> Found:
         return in_form(found, form)
     best, tried, late = best_move(found, number)
     found = dataclasses.replace(found, tried=(*found.tried, *tried))
+    kept = found if best is None else dataclasses.replace(found, best=best)
+    if late:
+        return dataclasses.replace(kept, late=True)
+    try:
+        return _made(found, number, best, form)
+    except TimeIsUpError:  # what was found is the answer, and not to be lost
+        return dataclasses.replace(kept, late=True)
+
+
+def _made(found: Found, number: int, best: Judged | None, form: Other | None) -> Found:
+    """The best move, or another form of the data if that is worth more, or something simpler."""
+    context, current = found.context, found.best
     if form is not None and (best is None or _less(context, current, best, form[1])):
         return in_form(found, form)
     if best is None:
-        if late:
-            raise TimeIsUpError
         return simplified(found, number)
     fair = _fairly(context, current, best)
     if fair is not None:
         declared = found.declared if current.hypothesis.effects else fair
         return dataclasses.replace(found, best=fair, declared=declared)
-    found = dataclasses.replace(found, best=best)
-    try:
-        context, best = _renewed(context, best)
-        return removed(dataclasses.replace(found, context=context, best=best), number)
-    except TimeIsUpError:
-        return dataclasses.replace(found, late=True)
+    context, best = _renewed(context, best)
+    return removed(dataclasses.replace(found, context=context, best=best), number)
 
 
 def _fairly(context: Context, current: Judged, better: Judged) -> Judged | None:

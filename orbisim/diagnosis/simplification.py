@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -22,11 +22,12 @@ from orbisim.diagnosis.explanations import (
     winner,
 )
 from orbisim.diagnosis.proposals import exchanges, laws, merged
-from orbisim.diagnosis.worth import apart, worth
+from orbisim.diagnosis.worth import apart, gains, sized, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.unnamed import POWERS
 from orbisim.evidence import NEAR, Gain
 from orbisim.host.deadline import TimeIsUpError
+from orbisim.shooting.fits import Fit
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged, is_structural
 
@@ -82,21 +83,65 @@ class Sure(NamedTuple):
     rejected: tuple[tuple[EffectInstance, str], ...] = ()
 
 
-def only_sure(
-    context: Context,
-    judged: Judged,
-    refit: Callable[[Hypothesis, Judged], Judged | None],
-    bare: Judged | None = None,
-) -> Sure:
+Refit = Callable[[Hypothesis, Judged], Judged | None]
+"""Fits an explanation with less, from where the one with it is."""
+
+
+def plain(context: Context, judged: Judged, refit: Refit) -> Judged:
+    """The best of nested explanations: effects go, the least apart from nothing beside the others
+    first, in linear approximation, as to fit each of a dozen without takes long. With one, two,
+    four, ... effects (or what is left in the end) each is fitted. What another refines stays as
+    long as that does."""
+    scene, hypothesis = context.bench.scene, judged.hypothesis
+    fit, path = judged.fit, list[Hypothesis]()
+    while len(hypothesis.effects) > 1:
+        refined = {(find(one.effect).refines, one.target) for one in hypothesis.effects}
+        known = [
+            np.inf if (one.effect, one.target) in refined else apart(scene, hypothesis, fit, n)
+            for n, one in enumerate(hypothesis.effects)
+        ]
+        least = int(np.argmin(known))
+        if not np.isfinite(known[least]):
+            break
+        own, neutral = sized(scene, hypothesis, least)
+        every = [k for k, (i, _) in enumerate(hypothesis.free(scene)) if i == least]
+        fit, hypothesis = _held(fit, own, neutral, every), hypothesis.without(least)
+        bounds = hypothesis.unknowns(scene)
+        values = np.clip(fit.values, [one.low for one in bounds], [one.high for one in bounds])
+        path.append(hypothesis.at(scene, values))
+    some = {len(hypothesis.effects) * 2**k for k in range(len(path))}
+    tried = [refit(less, judged) for less in path if len(less.effects) in some]
+    simpler = [one for one in tried if one is not None]
+    if not simpler:
+        return judged
+    worths = gains(context.bench, judged, simpler)
+    best = max(range(len(simpler)), key=lambda i: worths[i].total)
+    return simpler[best] if worths[best].total > 0 else judged
+
+
+def _held(fit: Fit, own: Sequence[int], neutral: Sequence[float], gone: Sequence[int]) -> Fit:
+    """A fit with some numbers at neutral values, as far as its covariance tells, and without those
+    that are gone then."""
+    c, index = fit.covariance, list(own)
+    moved = c[:, index] @ np.linalg.pinv(c[np.ix_(index, index)], rcond=1e-12, hermitian=True)
+    kept = np.setdiff1d(np.arange(len(fit.values)), gone)
+    values = fit.values - moved @ (fit.values[index] - np.array(neutral))
+    covariance = c - moved @ c[index]
+    return dataclasses.replace(fit, values=values[kept], covariance=covariance[np.ix_(kept, kept)])
+
+
+def only_sure(context: Context, judged: Judged, refit: Refit, bare: Judged | None = None) -> Sure:
     """With those effects only that are surely worth it beside the others; what is least so goes
-    first. Those that are the least apart from nothing are fitted without first: of a dozen, most
-    are plainly there.
+    first. What cannot be told from nothing goes before; of the others, those that are the least
+    apart from it are fitted without first: of a dozen, most are plainly there.
 
     Args:
-      refit: fits an explanation with an effect less, from where the one with it is.
       bare: without any effect, if it may come to that; else one effect stays.
     """
-    rejected: list[tuple[EffectInstance, str]] = []
+    before = judged.hypothesis.effects
+    judged = plain(context, judged, refit)
+    there = {(one.effect, one.target) for one in judged.hypothesis.effects}
+    rejected = [(one, VAGUE) for one in before if (one.effect, one.target) not in there]
     while len(judged.hypothesis.effects) > (1 if bare is None else 0):
         doubt: dict[int, tuple[Gain, Judged]] = {}
         for part in _least_apart(context, judged):
@@ -123,6 +168,9 @@ def only_sure(
         rejected.append((effect, reason))
         judged = simpler
     return Sure(judged, (), tuple(rejected))
+
+
+VAGUE = "its interval includes nothing of it"
 
 
 def _least_apart(context: Context, judged: Judged) -> list[list[int]]:

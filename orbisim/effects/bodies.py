@@ -18,6 +18,7 @@ from orbisim.effects.base import (
     Parameter,
     StepInputs,
     Values,
+    cross,
     index_of,
     is_scalar_joint,
     joint_unit,
@@ -594,7 +595,7 @@ class _Drag(_BodyHook):
 class _Magnus(_BodyHook):
     def force(self, inputs: StepInputs) -> None:
         spin, velocity = inputs.body_velocity(self._body)
-        lift = self.value("coefficient", 1) * np.cross(spin, velocity)
+        lift = self.value("coefficient", 1) * cross(spin, velocity)
         inputs.xfrc[:, self._body, :3] += lift
 
 

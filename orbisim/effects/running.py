@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -34,6 +35,63 @@ def stage_of(derived: frozenset[str]) -> mujoco.mjtStage:
 def changes_fields(hooks: Sequence[Hook]) -> bool:
     """Whether any hook changes a model field."""
     return any(type(hook).fields is not Hook.fields for hook in hooks)
+
+
+def side_by_side(every: Sequence[Sequence[Hook]], each: int) -> list[Hook] | None:
+    """Hooks for worlds of several scenes, one scene after the other; None where they differ in more
+    than their values.
+
+    Args:
+      every: the hooks of each scene. each: worlds of each scene.
+    """
+    found: list[Hook] = []
+    for same in zip(*every, strict=False):
+        one = copy.copy(same[0])
+        rest = [{k: v for k, v in vars(hook).items() if k != "values"} for hook in same]
+        alike = all(
+            type(hook) is type(one) and hook.values.keys() == one.values.keys() for hook in same
+        )
+        if not alike or any(not _equal(rest[0], other) for other in rest[1:]):
+            return None
+        if any(value.ndim for hook in same for value in hook.values.values()):
+            return None
+        one.values = {
+            name: np.repeat(np.array([hook.values[name] for hook in same]), each)
+            for name in one.values
+        }
+        found.append(one)
+    return found if len({len(hooks) for hooks in every}) == 1 else None
+
+
+def _equal(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Whether attributes are the same."""
+    return one.keys() == other.keys() and all(
+        type(one[name]) is type(other[name]) and np.array_equal(one[name], other[name])
+        for name in one
+    )
+
+
+def same_physics(one: mujoco.MjModel, other: mujoco.MjModel) -> bool:
+    """Whether two models simulate alike, whatever names and texts they have."""
+    parts = ((one, other, _OF_MODEL), (one.opt, other.opt, _OF_OPTIONS))
+    return all(
+        np.array_equal(getattr(mine, name), getattr(others, name))
+        for mine, others, names in parts
+        for name in names
+    )
+
+
+def _numbers(kind: type) -> tuple[str, ...]:
+    """Attributes of a model, or of its options, that are numbers of the simulation: neither methods
+    nor what only stores names and texts (`ntextdata`, `names_map`)."""
+    stored = ("_", "name", "text", "ntext", "nname", "signature", "nbuffer", "paths")
+    known = (name for name in dir(kind) if not name.startswith(stored))
+    return tuple(name for name in known if not callable(getattr(kind, name)) and name not in _OWN)
+
+
+_OWN = {"opt", "vis", "stat"}
+"""Structures of a model: options are compared apart, the others only say how it looks."""
+_OF_MODEL, _OF_OPTIONS = _numbers(mujoco.MjModel), _numbers(mujoco.MjOption)
 
 
 class HookRunner:

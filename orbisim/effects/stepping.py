@@ -13,6 +13,61 @@ from orbisim.effects.base import Hook
 from orbisim.effects.running import HookRunner, stage_of
 
 
+class BatchStepper:
+    """Advances the worlds of a batch, hooks at every timestep.
+
+    What hooks read and write is looked up once: with few worlds, that takes longer than a timestep.
+
+    Args:
+      model: of the batch. batch: the worlds. hooks: what to apply.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, batch: mujoco.batch.Batch, hooks: Sequence[Hook]
+    ) -> None:
+        self._batch, self._ctrl = batch, batch.bind("ctrl")
+        self._runner = HookRunner(model, hooks) if hooks else None
+        if self._runner is None:
+            return
+        self._stage = int(stage_of(self._runner.derived))
+        self._expanded = {name: batch.expand(name) for name in self._runner.fields}
+        self._base = {
+            name: np.repeat(getattr(model, name)[None], batch.nsim, axis=0)
+            for name in self._runner.fields
+        }
+        self._pushed = {name: batch.bind(name) for name in ("qfrc_applied", "xfrc_applied")}
+        names = ("time", "qpos", "qvel", *self._runner.derived)
+        self._read = {name: batch.bind(name) for name in names}
+
+    def step(self, control: Any, nstep: int, ids: Any = None) -> None:
+        """Advances worlds by `nstep` timesteps under a constant control [nworld, nu].
+
+        Args:
+          ids: the worlds, as increasing numbers; all if None.
+        """
+        batch, runner = self._batch, self._runner
+        if ids is not None:
+            ids = np.asarray(ids, np.int32)
+        if runner is None:
+            self._ctrl[:] = control
+            batch.step(ids, nstep)
+            return
+        applied = {name: values.copy() for name, values in self._pushed.items()}
+        self._ctrl[:] = control
+        if runner.derived:
+            batch.forward(ids, self._stage)
+        for _ in range(nstep):
+            inputs = runner.inputs(self._read.__getitem__, control, applied, self._base)
+            self._ctrl[:] = inputs.ctrl
+            self._pushed["qfrc_applied"][:] = inputs.qfrc
+            self._pushed["xfrc_applied"][:] = inputs.xfrc
+            for name, values in inputs.fields.items():
+                self._expanded[name][:] = values
+            batch.step(ids, 1, self._stage)
+        for name, values in applied.items():
+            self._pushed[name][:] = values
+
+
 def step_batch(
     model: mujoco.MjModel,
     batch: mujoco.batch.Batch,
@@ -21,34 +76,5 @@ def step_batch(
     nstep: int,
     ids: Any = None,
 ) -> None:
-    """Advances worlds by `nstep` timesteps under a constant control [nworld, nu].
-
-    Args:
-      ids: the worlds; all if None.
-    """
-    if not hooks:
-        batch.bind("ctrl")[:] = control
-        batch.step(ids, nstep)
-        return
-    runner = HookRunner(model, hooks)
-    stage = int(stage_of(runner.derived))
-    applied = {n: np.array(batch.bind(n)) for n in ("qfrc_applied", "xfrc_applied")}
-    expanded = {name: batch.expand(name) for name in runner.fields}
-    base = {
-        name: np.repeat(getattr(model, name)[None], batch.nsim, axis=0) for name in runner.fields
-    }
-    for name in runner.derived:
-        batch.bind(name)
-    batch.bind("ctrl")[:] = control
-    if runner.derived:
-        batch.forward(ids, stage)
-    for _ in range(nstep):
-        inputs = runner.inputs(batch.bind, control, applied, base)
-        batch.bind("ctrl")[:] = inputs.ctrl
-        batch.bind("qfrc_applied")[:] = inputs.qfrc
-        batch.bind("xfrc_applied")[:] = inputs.xfrc
-        for name, values in inputs.fields.items():
-            expanded[name][:] = values
-        batch.step(ids, 1, stage)
-    for name, values in applied.items():
-        batch.bind(name)[:] = values
+    """Advances worlds once (see `BatchStepper.step`)."""
+    BatchStepper(model, batch, hooks).step(control, nstep, ids)

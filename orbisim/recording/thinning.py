@@ -20,17 +20,23 @@ WINDOW = 0.5
 """Duration of a window, s: friction and loads show within it, and chaos does not yet."""
 FEW_SAMPLES = 30
 """In a window, of which a motion hardly shows."""
+MOST_OF_TIME = 0.75
+"""Share of the recorded time that recordings as long as a window hold: the rest is not seen."""
 
 
 def usual_window(recordings: Sequence[Recording]) -> float:
-    """Duration of windows, s: `WINDOW` or, where that has few samples, twice as many as are few;
+    """Duration of windows, s: `WINDOW`, or less (but no fewer than `FEW_SAMPLES`) where recordings
+    that hold most of the time are shorter; or, where that has few samples, twice as many as few;
     at most a third of the longest recording, so that there are several."""
     steps = [np.diff(one.time) for one in recordings if len(one) > 1]
     if not steps:
         return WINDOW
     step = float(np.median(np.concatenate(steps)))
     if FEW_SAMPLES * step <= WINDOW:
-        return WINDOW
+        lasting = np.sort([float(one.time[-1] - one.time[0]) for one in recordings])
+        held = np.cumsum(lasting[::-1])[::-1]  # time in recordings at least so long
+        most = lasting[held >= MOST_OF_TIME * lasting.sum()][-1]
+        return float(min(WINDOW, max(FEW_SAMPLES * step, most)))
     longest = max(float(one.time[-1] - one.time[0]) for one in recordings)
     return float(max(WINDOW, min(2 * FEW_SAMPLES * step, longest / 3)))
 

@@ -127,17 +127,20 @@ class Problem:
         active = np.ones(len(shooter), bool) if only is None else only.copy()
         hints, iteration = self.hints, 0
         again = only is None and (hints.exact or hints.rough) and not hints.quick
+        known: Floats | None = None
         while True:
             if iteration >= iterations:
                 retried = self._retried(here) if again else None
                 if retried is None:
                     break
                 iterations, again, hinted = iterations + 3, False, False
-                here, active = retried, np.ones(len(shooter), bool)
+                here, active, known = retried, np.ones(len(shooter), bool), None
                 free, at = self._updated(free, at, here)
-            slopes = self.slopes(here)
+            slopes = self.slopes(here) if known is None else known
+            known = None
             found = self._search(here, slopes, free, damping, brakes, active)
             if found is None:
+                known = slopes
                 if not hinted:
                     iteration = iterations
                     continue
@@ -150,13 +153,13 @@ class Problem:
             here, damping = found, max(damping / 10, 1e-9)
             iteration += 1
             if gain < tolerance and not (hinted and self.hints.rough):
-                iteration = iterations
+                iteration, known = iterations, slopes  # so short a step hardly changes them
                 continue
             if hinted and self.hints.rough and (gain < 0.2 or iteration == 2):
                 hinted, free, at = False, self.start_jacobian(here), here
             elif not hinted and (self.hints.exact or iteration == 2):
                 free, at = self._updated(free, at, here)
-        return self._result(here, free)
+        return self._result(here, free, known)
 
     def widened(self, values: Floats, start: Floats | None) -> Floats:
         """Window starts with room for the joints that effects have added."""
@@ -316,16 +319,17 @@ class Problem:
         """Derivatives of the weighted simulated data by the parameters, [W, data, P]."""
         values, xi = here.values, here.xi
         base = self.shooter.scaled(here.simulated)
-        slopes = np.zeros((*base.shape, len(values)))
+        slopes, steps = np.zeros((*base.shape, len(values))), dict[int, float]()
         for p, unknown in enumerate(self.unknowns):
             if p in self.hints.slopes and not self.led:
                 slopes[..., p] = self.hints.slopes[p]
-                continue
-            step = unknown.step_from(float(values[p]))
-            moved = values.copy()
-            moved[p] += step
-            after = self.shooter.scaled(self.shooter.simulate(self.build(moved), xi))
-            slopes[..., p] = (after - base) / step
+            else:
+                steps[p] = unknown.step_from(float(values[p]))
+        variants = [self.build(values + step * (np.arange(len(values)) == p))
+                    for p, step in steps.items()]  # fmt: skip
+        runs = self.shooter.simulate_each(variants, xi)
+        for (p, step), after in zip(steps.items(), runs, strict=True):
+            slopes[..., p] = (self.shooter.scaled(after) - base) / step
         return slopes
 
     def _updated(self, free: Floats, at: Trial, here: Trial) -> tuple[Floats, Trial]:
@@ -405,10 +409,12 @@ class Problem:
         wanted = (residual - slopes @ step) * root
         return step, least_squares(free * root[..., None], wanted, brakes)
 
-    def _result(self, here: Trial, free: Floats) -> Fit:
+    def _result(self, here: Trial, free: Floats, slopes: Floats | None) -> Fit:
         values, xi, residual = here.values, here.xi, here.residual
-        unasked = np.zeros((*residual.shape, len(values)))
-        slopes = unasked if self.hints.quick else self.slopes(here)
+        if self.hints.quick:
+            slopes = np.zeros((*residual.shape, len(values)))
+        elif slopes is None:
+            slopes = self.slopes(here)
         left, weighted = self._shares(here, slopes, free)
         information = np.einsum("wdp,wdq->wpq", weighted, weighted)
         score = np.einsum("wdp,wd->wp", weighted, left)

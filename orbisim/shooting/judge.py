@@ -253,8 +253,9 @@ class Judge:
 
     def closer(self, judged: Judged, iterations: int = 5) -> Judged:
         """The hypothesis fitted again, if that is better: with what a window's start does along its
-        own scene, then as differences show. Along the declared scene it may be quite another thing.
-        Where bodies touch, only the latter.
+        own scene, then as differences show. Along the declared scene it may be quite another thing;
+        where it is not, and both fits end alike, differences will show no more. Where bodies touch,
+        only they are taken.
         """
         best = judged
         for own in (False,) if self.bench.contacts else (True, False):
@@ -266,23 +267,32 @@ class Judge:
             elif not self.bench.contacts:
                 begin = dataclasses.replace(begin, free=None, check_free=None)
             again = self.judge(best.hypothesis, iterations, begin=begin)
+            alike = own and again is not None and abs(again.loss - best.loss) < _ALIKE
             if again is not None and again.loss < best.loss:
                 best = again
+            if alike:
+                break
         return best
 
-    def glance(self, hypothesis: Hypothesis, begin: Beginning) -> float:
+    def glance(self, hypothesis: Hypothesis, begin: Beginning, every: bool = False) -> float:
         """As `sized_glance`, without the size."""
-        return self.sized_glance(hypothesis, begin)[0]
+        return self.sized_glance(hypothesis, begin, every)[0]
 
-    def sized_glance(self, hypothesis: Hypothesis, begin: Beginning) -> tuple[float, float]:
+    def sized_glance(
+        self, hypothesis: Hypothesis, begin: Beginning, every: bool = False
+    ) -> tuple[float, float]:
         """What a hypothesis would leave, at the price of one simulation: mean squared residual over
         every other window, with starts, the numbers of the explanation that they are of, and the
         size of the difference to that, corrected linearly, and this size; infinite if it cannot be
         simulated, or if `begin` has no starts.
+
+        Args:
+          every: whether every window is simulated, also where there are many.
         """
         if begin.start is None or begin.free is None:
             return np.inf, 1.0
-        some = np.arange(len(self.fitted)) % 2 == 0 if len(self.fitted) >= _MANY else None
+        many = len(self.fitted) >= _MANY and not every
+        some = np.arange(len(self.fitted)) % 2 == 0 if many else None
         try:
             variant = hypothesis.variant(self.bench.scene)
             left, size = glanced(
@@ -494,6 +504,8 @@ _IMPACTS = 4.0
 """Huber threshold where there are contacts: some impacts no fit of the start reproduces."""
 _REACHED = 1.05
 """Residual over noise below which a fit is not made better."""
+_ALIKE = 1e-3
+"""Difference of the losses of two fits that end alike: the share of the cost that ends a fit."""
 _GRID_STEPS = 12
 """Steps along a grid at most, each a fit."""
 _FINER = (0.12, 0.03, 0.008)

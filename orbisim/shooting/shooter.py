@@ -11,9 +11,11 @@ import mujoco.batch
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.effects.base import Hook
 from orbisim.effects.carry import hooks_of
 from orbisim.effects.measurement import TRUE, Measurement
-from orbisim.effects.stepping import step_batch
+from orbisim.effects.running import same_physics, side_by_side
+from orbisim.effects.stepping import BatchStepper
 from orbisim.host.cpus import threads_for
 from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.hidden import Layout, carried_along
@@ -157,12 +159,59 @@ class Shooter:
             )
         return runs
 
-    def _simulated(self, variant: Variant, start: Floats) -> Floats:
+    def _simulated(
+        self, variant: Variant, start: Floats, hooks: list[Hook] | None = None
+    ) -> Floats:
         measurement, out = variant.measurement, np.zeros(self.shape)
         out[:, 0] = start[:, : 2 * self.nv]
-        for k, qpos, qvel in self._run(variant, start):
-            out[:, k] = self._deviation(k, qpos, qvel)
+        for span, qpos, qvel in self._run(variant, start, hooks):
+            out[:, span] = self._deviation(span, qpos, qvel)
         return measurement.of(self.absolute, out, self.time) if measurement else out
+
+    def simulate_each(self, variants: Sequence[Variant], start: Floats) -> list[Floats]:
+        """As `simulate`, of several scenes from the same starts. Those that differ only in how they
+        are measured are simulated once, those that differ in the numbers of hooks at once: hooks
+        are called in every timestep, and take as long for all scenes as for one."""
+        found: list[Floats | None] = [None] * len(variants)
+        hooks = [hooks_of(one.scene.model) for one in variants]
+        for same in self._alike(variants, hooks):
+            first, count = variants[same[0]], len(same)
+            joined = side_by_side([hooks[i] for i in same], len(self)) if count > 1 else None
+            if joined is None:
+                for i in same:
+                    found[i] = self.simulate(variants[i], start)
+                continue
+            runs = count if joined else 1
+            part = self.some(np.tile(np.arange(len(self)), runs))
+            true = dataclasses.replace(first, measurement=Measurement(first.measurement.clock))
+            out = part._simulated(true, np.tile(start, (runs, 1)), joined)
+            for k, i in enumerate(same):
+                own, seen = variants[i].measurement, out.reshape(runs, *self.shape)[k % runs]
+                found[i] = own.of(self.absolute, seen, self.time) if own else seen
+        return [one for one in found if one is not None]
+
+    def _alike(
+        self, variants: Sequence[Variant], hooks: Sequence[Sequence[Hook]]
+    ) -> list[list[int]]:
+        """Numbers of scenes that simulate alike but for the numbers of their hooks, grouped; where
+        neither hooks nor measurements can tell scenes apart, they are not even compared."""
+        groups: list[list[int]] = []
+        for i, one in enumerate(variants):
+            for same in groups if hooks[i] or one.measurement else ():
+                first = variants[same[0]]
+                kinds = [[type(hook) for hook in hooks[k]] for k in (i, same[0])]
+                late = self.leads(one) or self.leads(first)
+                timed = one.measurement.clock == first.measurement.clock and not late
+                if (
+                    kinds[0] == kinds[1]
+                    and timed
+                    and same_physics(one.scene.model, first.scene.model)
+                ):
+                    same.append(i)
+                    break
+            else:
+                groups.append([i])
+        return groups
 
     def leads(self, variant: Variant) -> bool:
         """Whether simulation begins before the windows, where recordings do: a late sensor shows at
@@ -230,8 +279,8 @@ class Shooter:
         first = self._moved(start)
         qpos, qvel = self.qpos.copy(), self.qvel.copy()
         qpos[:, 0], qvel[:, 0] = first
-        for k, here_q, here_v in self._run(variant, start):
-            qpos[:, k], qvel[:, k] = here_q, here_v
+        for span, here_q, here_v in self._run(variant, start):
+            qpos[:, span], qvel[:, span] = here_q, here_v
         return qpos, qvel
 
     @property
@@ -239,8 +288,15 @@ class Shooter:
         """Of the simulated data: windows, samples, positions and velocities."""
         return len(self), self.windows.length + 1, 2 * self.nv
 
-    def _run(self, variant: Variant, start: Floats) -> Iterator[tuple[int, Floats, Floats]]:
-        """Number of the sample, and positions and velocities there, one sample after the other."""
+    def _run(
+        self, variant: Variant, start: Floats, hooks: list[Hook] | None = None
+    ) -> Iterator[tuple[slice, Floats, Floats]]:
+        """Which samples, and positions [W, n, nq] and velocities [W, n, nv] there, some samples
+        after the others.
+
+        Args:
+          hooks: instead of the scene's.
+        """
         model, clock = variant.scene.model, variant.measurement.clock
         place = Layout(self.declared.model, model)
         threads = threads_for(len(self), len(self) * model.nv * self.substeps)
@@ -259,18 +315,57 @@ class Shooter:
         if model.na or model.nhistory:
             act, history = self._hidden(model)
             batch.bind("act")[:], batch.bind("history")[:] = act, history
-        timestep = batch.expand("opt.timestep")
-        hooks = hooks_of(model)
+        hooks, timestep = hooks or hooks_of(model), batch.expand("opt.timestep")
+        stepper = BatchStepper(model, batch, hooks)
         applied, qpos, qvel = (batch.bind(n) for n in ("qfrc_applied", "qpos", "qvel"))
         last = np.minimum(self.windows.reach(), self.horizon)
-        for k in range(int(last.max(initial=0))):
+        for k, count in self._spans(last, one_by_one=bool(hooks)):
             self.deadline.check()
-            length = (self.time[:, k + 1] - self.time[:, k]) / clock
+            length = (self.time[:, k + count] - self.time[:, k]) / (count * clock)
             timestep[:] = (length / self.substeps).reshape(timestep.shape)
-            applied[:, place.v] = self.force[:, k]
-            ids = np.flatnonzero(last > k)
-            step_batch(model, batch, hooks, self.ctrl[:, k], self.substeps, ids)
-            yield k + 1, qpos[:, place.q], qvel[:, place.v]
+            ids, some = np.flatnonzero(last > k), slice(k, k + count)
+            every = None if len(ids) == len(self) else ids
+            shape = len(self), count
+            found_q, found_v = np.zeros((*shape, len(place.q))), np.zeros((*shape, len(place.v)))
+            if hooks:
+                applied[:, place.v] = self.force[:, k]
+                stepper.step(self.ctrl[:, k], self.substeps, every)
+                found_q[:, 0], found_v[:, 0] = qpos[:, place.q], qvel[:, place.v]
+            else:
+                force = np.zeros((len(ids), count, model.nv))
+                force[..., place.v] = self.force[ids, some]
+                control = np.concatenate([self.ctrl[ids, some], force], axis=2)
+                control = np.repeat(control, self.substeps, axis=1)
+                record = batch.rollout(control.shape[1], control, _INPUTS, ("qpos", "qvel"), every)
+                ends = slice(self.substeps - 1, None, self.substeps)
+                found_q[ids] = record["qpos"][:, ends, place.q]
+                found_v[ids] = record["qvel"][:, ends, place.v]
+            yield slice(k + 1, k + 1 + count), found_q, found_v
+
+    def _spans(self, last: Ints, one_by_one: bool) -> Iterator[tuple[int, int]]:
+        """First interval and number of intervals that can be simulated in one call: no window ends
+        within, and the intervals of each window are alike.
+
+        Args:
+          last: [W] intervals to simulate of each window.
+        """
+        stop, k = int(last.max(initial=0)), 0
+        if one_by_one:
+            yield from ((number, 1) for number in range(stop))
+            return
+        most = max(1, _IN_ONE_CALL // max(len(self) * self.substeps, 1))
+        length = np.diff(self.time, axis=1)
+        going_on = np.arange(1, length.shape[1]) < last[:, None]
+        # times that are off an even grid by a share have second differences of four times that
+        uneven = (np.abs(np.diff(length, axis=1)) > 4 * _EVEN * length[:, 1:]) & going_on
+        ends = np.union1d(np.flatnonzero(uneven.any(axis=0)) + 1, last)
+        while k < stop:
+            count = min(most, int(ends[np.searchsorted(ends, k, side="right")]) - k)
+            time = self.time[last > k]
+            while count > 1 and not _even(time[:, k : k + count + 1]):
+                count //= 2
+            yield k, count
+            k += count
 
     def chained(self, intervals: Intervals) -> Floats:
         """Derivatives of the weighted data by the window starts in linear approximation,
@@ -320,9 +415,10 @@ class Shooter:
             mujoco.mj_integratePos(self.declared.model, qpos[w], delta, 1.0)
         return qpos, qvel
 
-    def _deviation(self, k: int, qpos: Floats, qvel: Floats) -> Floats:
-        dq = self.difference(self.qpos[:, k], qpos)
-        return np.concatenate([dq, qvel - self.qvel[:, k]], axis=1)
+    def _deviation(self, span: slice, qpos: Floats, qvel: Floats) -> Floats:
+        before, count = self.qpos[:, span], qpos.shape[2]
+        dq = self.difference(before.reshape(-1, count), qpos.reshape(-1, count))
+        return np.concatenate([dq.reshape(qvel.shape), qvel - self.qvel[:, span]], axis=2)
 
     def difference(self, before: Floats, after: Floats) -> Floats:
         """Tangent vectors [N, nv] from some positions [N, nq] to others."""
@@ -353,9 +449,21 @@ _OF_WINDOWS = (
 """What a shooter knows of each window."""
 _AT_ONCE = 512
 """Windows that are simulated at once at most where starts are moved."""
+_INPUTS = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_QFRC_APPLIED.value
+_IN_ONE_CALL = 50_000
+"""Timesteps of all worlds between two looks at the clock: a second of worlds with contacts."""
+_EVEN = 1e-4
+"""Share of an interval by which times are off an even grid that is none: rounding of stamps. What a
+joint moves in it is a ten-thousandth of what it moves between two samples."""
 _LEAD = 0.25
 """How much earlier, s, a simulation begins where sensors are late."""
 _GAP = 1.5
 """Typical sampling intervals that are a gap."""
 _LOST = 1e6
 """Weighted residual of what has diverged: finite, so that windows can still be compared."""
+
+
+def _even(time: Floats) -> bool:
+    """Whether times [W, n] are evenly spaced in each row."""
+    grid = np.linspace(time[:, 0], time[:, -1], time.shape[1], axis=1)
+    return bool((np.abs(time - grid) <= _EVEN * (grid[:, 1:2] - grid[:, :1])).all())

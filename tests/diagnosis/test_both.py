@@ -68,6 +68,7 @@ class Answer:
     attribution: object
     notes: tuple[str, ...] = ()
     verdict: str = "explained"
+    history: tuple[str, ...] = ()
 
 
 def test_the_better_answer_is_given_whichever_was_fitted_to_what(

@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.force_data import ForceData, force_data, spread
+from orbisim.diagnosis.force_data import ForceData, candidates, force_data, spread
 from orbisim.diagnosis.force_result import _implausible
-from orbisim.diagnosis.force_search import _idle, _slopes, fit_forces
+from orbisim.diagnosis.force_search import (
+    _idle,
+    _slopes,
+    attribute_forces,
+    common_forces,
+    fit_forces,
+)
 from orbisim.diagnosis.run import _forces_known
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
@@ -96,6 +102,40 @@ def test_what_no_force_shows_is_not_fitted_but_dropped() -> None:
     assert fitted.effects[0].values["coefficient"] == pytest.approx(0.1, rel=0.1)
     assert fitted.effects[1].values["torque"] < 10
     assert [_idle(fitted, fit, number, scene) for number in range(2)] == [False, True]
+
+
+def test_a_drive_that_another_joint_turns_shows_in_forces(arm: orbisim.Scene) -> None:
+    """By velocity and position, as of a coupled wrist; what drives another joint does not show."""
+    wrist = EffectInstance(
+        "joint_coupling", "elbow", {"coefficient": -0.3}, {"other": "shoulder", "by": "velocity"}
+    )
+    samples = prepare_all(recorded(arm, wrist), arm)
+    found, columns = candidates(force_data(arm, samples), ["joint_coupling"])
+    assert {one.options["by"] for one in found} == {"velocity", "position"}
+    assert columns.shape[2] == len(found)
+    few = Settings(effects=("joint_coupling", "viscous_damping", "coulomb_friction"))
+    (named,) = attribute_forces(arm, samples, few).hypothesis.effects
+    assert (named.effect, named.target) == ("joint_coupling", "elbow")
+    assert named.options == wrist.options
+    assert named.values["coefficient"] == pytest.approx(-0.3, rel=0.05)
+
+
+def test_what_every_machine_has_is_fitted_to_forces_at_once(arm: orbisim.Scene) -> None:
+    """The largest first, and no less than there can be: declared damping may be too much."""
+    friction = EffectInstance("coulomb_friction", "shoulder", {"torque": 0.2})
+    rotor = EffectInstance("armature", "elbow", {"inertia": 0.02})
+    samples = prepare_all(recorded(arm, friction, rotor), arm)
+    found = common_forces(arm, samples, None, 20)
+    assert {(one.effect, one.target) for one in found[:2]} == {
+        ("coulomb_friction", "shoulder"),
+        ("armature", "elbow"),
+    }
+    values = {(one.effect, one.target): next(iter(one.values.values())) for one in found}
+    assert values["coulomb_friction", "shoulder"] == pytest.approx(0.2, rel=0.1)
+    assert values["viscous_damping", "elbow"] > -float(arm.model.joint("elbow").damping[0])
+    assert values.get(("coulomb_friction", "elbow"), 0.0) >= 0
+    assert len(common_forces(arm, samples, None, 1)) == 1
+    assert common_forces(arm, samples, ["payload"], 20) == ()
 
 
 def test_a_fit_of_forces_ends_at_its_deadline(

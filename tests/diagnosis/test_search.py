@@ -11,19 +11,21 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.conclusion import attribute, concluded
+from orbisim.diagnosis.conclusion import _as_found, _best_first, attribute, concluded
 from orbisim.diagnosis.context import begun
-from orbisim.diagnosis.explanations import Found, best_few
+from orbisim.diagnosis.explanations import Found, Tried, best_few
 from orbisim.diagnosis.moves import _generalized
 from orbisim.diagnosis.proposals import events, exchanges, merged
 from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.simplification import VAGUE, plain
 from orbisim.diagnosis.worth import number_costs, prior, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.judge import Judged
 from orbisim.shooting.retune import Tunable, retuned
 from orbisim.testing import inject_effect
 
@@ -95,7 +97,7 @@ def test_a_needless_effect_is_dropped(arm: orbisim.Scene) -> None:
     assert declared is not None and both is not None and both.ratio > 3
     found = concluded(Found(context, 0.002, declared, both), NEVER)
     assert names(found.hypothesis) == {("coulomb_friction", "shoulder")}
-    assert "not sure" in found.rejected[0][1] and found.rejected[0][0].effect == "armature"
+    assert found.rejected[0][0].effect == "armature" and found.rejected[0][1] == VAGUE
 
 
 def test_what_no_machine_has_is_impossible(arm: orbisim.Scene) -> None:
@@ -158,17 +160,24 @@ def test_events_are_tried_where_something_is_left(arm: orbisim.Scene) -> None:
     bench = SimpleNamespace(scene=arm, contacts=False, samples=[samples])
 
     def quick_loss(hypothesis: Hypothesis, begin: None) -> float:
+        fitted.append(hypothesis)
         return abs(hypothesis.effects[-1].values["position"] - 1.44)
 
+    def glance(hypothesis: Hypothesis, begin: None, every: bool) -> float:
+        assert every  # an event may happen in few windows
+        return abs(hypothesis.effects[-1].values["position"] - 1.43)
+
+    fitted: list[Hypothesis] = []
+    judge = SimpleNamespace(quick_loss=quick_loss, glance=glance, begin=lambda judged: None)
     context: Any = SimpleNamespace(
-        bench=bench, judge=SimpleNamespace(quick_loss=quick_loss, begin=lambda judged: None),
-        allowed=lambda one: one.effect == "hard_stop",
-    )  # fmt: skip
+        bench=bench, judge=judge, allowed=lambda one: one.effect == "hard_stop"
+    )
     current: Any = SimpleNamespace(hypothesis=Hypothesis())
     found = [one.instance for one in events(context, current, np.array([0.9, 0.01]))]
     assert [one.target for one in found] == ["shoulder"] * 2
     assert found[0].values == pytest.approx({"position": 1.44, "side": 1.0})  # 3 % of the travel
     assert found[1].values == pytest.approx({"position": -0.34, "side": -1.0})
+    assert len(fitted) == 6  # those that a glance likes best, on either side
     current.hypothesis = Hypothesis((found[0],))
     assert list(events(context, current, np.array([0.9, 0.01]))) == []
 
@@ -221,3 +230,56 @@ def test_a_number_of_a_usual_size_costs_the_width_of_its_prior(arm: orbisim.Scen
     assert costs(2e-4) == pytest.approx([np.log(np.sqrt(np.pi / 2) * 5), most])
     assert costs(1e-9) == pytest.approx([most, most])  # never more than one of unknown size
     assert costs(1.0) == pytest.approx([0.0, most])  # nor a reward
+
+
+def test_what_cannot_be_told_from_nothing_goes_but_not_what_is_refined(
+    arm: orbisim.Scene,
+) -> None:
+    """Static friction that is refined by nothing of the machine, and an idle inertia."""
+    context = begun(bench_of(arm, FRICTION), Settings(), lambda _: None)
+    rise = {"coulomb": 0.0, "static": 0.01, "velocity": 0.05}
+    idle = EffectInstance("armature", "shoulder", {"inertia": 1e-4})
+    every = Hypothesis((FRICTION, EffectInstance("stribeck_friction", "shoulder", rise), idle))
+    judged = context.judge.judge(every)
+    assert judged is not None
+
+    def refit(less: Hypothesis, now: Judged) -> Judged | None:
+        return context.judge.judge(less, begin=context.judge.begin(now))
+
+    kept = plain(context, judged, refit).hypothesis
+    assert ("coulomb_friction", "shoulder") in names(kept)
+    assert ("armature", "shoulder") not in names(kept)
+
+
+def test_what_was_fitted_in_time_is_compared_and_kept(
+    arm: orbisim.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clock ends while a move is weighed: the move is the answer all the same."""
+    from orbisim.diagnosis import search as module
+
+    bench = bench_of(arm, FRICTION)
+    context = begun(bench, Settings(), lambda _: None)
+    declared, best = (context.judge.judge(Hypothesis(e)) for e in ((), (FRICTION,)))
+    assert declared is not None and best is not None
+    late: Any = Counted(-1)
+    passed = begun(dataclasses.replace(bench, deadline=late), Settings(), lambda _: None)
+    assert passed.chance is not None and passed.chance() is not None
+    tried = Tried(best, 1, worth(bench, declared, best))
+    monkeypatch.setattr(module, "other", lambda *_: None)
+    monkeypatch.setattr(module, "best_move", lambda *_: (best, [tried], False))
+    monkeypatch.setattr(module, "_fairly", lambda *_: late.check())
+    found = module._round(Found(context, 0.002, declared, declared), 1)
+    assert found.late and found.best is best and found.tried == (tried,)
+
+
+def test_where_the_time_was_up_what_was_sure_at_first_is_the_answer(arm: orbisim.Scene) -> None:
+    """Only the form of the data had been changed: the best so far explains nothing by itself."""
+    context = begun(bench_of(arm, FRICTION), Settings(), lambda _: None)
+    declared, sure = (context.judge.judge(Hypothesis(e)) for e in ((), (FRICTION,)))
+    assert declared is not None and sure is not None
+    tried = Tried(sure, 1, worth(context.bench, declared, sure))
+    found = Found(context, 0.002, declared, declared, tried=(tried,), late=True)
+    assert _best_first(found) == [sure]
+    assert _best_first(dataclasses.replace(found, best=sure)) == [sure]
+    for after in (concluded(found, NEVER), _as_found(found)):
+        assert [one.effect for one in after.hypothesis.effects] == ["coulomb_friction"]

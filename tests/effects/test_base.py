@@ -12,6 +12,7 @@ from orbisim import Scene, load_scene
 from orbisim.effects import EffectInstance, Hook, Parameter, find
 from orbisim.effects.base import (
     actuator_unit,
+    cross,
     index_of,
     is_scalar_joint,
     joint_unit,
@@ -122,3 +123,8 @@ def test_what_an_effect_lacks_is_said(scene: Scene) -> None:
         find("coulomb_friction").hook(scene.model, one)
     with pytest.raises(InputError, match="has no native form"):
         find("magnus").edit(scene.spec, one)
+
+
+def test_a_cross_product_is_numpys() -> None:
+    one, other = np.random.default_rng(0).standard_normal((2, 5, 3))
+    np.testing.assert_array_equal(cross(one, other), np.cross(one, other))

@@ -7,7 +7,14 @@ import numpy as np
 
 from orbisim import Scene
 from orbisim.effects import Hook, StepInputs
-from orbisim.effects.running import HookRunner, changes_fields, derived_of, stage_of
+from orbisim.effects.running import (
+    HookRunner,
+    changes_fields,
+    derived_of,
+    same_physics,
+    side_by_side,
+    stage_of,
+)
 
 
 class Adds(Hook):
@@ -64,3 +71,29 @@ def test_the_stage_that_hooks_need() -> None:
     assert stage_of(frozenset({"cvel", "qfrc_actuator"})) == mujoco.mjtStage.mjSTAGE_ACC
     assert changes_fields([Adds({}), Rubs({})])
     assert not changes_fields([Adds({}), Doubles({})])
+
+
+def test_scenes_that_differ_in_texts_alone_simulate_alike() -> None:
+    arm = """<mujoco><option gravity="0 0 {g}"/><worldbody><body>
+    <joint name="{name}" damping="{d}"/><geom size=".1"/></body></worldbody>
+    <custom><text name="a" data="{text}"/></custom></mujoco>"""
+    usual = {"g": -9.81, "d": 0.1, "name": "hinge", "text": "b"}
+    one = mujoco.MjModel.from_xml_string(arm.format(**usual))
+    same = mujoco.MjModel.from_xml_string(arm.format(**usual | {"name": "elbow", "text": "bcd"}))
+    assert same_physics(one, same)
+    for change in ({"g": -9.8}, {"d": 0.2}):
+        assert not same_physics(one, mujoco.MjModel.from_xml_string(arm.format(**usual | change)))
+
+
+def test_hooks_of_several_scenes_stand_side_by_side() -> None:
+    def hooks(gain: float, where: int = 0) -> list[Hook]:
+        hook = Hook({"gain": gain})
+        hook.where = where  # type: ignore[attr-defined]
+        return [hook]
+
+    found = side_by_side([hooks(1.0), hooks(2.0)], 3)
+    assert found is not None and found[0].values["gain"].tolist() == [1, 1, 1, 2, 2, 2]
+    assert side_by_side([hooks(1.0), hooks(2.0, where=1)], 3) is None
+    assert side_by_side([hooks(1.0), []], 3) is None
+    assert side_by_side([[Hook({"gain": 1.0})], [Hook({"rate": 1.0})]], 3) is None
+    assert side_by_side([[], []], 3) == []

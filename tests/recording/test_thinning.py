@@ -50,3 +50,16 @@ def test_slow_recordings_stay_as_they_are() -> None:
     one = Recording(TIME, {"qpos/a": TIME})
     assert thinned([one], MOST_SAMPLES * 1e-3, notes)[0] is one
     assert not notes
+
+
+def test_windows_are_no_longer_than_most_recordings() -> None:
+    """Tosses and flights: what is shorter than a window would not be looked at."""
+
+    def flight(duration: float) -> Recording:
+        time = np.arange(0.0, duration + 1e-9, 0.002)
+        return Recording(time, {"qpos/ball": np.zeros((len(time), 1))})
+
+    short = [flight(0.3) for _ in range(20)]
+    assert usual_window([*short, flight(0.6)]) == pytest.approx(0.3)
+    assert usual_window([flight(0.02) for _ in range(20)]) == pytest.approx(0.06)
+    assert usual_window([flight(0.3), flight(4.0)]) == pytest.approx(0.5)

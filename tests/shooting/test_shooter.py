@@ -7,6 +7,7 @@ import pytest
 
 import orbisim
 from orbisim.effects import EffectInstance
+from orbisim.effects.carry import hooks_of
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
@@ -73,3 +74,56 @@ def test_some_windows_are_simulated_as_all_are(bench: Bench) -> None:
     np.testing.assert_array_equal(twice.simulate(variant, start[[3, 3]]), every[[3, 3]])
     last = len(shooter) - 1  # in the other recording
     np.testing.assert_array_equal(shooter.some(np.array([last, 0])).recording, [1, 0])
+
+
+def _variants(bench: Bench, *every: tuple[EffectInstance, ...]) -> list[Variant]:
+    return [Hypothesis(effects).variant(bench.scene) for effects in every]
+
+
+def test_scenes_that_differ_in_hooks_or_sensors_are_simulated_at_once_as_one_by_one(
+    bench: Bench,
+) -> None:
+    shooter = bench.shooter(bench.fit)
+    start = np.random.default_rng(0).normal(0, 1e-3, (len(shooter), 2 * shooter.nv))
+    bias, slow = (EffectInstance("sensor_bias", "elbow", {"offset": x}) for x in (0.01, 0.02))
+    damped = EffectInstance("viscous_damping", "elbow", {"coefficient": 0.1})
+    rough = EffectInstance("stribeck_friction", "elbow", {"coulomb": 0.1, "static": 0.2,
+                                                          "velocity": 0.05})  # fmt: skip
+    drags = [EffectInstance("linear_drag", "forearm", {"coefficient": x}) for x in (0.1, 0.2)]
+    every = _variants(
+        bench, (bias,), (rough,), (slow,), (damped,), (rough.replace(static=0.3),),
+        (rough, damped), (drags[0], rough), (drags[1], rough.replace(velocity=0.02)), (LATE,), (),
+    )  # fmt: skip
+    hooks = [hooks_of(one.scene.model) for one in every]
+    assert shooter._alike(every, hooks) == [[0, 2], [1, 4], [3], [5], [6, 7], [8], [9]]
+    several = _variants(bench, (rough,), (rough.replace(static=0.3),), (rough.replace(coulomb=0),))
+    drawn = _variants(bench, (drags[0], rough), (drags[1], rough.replace(velocity=0.02)))
+    for some in (every, several, drawn, every[:1] + every[2:3], []):
+        found = shooter.simulate_each(some, start)
+        for one, runs in zip(some, found, strict=True):
+            np.testing.assert_array_equal(runs, shooter.simulate(one, start))
+
+
+def test_times_that_are_rounded_are_even_and_others_are_not(bench: Bench) -> None:
+    shooter = bench.shooter(bench.fit)
+    start, variant = np.zeros((len(shooter), 2 * shooter.nv)), Variant(bench.scene)
+    count, last = shooter.windows.length, np.full(len(shooter), shooter.windows.length)
+    assert list(shooter._spans(last, one_by_one=False)) == [(0, count)]
+    assert len(list(shooter._spans(last, one_by_one=True))) == count
+    exact = shooter.simulate(variant, start)
+    step = shooter.time[0, 1] - shooter.time[0, 0]
+    rng = np.random.default_rng(0)
+    shooter.time = shooter.time + rng.uniform(-3e-5, 3e-5, shooter.time.shape) * step
+    assert list(shooter._spans(last, one_by_one=False)) == [(0, count)]
+    np.testing.assert_allclose(shooter.simulate(variant, start), exact, atol=1e-4)
+    shooter.time = shooter.time + rng.uniform(-1e-2, 1e-2, shooter.time.shape) * step
+    spans = list(shooter._spans(last, one_by_one=False))
+    assert len(spans) > count / 4 and sum(n for _, n in spans) == count
+
+
+def test_no_span_goes_beyond_a_window(bench: Bench) -> None:
+    shooter = bench.shooter(bench.fit)
+    last = np.full(len(shooter), shooter.windows.length)
+    last[:2] = 3, 7
+    spans = list(shooter._spans(last, one_by_one=False))
+    assert spans == [(0, 3), (3, 4), (7, shooter.windows.length - 7)]
