@@ -12,7 +12,7 @@ from orbisim.diagnosis.explanations import Found, Tried
 from orbisim.diagnosis.found import Rival
 from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.simplification import VAGUE, Sure, only_sure, plain
+from orbisim.diagnosis.simplification import Sure, only_sure, plain
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.worth import independent_data, told_of, worth
 from orbisim.effects import EffectInstance, find
@@ -181,12 +181,15 @@ def _sure(context: Context, before: Judged, after: Judged) -> Sure:
             break
         gone = sure.judged.hypothesis.effects[vague[0]]
         again = only_sure(context, less, refit, before)
-        rejected = (*sure.rejected, (gone, VAGUE), *again.rejected)
+        rejected = (*sure.rejected, (gone, _VAGUE), *again.rejected)
         sure = again._replace(rejected=rejected)
     hypothesis = sure.judged.hypothesis
     if not hypothesis.effects and hypothesis.factors and sure.judged.ratio > NEAR:
         return sure._replace(judged=before)
     return sure
+
+
+_VAGUE = "its interval includes nothing of it"
 
 
 def _vague(context: Context, judged: Judged) -> list[int]:

@@ -132,8 +132,9 @@ def _held(fit: Fit, own: Sequence[int], neutral: Sequence[float], gone: Sequence
 
 def only_sure(context: Context, judged: Judged, refit: Refit, bare: Judged | None = None) -> Sure:
     """With those effects only that are surely worth it beside the others; what is least so goes
-    first. What cannot be told from nothing goes before; of the others, those that are the least
-    apart from it are fitted without first: of a dozen, most are plainly there.
+    first. What the best of nested explanations (see `plain`) does not have goes before. Of the
+    others, those that are the least apart from nothing are fitted without first: of a dozen, most
+    are plainly there.
 
     Args:
       bare: without any effect, if it may come to that; else one effect stays.
@@ -141,7 +142,7 @@ def only_sure(context: Context, judged: Judged, refit: Refit, bare: Judged | Non
     before = judged.hypothesis.effects
     judged = plain(context, judged, refit)
     there = {(one.effect, one.target) for one in judged.hypothesis.effects}
-    rejected = [(one, VAGUE) for one in before if (one.effect, one.target) not in there]
+    rejected = [(one, _NO_BETTER) for one in before if (one.effect, one.target) not in there]
     while len(judged.hypothesis.effects) > (1 if bare is None else 0):
         doubt: dict[int, tuple[Gain, Judged]] = {}
         for part in _least_apart(context, judged):
@@ -158,8 +159,8 @@ def only_sure(context: Context, judged: Judged, refit: Refit, bare: Judged | Non
         least = min(doubt, key=lambda index: doubt[index][0].sure)
         gain, simpler = doubt[least]
         if gain.sure > 0:
-            gains = tuple(doubt[index][0] for index in sorted(doubt))
-            return Sure(judged, gains, tuple(rejected))
+            every = tuple(doubt[index][0] for index in sorted(doubt))
+            return Sure(judged, every, tuple(rejected))
         effect = judged.hypothesis.effects[least]
         reason = (
             f"beside the others it is worth {gain.total:.3g} +- {gain.error:.2g} in the logarithm "
@@ -170,7 +171,7 @@ def only_sure(context: Context, judged: Judged, refit: Refit, bare: Judged | Non
     return Sure(judged, (), tuple(rejected))
 
 
-VAGUE = "its interval includes nothing of it"
+_NO_BETTER = "an explanation without it, and without what is less sure than it, is worth more"
 
 
 def _least_apart(context: Context, judged: Judged) -> list[list[int]]:
