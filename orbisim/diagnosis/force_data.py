@@ -131,7 +131,7 @@ def candidates(data: ForceData, only: Sequence[str] | None) -> tuple[list[Candid
         if (only is None or name in only) and find(name).adds_force()
         for target in find(name).targets(data.scene.model)
         for candidate in find(name).screen(view, target)
-        if find(name).adds_force(candidate.options)
+        if find(name).adds_force_with(candidate.options)
         and not candidate.fixed
         and all(column.kind == "force" for column in candidate.columns)
     ]
@@ -196,10 +196,8 @@ def counts(data: ForceData, left: Floats, sigma: Floats, columns: Floats | None 
     )
     size = np.maximum(rows[:, None] * share, 1.0)
     power = np.ones(nv)
-    for dof in range(nv):
-        if columns is None:
-            break
-        weighted = np.nan_to_num(columns[:, dof] / sigma[:, dof, None])
+    for dof, design in enumerate(() if columns is None else np.moveaxis(columns, 1, 0)):
+        weighted = np.nan_to_num(design / sigma[:, dof, None])
         rest = np.nan_to_num(left[:, dof] / sigma[:, dof])
         most = independent_by_chance(weighted[None], rest[None], np.ones(1))
         power[dof] = min(1.0, most / float(size[:, dof].sum()))

@@ -152,6 +152,12 @@ def common_forces(
     found, columns = candidates(data, names)
     if not found:
         return ()
+    several = next((one.effect for one in found if len(one.columns) != 1), None)
+    if several:
+        raise TypeError(
+            f"effect {several!r} is `common` and has several numbers along the motion; a common "
+            "effect has one: set `common = False` in its class"
+        )
     parameters = [find(one.effect).parameters(scene.model, one.target)[0] for one in found]
     least = np.array([max(one.low, one.possible[0]) for one in parameters])
     left = np.nan_to_num(data.force)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import mujoco
 import numpy as np
 
@@ -88,7 +86,7 @@ class TorqueBias(ActuatorEffect):
     def equivalents(self, model: mujoco.MjModel, instance: EffectInstance) -> list[EffectInstance]:
         return same_offsets(model, instance)
 
-    def adds_force(self, options: Mapping[str, str] | None = None) -> bool:
+    def adds_force(self) -> bool:
         """Of actuators' effects this one alone: a force is recorded with its offset."""
         return True
 

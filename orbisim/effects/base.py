@@ -163,7 +163,8 @@ class Effect(abc.ABC):
         empty for none.
       needs: parts of MuJoCo's pipeline without which it does nothing (`<option><flag/>`).
       common: whether every joint of a machine has it, more or less: all of these are tried at all
-        joints together, so that nothing rarer is named for what they do.
+        joints together, so that nothing rarer is named for what they do. Such an effect has one
+        parameter, to which its force is proportional.
       rarity: logarithm of the odds of the effect on a machine beside those of friction at a joint.
       refines: the simpler effect that no machine with this one lacks, at the same target; without
         it, it has the odds of both (strong heredity; Chipman, Canad. J. Statist. 24, 1996).
@@ -275,16 +276,16 @@ class Effect(abc.ABC):
         """
         return []
 
-    def adds_force(self, options: Mapping[str, str] | None = None) -> bool:
+    def adds_force(self) -> bool:
         """Whether inverse dynamics shows it where the forces at all joints are recorded: a force
-        beside these, which follows from the motion.
-
-        Args:
-          options: of the effect; whether any form of it does if None.
-        """
+        beside these, which follows from the motion; with which options, says `adds_force_with`."""
         if self.measurement or self.structural or self.stated:
             return False
         return self.kind in ("joint", "body", "world")
+
+    def adds_force_with(self, options: Mapping[str, str]) -> bool:
+        """Whether it adds a force (see `adds_force`) with these options."""
+        return self.adds_force()
 
     def resolution(self, model: mujoco.MjModel, name: str) -> float:
         """Step below which a parameter has no effect (delays act in timesteps); 0 for none."""

@@ -537,9 +537,9 @@ class JointCoupling(JointEffect):
         found = super().targets(model)
         return found if len(found) > 1 else ()
 
-    def adds_force(self, options: Mapping[str, str] | None = None) -> bool:
+    def adds_force_with(self, options: Mapping[str, str]) -> bool:
         """By position and velocity; what drives another joint does not follow from the motion."""
-        return options is None or options.get("by") in ("position", "velocity")
+        return options.get("by") in ("position", "velocity")
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         force = joint_unit(model, target, "N*m", "N")

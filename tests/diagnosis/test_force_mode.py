@@ -19,7 +19,7 @@ from orbisim.diagnosis.force_search import (
 )
 from orbisim.diagnosis.run import _forces_known
 from orbisim.diagnosis.settings import Settings
-from orbisim.effects import EffectInstance
+from orbisim.effects import EffectInstance, find
 from orbisim.errors import InputError
 from orbisim.host.deadline import Deadline
 from orbisim.motion.samples import prepare_all
@@ -136,6 +136,14 @@ def test_what_every_machine_has_is_fitted_to_forces_at_once(arm: orbisim.Scene) 
     assert values.get(("coulomb_friction", "elbow"), 0.0) >= 0
     assert len(common_forces(arm, samples, None, 1)) == 1
     assert common_forces(arm, samples, ["payload"], 20) == ()
+
+
+def test_what_every_machine_has_has_one_number(
+    arm: orbisim.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(type(find("payload")), "common", True)
+    with pytest.raises(TypeError, match="'payload' is `common` and has several numbers"):
+        common_forces(arm, prepare_all(recorded(arm), arm), ["payload"], 20)
 
 
 def test_a_fit_of_forces_ends_at_its_deadline(
