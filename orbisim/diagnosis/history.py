@@ -6,8 +6,10 @@ friction included: what friction holds still under a pull it holds under less. S
 and slide and each direction, moments are compared at which all recorded joints are at the same
 places and as fast:
 
-    stands: it stays where it is for `STILL` although the scene accelerates it by a all that time;
-    leaves: it was at rest for `STILL` and leaves, and the scene accelerated it by b at most.
+    stands: it stays where it is for `STILL`, although by the scene its acceleration would be at
+      least a at each moment of that time;
+    leaves: it was at rest for `STILL` and leaves, and by the scene its acceleration there is at
+      most b.
 
 a > b is a contradiction to every function of state; `MORE` times b is asked for, as controls may
 lag and positions are noisy. A delay shorter than `STILL` contradicts nothing, and where bodies

@@ -84,8 +84,8 @@ class Diagnosis:
 
     @property
     def sentence(self) -> str:
-        """The verdict in one sentence."""
-        return sentence(
+        """The verdict in one sentence, and one for each joint that depends on its history."""
+        verdict = sentence(
             verdict=self.verdict,
             effects=self.effects,
             retuned=self.retuned,
@@ -93,8 +93,8 @@ class Diagnosis:
             residual=self.residual,
             of_sensors=self.error_is_of_sensors,
             cut_short=getattr(self.attribution, "cut_short", False),
-            history=self.history,
         )
+        return " ".join([verdict, *(f"{one.told}." for one in self.history)])
 
     @property
     def error_is_of_sensors(self) -> bool:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from orbisim.diagnosis.found import Retuned, Verdict
-from orbisim.diagnosis.history import HistoryDependent
 from orbisim.effects import find
 from orbisim.effects.estimate import FoundEffect
 
@@ -22,29 +21,14 @@ def sentence(
     residual: Mapping[str, Any],
     of_sensors: bool,
     cut_short: bool = False,
-    history: Sequence[HistoryDependent] = (),
 ) -> str:
-    """The verdict in one sentence, and one for each joint that depends on its history.
+    """The verdict in one sentence.
 
     Args:
       verdict, effects, retuned, error, residual: as in `Diagnosis`.
       of_sensors: whether what is wrong are readings of sensors, and the motion is not.
       cut_short: whether the search ended because its time was up.
-      history: joints that no function of the recorded state explains.
     """
-    told = _verdict(verdict, effects, retuned, error, residual, of_sensors, cut_short)
-    return " ".join([told, *(f"{one.told}." for one in history)])
-
-
-def _verdict(
-    verdict: Verdict,
-    effects: Sequence[FoundEffect],
-    retuned: Sequence[Retuned],
-    error: Mapping[str, Any],
-    residual: Mapping[str, Any],
-    of_sensors: bool,
-    cut_short: bool,
-) -> str:
     unit = error["unit"]
     before, after = error["held_out"]["before"], error["held_out"]["after"]
     what_error = error.get("name", "free-running error")

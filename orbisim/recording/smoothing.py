@@ -91,6 +91,7 @@ def smooth(
     Returns:
       Estimates at every time, also where single samples are missing; all NaN for a channel with
       fewer than two samples.
+
     Raises:
       InputError: shapes do not fit, or time does not increase.
     """

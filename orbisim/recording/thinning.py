@@ -21,7 +21,8 @@ WINDOW = 0.5
 FEW_SAMPLES = 30
 """In a window, of which a motion hardly shows."""
 MOST_OF_TIME = 0.75
-"""Share of the recorded time that recordings as long as a window hold: the rest is not seen."""
+"""A window is no longer than recordings that hold this share of the recorded time: in shorter ones
+no window fits."""
 
 
 def usual_window(recordings: Sequence[Recording]) -> float:

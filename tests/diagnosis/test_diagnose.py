@@ -1,5 +1,6 @@
 """The diagnosis end to end: what it finds, when it is silent, what it writes, what it refuses."""
 
+import dataclasses
 import hashlib
 import json
 import subprocess
@@ -11,6 +12,7 @@ import pytest
 
 import orbisim
 from orbisim.diagnosis import Diagnosis
+from orbisim.diagnosis.history import HistoryDependent
 from orbisim.diagnosis.result import _digest
 from orbisim.effects import EffectInstance
 from orbisim.errors import RecordingError
@@ -39,6 +41,14 @@ def test_finds_the_friction_of_the_example(example: Diagnosis) -> None:
     assert effect.evidence["held_out_error_without"] > 10 * effect.evidence["held_out_error_with"]
     assert example.residual["where"][0]["target"] == "elbow"
     assert "'elbow' lacks Coulomb friction" in example.sentence
+
+
+def test_the_verdict_names_joints_that_depend_on_their_history(example: Diagnosis) -> None:
+    joint = HistoryDependent("elbow", (0, 2.0), (0, 3.5), 4.0)
+    told = dataclasses.replace(example, history=(joint,))
+    assert told.sentence == f"{example.sentence} {joint.told}."
+    assert "'elbow' is history-dependent" in told.sentence
+    assert "history" not in example.sentence
 
 
 def test_held_out_recordings_are_not_fitted(example: Diagnosis) -> None:

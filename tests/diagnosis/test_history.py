@@ -7,7 +7,6 @@ import numpy as np
 
 from orbisim import Recording, Scene, load_scene, make_backend
 from orbisim.diagnosis.history import HistoryDependent, history_dependent
-from orbisim.diagnosis.wording import sentence
 from orbisim.effects import EffectInstance, add_effects
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
@@ -109,18 +108,3 @@ def test_what_is_told_says_when() -> None:
     one = HistoryDependent("leaf", (1, 2.0), (0, 3.5), 4.0)
     assert "at 2.00 s of recording 2 under 4 times" in one.told
     assert "moves at 3.50 s;" in one.told
-
-
-def test_the_verdict_names_the_joint() -> None:
-    error = {"unit": "rad", "held_out": {"before": 0.3, "after": 0.3}, "noise_floor": 3e-4}
-    told = sentence(
-        verdict="unexplained",
-        effects=(),
-        retuned=(),
-        error=error,
-        residual={"ratio_to_noise": 50.0},
-        of_sensors=False,
-        history=(HistoryDependent("leaf", (0, 2.0), (0, 3.5), 4.0),),
-    )
-    assert "no effect of the catalogue explains it" in told
-    assert told.endswith("decides.") and "'leaf' is history-dependent" in told
