@@ -3,22 +3,24 @@
 # ruff: noqa: D102 (overrides are documented in the base class)
 from __future__ import annotations
 
+import abc
+
 import mujoco
 import numpy as np
 
 from rigs.law import Floats, Law, Reading, index_of
 
 
-class AtBody(Law):
+class AtBody(Law, abc.ABC):
     """A force at a body's centre of mass that its velocity, its spin and time decide."""
 
     def begin(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self._body = index_of(model, "body", self.target)
         self._six = np.zeros(6)
 
+    @abc.abstractmethod
     def force(self, velocity: Floats, spin: Floats) -> Floats:
         """[3] in the world."""
-        raise NotImplementedError
 
     def passive(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         frame = mujoco.mjtObj.mjOBJ_BODY  # at the centre of mass, here along the world's axes

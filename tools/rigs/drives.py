@@ -3,6 +3,7 @@
 # ruff: noqa: D102 (overrides are documented in the base class)
 from __future__ import annotations
 
+import abc
 import bisect
 
 import mujoco
@@ -87,7 +88,7 @@ class Delay(AtDrive):
         command[self._index] = self._given[max(at, 0)]
 
 
-class TwoMasses(Law):
+class TwoMasses(Law, abc.ABC):
     """The rotor turns on its own, with a transmission between it and the link.
 
     The encoder is on the rotor's side. Declared armature and damping of the joint are the rotor's;
@@ -124,9 +125,9 @@ class TwoMasses(Law):
     def command(self, time: float, command: Floats) -> None:
         self._given = float(command[self._index])
 
+    @abc.abstractmethod
     def torque(self, twist: float, rate: float, step: float) -> float:
         """Through the transmission for its twist (rotor less link)."""
-        raise NotImplementedError
 
     def passive(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         twist = self._angle - float(data.qpos[self._adr])

@@ -3,6 +3,8 @@
 # ruff: noqa: D102 (overrides are documented in the base class)
 from __future__ import annotations
 
+import abc
+
 import mujoco
 import numpy as np
 
@@ -12,7 +14,7 @@ _PRESLIDING = 2e-4
 """Deflection at which bristles slip, rad or m: well below what encoders resolve."""
 
 
-class Bristles(Law):
+class Bristles(Law, abc.ABC):
     """Dry friction of a level that subclasses give, as bristles that bend and slip.
 
     Canudas de Wit, Olsson, Astrom, Lischinsky (1995): dz/dt = v - s |v| z / g(v), force s z + d v
@@ -27,9 +29,9 @@ class Bristles(Law):
         self._dof, self._bend = dof_of(model, self.target), 0.0
         self._inertia = float(model.dof_M0[self._dof])
 
+    @abc.abstractmethod
     def level(self, model: mujoco.MjModel, data: mujoco.MjData, speed: float) -> float:
         """The friction at which the joint slips."""
-        raise NotImplementedError
 
     def passive(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         level = self._level_now(model, data)
@@ -74,16 +76,16 @@ class Loaded(Bristles):
         return self.value * abs(float(data.qfrc_actuator[self._dof]))
 
 
-class AtJoint(Law):
+class AtJoint(Law, abc.ABC):
     """A force at a joint that depends on its position q, velocity v and the time."""
 
     def begin(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         joint = model.dof_jntid[dof_of(model, self.target)]
         self._dof, self._q = dof_of(model, self.target), int(model.jnt_qposadr[joint])
 
+    @abc.abstractmethod
     def force(self, q: float, v: float, time: float) -> float:
         """Generalized force on the joint."""
-        raise NotImplementedError
 
     def passive(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         q, v = float(data.qpos[self._q]), float(data.qvel[self._dof])

@@ -8,6 +8,7 @@ messages' headers, or of their arrival where these are empty.
 
 from __future__ import annotations
 
+import abc
 import array
 import collections
 import contextlib
@@ -209,7 +210,7 @@ def _ascending(times: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.intp], int]
 # -- topics ------------------------------------------------------------------------------------
 
 
-class _Topic:
+class _Topic(abc.ABC):
     """Gathers the messages of one topic.
 
     Attributes:
@@ -230,15 +231,15 @@ class _Topic:
         self.stamps.append(stamp)
         self.arrivals.append(message.stamp)
 
+    @abc.abstractmethod
     def take(self, decoded: Any) -> None:
         """Takes the numbers of a message."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def columns(
         self, topic: str, allowance: Allowance, notes: list[str]
     ) -> Iterator[tuple[Column, Floats]]:
         """The columns and their samples."""
-        raise NotImplementedError
 
     def times(self) -> npt.NDArray[np.int64]:
         """[T], ns: of the headers, or of arrival if these are empty."""
