@@ -26,7 +26,7 @@ import numpy.typing as npt
 import torch
 from orbisim_diffusion.estimate import load_inference, read_frames
 from orbisim_diffusion.inference import inference_loss, robots, truth
-from orbisim_diffusion.looks import Wardrobe
+from orbisim_diffusion.looks import LookFitter
 from orbisim_diffusion.refine import Refiner
 from orbisim_diffusion.store import load
 from orbisim_diffusion.symmetry import angle, rotation_error
@@ -154,13 +154,13 @@ def opened(
     """Errors in one frame of which sizes and colours are not known."""
     refiner = Refiner(scene, scene.model.camera("side").id, frame.shape[0])
     declared = refiner.bodies
-    wardrobe = Wardrobe(refiner, sizes=True, colours=True)
-    fitted, looks = wardrobe.first(frame, read, i)
+    fitter = LookFitter(refiner, sizes=True, colours=True)
+    fitted, looks = fitter.first(frame, read, i)
     places = np.stack([pose.qpos[:3] for pose in fitted.objects])
     truths = np.stack([true[body.qpos : body.qpos + 7] for body in declared])
     far = np.linalg.norm(places[:, None] - truths[None, :, :3], axis=-1)
     far[[not pose.seen for pose in fitted.objects]] += 10.0  # they get what is left
-    order = wardrobe.slots(read, i)
+    order = fitter.slots(read, i)
     objects = []
     for k, j in zip(*linear_sum_assignment(far), strict=True):
         pose, look, body, slot = fitted.objects[k], looks[k], declared[j], order[k]
