@@ -80,12 +80,8 @@ def main() -> None:
         for i in range(options.episodes)
     ]
     with quiet_engine():
-        if options.workers == 1:
-            for job in jobs:
-                one(*job)
-        else:
-            for _ in pool.run(one, jobs, options.workers):
-                pass
+        for _ in pool.run(one, jobs, options.workers):
+            pass
     found = summary(options.out)
     (options.out / "summary.json").write_text(json.dumps(found, indent=1) + "\n")
     print(json.dumps(found))
