@@ -96,8 +96,7 @@ def trials(arguments: argparse.Namespace, episode: int) -> list[dict[str, Any]]:
     point, model = load_inference(arguments.checkpoint)
     rng = np.random.default_rng([arguments.seed, episode])
     with EpisodeFile(arguments.data) as file:
-        changes = {n: tuple(v) if isinstance(v, list) else v for n, v in file.config.items()}
-        task = make(file.task, **changes)
+        task = make(file.task, **file.config)
         known = file.attributes(episode)
         arrays = file.episode(episode, ["qpos", "frames/side"])
     scene = task.scene(known["subtask"], known["seed"])

@@ -98,8 +98,7 @@ def one(
     warnings.simplefilter("ignore")
     begun = time.time()
     with EpisodeFile(data) as file:
-        changes = {n: tuple(v) if isinstance(v, list) else v for n, v in file.config.items()}
-        task, known = make(file.task, **changes), file.attributes(number)
+        task, known = make(file.task, **file.config), file.attributes(number)
         arrays = file.episode(number, ["qpos", "ctrl", "frames/side"])
     scene = task.scene(known["subtask"], known["seed"])
     bodies = free_bodies(scene.model)

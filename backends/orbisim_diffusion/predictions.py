@@ -93,7 +93,7 @@ def predicted_episode(
     with EpisodeFile(path) as file:
         known = file.attributes(index)
         arrays = file.episode(index, ["time", "qpos", "qvel", "act", "ctrl"])
-        scene = make(file.task, **_changes(file.config)).scene(known["subtask"], known["seed"])
+        scene = make(file.task, **file.config).scene(known["subtask"], known["seed"])
         camera = next(n for n in file.names(index) if n.startswith(_FRAMES)) if seen else ""
         size = len(file.episode(index, [camera])[camera][0]) if seen else 0
         camera = camera.removeprefix(_FRAMES)
@@ -153,11 +153,6 @@ def _images(
         )
     finally:
         renderer.close()
-
-
-def _changes(config: dict[str, Any]) -> dict[str, Any]:
-    """The task's configuration as it was collected with."""
-    return {name: tuple(v) if isinstance(v, list) else v for name, v in config.items()}
 
 
 def predict(
