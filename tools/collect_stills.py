@@ -45,12 +45,8 @@ def main() -> None:
         for number in range(arguments.episodes)
     ]
     with quiet_engine():
-        if arguments.workers == 1:
-            for job in jobs:
-                one(*job)
-        else:
-            for _ in pool.run(one, jobs, arguments.workers):
-                pass
+        for _ in pool.run(one, jobs, arguments.workers):
+            pass
     line = {"files": len(list(arguments.out.glob(f"*{SUFFIX}")))}
     print(json.dumps({**line, "seconds": round(time.time() - begun, 1)}))
 

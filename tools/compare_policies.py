@@ -315,7 +315,7 @@ def main() -> None:
         options.out,
         lanes=lambda job: job.lane,
         jobs={"processor": options.jobs, "device": options.device_jobs},
-        prepare=_prepared,
+        prepare=register,
         time_limit=options.time_limit,
         say=lambda row: f"{worth(row):.3f}",
     )
@@ -324,10 +324,6 @@ def main() -> None:
     if options.figure:
         figure(rows, options.figure)
     sys.exit(1 if failed else 0)
-
-
-def _prepared() -> None:
-    register()
 
 
 if __name__ == "__main__":

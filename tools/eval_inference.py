@@ -26,7 +26,7 @@ import numpy.typing as npt
 import torch
 from orbisim_diffusion.estimate import load_inference, read_frames
 from orbisim_diffusion.inference import inference_loss, robots, truth
-from orbisim_diffusion.looks import Wardrobe
+from orbisim_diffusion.looks import LookFitter
 from orbisim_diffusion.refine import Refiner
 from orbisim_diffusion.store import load
 from orbisim_diffusion.symmetry import angle, rotation_error
@@ -96,8 +96,7 @@ def trials(arguments: argparse.Namespace, episode: int) -> list[dict[str, Any]]:
     point, model = load_inference(arguments.checkpoint)
     rng = np.random.default_rng([arguments.seed, episode])
     with EpisodeFile(arguments.data) as file:
-        changes = {n: tuple(v) if isinstance(v, list) else v for n, v in file.config.items()}
-        task = make(file.task, **changes)
+        task = make(file.task, **file.config)
         known = file.attributes(episode)
         arrays = file.episode(episode, ["qpos", "frames/side"])
     scene = task.scene(known["subtask"], known["seed"])
@@ -154,13 +153,13 @@ def opened(
     """Errors in one frame of which sizes and colours are not known."""
     refiner = Refiner(scene, scene.model.camera("side").id, frame.shape[0])
     declared = refiner.bodies
-    wardrobe = Wardrobe(refiner, sizes=True, colours=True)
-    fitted, looks = wardrobe.first(frame, read, i)
+    fitter = LookFitter(refiner, sizes=True, colours=True)
+    fitted, looks = fitter.first(frame, read, i)
     places = np.stack([pose.qpos[:3] for pose in fitted.objects])
     truths = np.stack([true[body.qpos : body.qpos + 7] for body in declared])
     far = np.linalg.norm(places[:, None] - truths[None, :, :3], axis=-1)
     far[[not pose.seen for pose in fitted.objects]] += 10.0  # they get what is left
-    order = wardrobe.slots(read, i)
+    order = fitter.slots(read, i)
     objects = []
     for k, j in zip(*linear_sum_assignment(far), strict=True):
         pose, look, body, slot = fitted.objects[k], looks[k], declared[j], order[k]

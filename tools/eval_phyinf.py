@@ -80,12 +80,8 @@ def main() -> None:
         for i in range(options.episodes)
     ]
     with quiet_engine():
-        if options.workers == 1:
-            for job in jobs:
-                one(*job)
-        else:
-            for _ in pool.run(one, jobs, options.workers):
-                pass
+        for _ in pool.run(one, jobs, options.workers):
+            pass
     found = summary(options.out)
     (options.out / "summary.json").write_text(json.dumps(found, indent=1) + "\n")
     print(json.dumps(found))
@@ -102,8 +98,7 @@ def one(
     warnings.simplefilter("ignore")
     begun = time.time()
     with EpisodeFile(data) as file:
-        changes = {n: tuple(v) if isinstance(v, list) else v for n, v in file.config.items()}
-        task, known = make(file.task, **changes), file.attributes(number)
+        task, known = make(file.task, **file.config), file.attributes(number)
         arrays = file.episode(number, ["qpos", "ctrl", "frames/side"])
     scene = task.scene(known["subtask"], known["seed"])
     bodies = free_bodies(scene.model)

@@ -31,10 +31,6 @@ from paying.training import Plan, train  # noqa: E402
 from plans import carry_out, left, read_rows  # noqa: E402
 
 
-def _begun() -> None:
-    register()
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("out/loop_pays.jsonl"))
@@ -66,7 +62,7 @@ def main() -> None:
         train,
         options.out,
         jobs=options.jobs,
-        prepare=_begun,
+        prepare=register,
         time_limit=options.time_limit,
         say=lambda row: f"{row['machine']['share']:.2f}",
     )

@@ -35,7 +35,7 @@ def carry_out(
     *,
     lanes: Callable[[P], str] = lambda plan: "",
     jobs: int | dict[str, int] = 1,
-    prepare: Callable[[], None] | None = None,
+    prepare: Callable[[], object] | None = None,
     time_limit: float | None = None,
     say: Callable[[dict[str, Any]], str] = lambda row: "",
 ) -> tuple[list[dict[str, Any]], bool]:

@@ -114,8 +114,7 @@ def photographed(data: Path, index: int) -> npt.NDArray[np.uint8]:
     with EpisodeFile(data) as file:
         known = file.attributes(index)
         arrays = file.episode(index, ["qpos", "qvel", f"frames/{CAMERA}"])
-        changes = {n: tuple(v) if isinstance(v, list) else v for n, v in file.config.items()}
-        scene = make(file.task, **changes).scene(known["subtask"], known["seed"])
+        scene = make(file.task, **file.config).scene(known["subtask"], known["seed"])
     size = arrays[f"frames/{CAMERA}"].shape[1]
     model = dressed(scene.spec).compile()
     renderer = mujoco.Renderer(model, _SUPER * size, _SUPER * size)

@@ -108,12 +108,8 @@ def main() -> None:
         ]
         work = judge
     with quiet_engine():
-        if arguments.workers == 1:
-            for job in jobs:
-                work(*job)
-        else:
-            for _ in pool.run(work, jobs, arguments.workers):
-                print(json.dumps({"seconds": round(time.time() - begun, 1)}), flush=True)
+        for _ in pool.run(work, jobs, arguments.workers):
+            print(json.dumps({"seconds": round(time.time() - begun, 1)}), flush=True)
     line = summary(arguments.out)
     (arguments.out / "summary.json").write_text(json.dumps(line, indent=1) + "\n")
     print(json.dumps(line))

@@ -59,7 +59,7 @@ class Look(NamedTuple):
     colour_std: Floats
 
 
-class Grown(Eye):
+class ScaledEye(Eye):
     """An eye whose states [nq + 1] go on with the logarithm of the scale of one body.
 
     Args:
@@ -95,7 +95,7 @@ class Grown(Eye):
         return fastest
 
 
-class Wardrobe:
+class LookFitter:
     """Finds looks of a scene's free bodies in frames, from what a network reads.
 
     A body's proportions stay as they are declared; its scale and its colour are free. Where both
@@ -124,7 +124,7 @@ class Wardrobe:
     def _geom(self, body: Body) -> int:
         return int(self.refiner.eye.rows[int(body.geoms[0]), 8])
 
-    def wear(self, number: int, scale: float, colour: Floats) -> None:
+    def set_look(self, number: int, scale: float, colour: Floats) -> None:
         """Gives a body a size, as a multiple of the declared one, and a colour [3]."""
         refiner, body = self.refiner, self.declared[number]
         eye, place, geom = refiner.eye, int(body.geoms[0]), self._geom(self.declared[number])
@@ -134,9 +134,9 @@ class Wardrobe:
         eye.model.geom_size[geom] = size
         eye.model.geom_aabb[geom, 3:] = scale * body.half
         eye.model.geom_rbound[geom] = float(np.linalg.norm(scale * body.half))
-        worn = dataclasses.replace(body, half=scale * body.half, colour=np.array(colour))
+        changed = dataclasses.replace(body, half=scale * body.half, colour=np.array(colour))
         bodies = list(refiner.bodies)
-        bodies[number] = worn
+        bodies[number] = changed
         refiner.bodies = tuple(bodies)
 
     def first(
@@ -161,7 +161,7 @@ class Wardrobe:
             if before is not None:
                 half, colour = before[i].half, before[i].colour
             scale = float(np.exp(np.log(half / body.half).mean())) if self.sizes else 1.0
-            self.wear(i, scale, colour.clip(_DULL, 1.0) if self.colours else body.colour)
+            self.set_look(i, scale, colour.clip(_DULL, 1.0) if self.colours else body.colour)
             places[i] = [read.places[t, slot]]
         found = self.refiner.first(frame, read.joints[t], places)
         looks = [self._unseen(i) for i in range(len(self.declared))]
@@ -171,7 +171,7 @@ class Wardrobe:
                     if self.colours:
                         looks[i] = self._shaded(frame, found, i, looks[i])
                     if self.sizes:
-                        found, looks[i] = self._grown(frame, found, i, looks[i], wide=not k)
+                        found, looks[i] = self._sized(frame, found, i, looks[i], wide=not k)
         # poses once more with the looks that were found
         places = [[pose.qpos] for pose in found.objects]
         joints = found.qpos[self.refiner.scalar.qpos]
@@ -218,11 +218,11 @@ class Wardrobe:
         eye, place = refiner.eye, int(body.geoms[0])
         geoms = refiner.shown([i for i, pose in enumerate(found.objects) if pose.seen])
         pixels = window(refiner.view, refiner.size, body, found.objects[number].qpos[:3], 1.5)
-        worn, drawn = eye._rows[place, 4:7].clone(), []
+        before, drawn = eye._rows[place, 4:7].clone(), []
         for shade in (0.0, _TEST):
             eye._rows[place, 4:7] = shade
             drawn.append(eye.draw(found.qpos[None], pixels, geoms))
-        eye._rows[place, 4:7] = worn
+        eye._rows[place, 4:7] = before
         gloss = drawn[0].pixels[0].double().numpy()
         light = (drawn[1].pixels[0].double().numpy() - gloss) / _TEST
         fills = drawn[0].weight[0, geoms == place][0].numpy() > _INSIDE
@@ -241,10 +241,10 @@ class Wardrobe:
             apart = 1.4826 * np.median(np.abs(told - colour[channel]))
             std[channel] = np.hypot(_TINT, 1.25 * apart * np.sqrt(ALIKE / some.sum()))
         colour = colour.clip(_DULL, 1.0)
-        self.wear(number, float((body.half / self.declared[number].half).mean()), colour)
+        self.set_look(number, float((body.half / self.declared[number].half).mean()), colour)
         return look._replace(colour=colour, colour_std=std)
 
-    def _grown(
+    def _sized(
         self, frame: npt.NDArray[np.uint8], found: Frame, number: int, look: Look, wide: bool
     ) -> tuple[Frame, Look]:
         """One body's pose and scale together, the rest as it is.
@@ -268,7 +268,7 @@ class Wardrobe:
         if upright:  # what lies on something grows upwards
             ways[0, body.dof + 2, count] = _height(body, start)
         result = fit(
-            Grown(refiner.eye, body),
+            ScaledEye(refiner.eye, body),
             torch.as_tensor(frame).double() / 255.0,
             pixels,
             np.append(start, 0.0)[None],
@@ -281,7 +281,7 @@ class Wardrobe:
         )
         qpos, grown = result.qpos[0, : model.nq], float(np.exp(result.qpos[0, model.nq]))
         declared, half = self.declared[number].half, grown * body.half
-        self.wear(number, float((half / declared).mean()), body.colour)
+        self.set_look(number, float((half / declared).mean()), body.colour)
         objects = list(found.objects)
         objects[number] = objects[number]._replace(qpos=qpos[body.qpos : body.qpos + 7].copy())
         std = float(np.sqrt(ALIKE * np.linalg.inv(result.precision[0])[count, count]))
@@ -317,21 +317,21 @@ def together(looks: list[tuple[Look, ...]]) -> tuple[Look, ...]:
     return tuple(found)
 
 
-def dress(
-    wardrobe: Wardrobe, frames: npt.NDArray[np.uint8], read: Reading, count: int = 5
+def fit_looks(
+    fitter: LookFitter, frames: npt.NDArray[np.uint8], read: Reading, count: int = 5
 ) -> tuple[Look, ...]:
-    """Looks of a video's bodies, from frames spread over it; the refiner's bodies wear them.
+    """Looks of a video's bodies, from frames spread over it; the refiner's bodies get them.
 
     Args:
-      wardrobe: of the refiner that will follow the bodies. frames: [T, H, W, 3].
+      fitter: of the refiner that will follow the bodies. frames: [T, H, W, 3].
       read: what a network reads off them. count: frames that are looked at.
     """
     looks: list[tuple[Look, ...]] = []
     for t in np.unique(np.linspace(0, len(frames) - 1, count).round().astype(int)):
         before = together(looks) if looks else None
-        looks.append(wardrobe.first(frames[t], read, int(t), before)[1])
+        looks.append(fitter.first(frames[t], read, int(t), before)[1])
     found = together(looks)
     for i, look in enumerate(found):
-        scale = float((look.half / wardrobe.declared[i].half).mean())
-        wardrobe.wear(i, scale, look.colour)
+        scale = float((look.half / fitter.declared[i].half).mean())
+        fitter.set_look(i, scale, look.colour)
     return found

@@ -86,12 +86,13 @@ class View(NamedTuple):
 def constant(values: tuple[float, ...], like: Tensor) -> Tensor:
     """Numbers as a tensor of the type and on the device of another one, copied there once.
 
-    A copy from the host waits for all that the device was told to do.
+    A copy from the host waits for all that the device was told to do. Such tensors are kept for
+    good, some hundred bytes each: recorded work (`playback`) reads them where they lie.
     """
     return _constant(values, like.dtype, like.device)
 
 
-@functools.lru_cache(maxsize=64)
+@functools.cache
 def _constant(values: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
     return torch.tensor(values, dtype=dtype, device=device)
 

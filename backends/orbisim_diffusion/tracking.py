@@ -128,11 +128,11 @@ def recording_of(
     metadata: dict[str, Any] = {"noise": noise, "offset": offset, "not_seen": hidden}
     if looks is not None:
         names = [str(name).split("/")[1] for name in signals if name.startswith("xpos/")]
-        metadata["looks"] = {n: _worn(look) for n, look in zip(names, looks, strict=True)}
+        metadata["looks"] = {n: _as_json(look) for n, look in zip(names, looks, strict=True)}
     return Recording(times, signals, metadata=metadata, source=f"{scene.name} seen")
 
 
-def _worn(look: Any) -> dict[str, list[float | None]]:
+def _as_json(look: Any) -> dict[str, list[float | None]]:
     """A look as JSON has it: half sizes, m, colour, and their standard deviations."""
     fields = {
         "half_size": look.half,

@@ -25,7 +25,7 @@ from orbisim_policies import learner_state
 from orbisim_policies.checkpoint import load_policy, save_policy
 from orbisim_policies.evaluate import in_mujoco, starts_of, summary
 from orbisim_policies.network import NetworkConfig, Policy
-from orbisim_policies.problem import Problem, Starts
+from orbisim_policies.problem import Problem
 from orbisim_policies.run import (
     DTYPES,
     METRICS,
@@ -81,21 +81,16 @@ class ProblemVecEnv(AlikeWorlds):
     `infos[i]["diverged"]` is there for a world that did, and `diverged` counts it.
 
     Args:
-      problem: on the CPU. nworld: number of worlds.
-      starts: where episodes begin; drawn from at random.
-      seed: of the drawing. nthread: of MuJoCo.
+      episodes: that it hands on; `close` closes them.
     """
 
-    def __init__(
-        self, problem: Problem, nworld: int, starts: Starts, seed: int = 0, nthread: int = 0
-    ) -> None:
-        self.problem = problem
-        self.episodes = SuccessiveEpisodes(problem, nworld, starts, seed, nthread)
-        self.worlds = self.episodes.worlds
+    def __init__(self, episodes: SuccessiveEpisodes) -> None:
+        self.episodes, self.worlds = episodes, episodes.worlds
+        self.problem = problem = episodes.problem
         self._action: Any = None
         box = gymnasium.spaces.Box
         super().__init__(
-            nworld,
+            episodes.nworld,
             box(-np.inf, np.inf, (problem.observations,), np.float32),
             box(-1.0, 1.0, (problem.actions,), np.float32),
         )
@@ -344,7 +339,8 @@ def train_baseline(
     settings |= problem.conditions
     with claimed(make_folder(run.out), "another training", "wait for it, or choose another --out"):
         starts = problem.draw(training_seeds(problem, run))
-        environment = ProblemVecEnv(problem, config.batch, starts, run.seed, run.nthread)
+        episodes = SuccessiveEpisodes(problem, config.batch, starts, run.seed, run.nthread)
+        environment = ProblemVecEnv(episodes)
         model, policy_of = _learner(config, environment, run.seed)
         curiosity = None
         if config.method == "ppo_rnd":

@@ -84,7 +84,7 @@ def command(
     try:
         from orbisim_diffusion import zoo
         from orbisim_diffusion.estimate import infer, load_inference, read_frames, read_video
-        from orbisim_diffusion.looks import Wardrobe, dress
+        from orbisim_diffusion.looks import LookFitter, fit_looks
         from orbisim_diffusion.own import squares
         from orbisim_diffusion.refine import Refiner
         from orbisim_diffusion.tracking import follow, reading, recording_of
@@ -122,8 +122,8 @@ def command(
                     f"--fit {opened} starts from what a network reads, and none was trained on "
                     f"{scene}; train one (orbisim train inference) or declare sizes and colours"
                 )
-            wardrobe = Wardrobe(refiner, "sizes" in free, "colors" in free)
-            looks = dress(wardrobe, frames, read)
+            fitter = LookFitter(refiner, "sizes" in free, "colors" in free)
+            looks = fit_looks(fitter, frames, read)
         recording = recording_of(loaded, refiner, times, follow(refiner, frames, read), looks)
     else:
         assert network is not None

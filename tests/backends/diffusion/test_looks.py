@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
-from orbisim_diffusion.looks import Look, Wardrobe, dress, together
+from orbisim_diffusion.looks import Look, LookFitter, fit_looks, together
 from orbisim_diffusion.refine import Refiner
 from orbisim_diffusion.synthesis import Eye
 from orbisim_diffusion.tracking import Reading, follow, recording_of
@@ -66,7 +66,7 @@ def test_sizes_and_colours_are_found_in_a_video() -> None:
     before = scene.model.geom_size.copy()
     refiner, xs = Refiner(scene, 0, SIZE), [-0.08, -0.06]
     frames, seen = np.stack([drawn(x) for x in xs]), read(xs)
-    looks = dress(Wardrobe(refiner, True, True), frames, seen, count=1)
+    looks = fit_looks(LookFitter(refiner, True, True), frames, seen, count=1)
     for look, (half, colour) in zip(looks, TRUE[::-1], strict=True):  # the surest is body one
         assert np.abs(look.half / half - 1.0).max() < 0.02
         assert np.abs(look.colour - colour).max() < 0.02
@@ -74,17 +74,17 @@ def test_sizes_and_colours_are_found_in_a_video() -> None:
         assert 0 < look.colour_std.max() < 0.02
     found = recording_of(scene, refiner, np.array([0.0, 0.1]), follow(refiner, frames, seen), looks)
     assert np.abs(np.asarray(found.signals["xpos/two"])[:, 0] - xs).max() < 2e-3
-    worn = found.metadata["looks"]["two"]
-    assert worn["half_size"][0] == pytest.approx(TRUE[0][0], rel=0.02)
+    look = found.metadata["looks"]["two"]
+    assert look["half_size"][0] == pytest.approx(TRUE[0][0], rel=0.02)
     assert (scene.model.geom_size == before).all()  # the scene stays as it was declared
 
 
 def test_what_is_declared_tells_bodies_apart() -> None:
     words = " ".join(map(str, TRUE[0][1])), " ".join(map(str, TRUE[1][1]))
     scene = load_scene(TABLE.format(0.03, words[0], 0.03, words[1]))
-    wardrobe = Wardrobe(Refiner(scene, 0, SIZE), sizes=True, colours=False)
-    assert wardrobe.slots(read([0.0]), 0) == [1, 0]
-    assert Wardrobe(Refiner(scene, 0, SIZE), True, True).slots(read([0.0]), 0) != [None, None]
+    fitter = LookFitter(Refiner(scene, 0, SIZE), sizes=True, colours=False)
+    assert fitter.slots(read([0.0]), 0) == [1, 0]
+    assert LookFitter(Refiner(scene, 0, SIZE), True, True).slots(read([0.0]), 0) != [None, None]
 
 
 def test_frames_count_by_what_they_show() -> None:
@@ -101,4 +101,4 @@ def test_frames_count_by_what_they_show() -> None:
 def test_bodies_of_several_geoms_are_refused() -> None:
     two = DECLARED.replace('rgba="0.8 0.2 0.2 1"/></body>', '/><geom size="0.01"/></body>')
     with pytest.raises(UnsupportedSceneError, match="one geom"):
-        Wardrobe(Refiner(load_scene(two), 0, SIZE), True, True)
+        LookFitter(Refiner(load_scene(two), 0, SIZE), True, True)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from orbisim_diffusion.solids import constant
 
 from orbisim.errors import InputError
 from orbisim.registry import make_renderer
@@ -37,3 +38,11 @@ def test_a_graph_needs_a_gpu(tmp_path: Path) -> None:
         make_renderer(
             "diffusion", arm(), argument=str(save_tiny(tmp_path, arm())), device="cpu", graph=True
         )
+
+
+def test_constants_stay_where_a_recording_reads_them() -> None:
+    like = torch.zeros(1)
+    place = constant((0.25, 0.5), like)
+    for number in range(300):  # of other scenes
+        constant((float(number),), like)
+    assert constant((0.25, 0.5), like).data_ptr() == place.data_ptr()

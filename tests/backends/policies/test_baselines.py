@@ -19,13 +19,14 @@ from orbisim_policies.baselines import Baseline, Curiosity, ProblemVecEnv, train
 from orbisim_policies.checkpoint import load_policy
 from orbisim_policies.network import NetworkConfig
 from orbisim_policies.run import Run
+from orbisim_policies.successive import SuccessiveEpisodes
 from orbisim_policies.suite import SuiteProblem
 
 from orbisim.errors import InputError
 
 
 def test_episodes_follow_each_other_and_rewards_add_up(cartpole: SuiteProblem) -> None:
-    environment = ProblemVecEnv(cartpole, 2, cartpole.draw([1, 2]), nthread=1)
+    environment = ProblemVecEnv(SuccessiveEpisodes(cartpole, 2, cartpole.draw([1, 2]), nthread=1))
     environment.reset()
     total = np.zeros(2)
     for step in range(cartpole.steps):
@@ -42,7 +43,7 @@ def test_episodes_follow_each_other_and_rewards_add_up(cartpole: SuiteProblem) -
 def test_a_reward_that_is_no_number_begins_that_world_anew(
     cartpole: SuiteProblem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    environment = ProblemVecEnv(cartpole, 2, cartpole.draw([1, 2]), nthread=1)
+    environment = ProblemVecEnv(SuccessiveEpisodes(cartpole, 2, cartpole.draw([1, 2]), nthread=1))
     environment.reset()
     worth = environment.worlds.worth
 

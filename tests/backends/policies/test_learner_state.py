@@ -11,6 +11,7 @@ pytest.importorskip("stable_baselines3")
 from orbisim_policies import learner_state
 from orbisim_policies.baselines import Baseline, ProblemVecEnv, _learner
 from orbisim_policies.network import NetworkConfig
+from orbisim_policies.successive import SuccessiveEpisodes
 from orbisim_policies.suite import SuiteProblem
 
 
@@ -25,7 +26,7 @@ def test_a_fresh_learner_takes_all_of_another(
     cartpole: SuiteProblem, method: str, returns: int
 ) -> None:
     config = Baseline(method, batch=2, window=64, returns=returns, network=NetworkConfig((8,)))
-    environment = ProblemVecEnv(cartpole, 2, cartpole.draw([1, 2]), nthread=1)
+    environment = ProblemVecEnv(SuccessiveEpisodes(cartpole, 2, cartpole.draw([1, 2]), nthread=1))
     first, _ = _learner(config, environment, 0)
     first.learn(128)
     tensors, notes = learner_state.state_of(first)
@@ -46,7 +47,7 @@ def test_a_fresh_learner_takes_all_of_another(
 
 
 def test_what_is_of_another_learner_is_refused(cartpole: SuiteProblem) -> None:
-    environment = ProblemVecEnv(cartpole, 2, cartpole.draw([1, 2]), nthread=1)
+    environment = ProblemVecEnv(SuccessiveEpisodes(cartpole, 2, cartpole.draw([1, 2]), nthread=1))
     made = [
         _learner(Baseline("ppo", batch=2, window=64, network=NetworkConfig((n,))), environment, 0)
         for n in (8, 4)

@@ -18,6 +18,7 @@ from orbisim_world_model.stepping import MEMORY
 from orbisim import Physics, load_scene, make_backend
 from orbisim.errors import InputError, UnsupportedSceneError
 from orbisim.state import State
+from orbisim.tasks.registry import make
 from orbisim.testing import BackendConformance, scenes
 from tests.backends.world_model.conftest import toy
 from tests.backends.world_model.synthetic import BOX, PENDULUM, TABLE, simulate
@@ -220,3 +221,24 @@ def test_a_box_at_rest_needs_no_robot(tmp_path: Path) -> None:
     backend = _quiet(tmp_path, BOX)
     trajectory = backend.rollout(backend.reset(2), np.zeros((5, 0)))
     assert trajectory.qpos.shape == (2, 5, 7)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+def test_on_a_gpu_scenes_may_follow_each_other_in_a_process() -> None:
+    """Processes that did so with `push`, twelve at once, ended in an illegal memory access."""
+    scenes_follow_each_other("cuda")
+
+
+def scenes_follow_each_other(device: str) -> None:
+    """A backend for each scene, as predictions of episodes make them; the CPU is the reference."""
+    for seed in range(6):
+        scene = make("push").scene("to_hit", seed)
+        backend, reference = (
+            make_backend("learned", scene, device=name, native=False) for name in (device, "cpu")
+        )
+        state = reference.reset(1)
+        controls = np.tile(scene.model.key_ctrl[0], (1, 40, 1))
+        found = backend.rollout(state, controls, sensors=False)
+        wanted = reference.rollout(state, controls, sensors=False)
+        np.testing.assert_allclose(found.qpos, wanted.qpos, atol=backend.perturbation)
