@@ -38,6 +38,7 @@ from cloning import eyes, policy  # noqa: E402  (needs the path above)
 from cloning.world import play  # noqa: E402
 from orbisim_policies.evaluate import wilson  # noqa: E402
 
+from orbisim.files.reading import read_json  # noqa: E402
 from orbisim.tasks.sampling import episode_seed  # noqa: E402
 
 OUTSIDE: dict[str, dict[str, Any]] = {
@@ -53,9 +54,9 @@ within x 0.4 to 0.6 and y -0.22 to 0.22 m."""
 
 def evaluate(options: Any) -> dict[str, Any]:
     """Shares of success in and out of distribution."""
-    result: dict[str, Any] = {"policy": json.loads((options.policy / "manifest.json").read_text())}
+    result: dict[str, Any] = {"policy": read_json(options.policy / "manifest.json")}
     if options.eyes:
-        result["eyes"] = json.loads((options.eyes / "manifest.json").read_text())
+        result["eyes"] = read_json(options.eyes / "manifest.json")
     result |= {"noise": options.noise, "episodes": options.episodes}
     for name, changes in OUTSIDE.items():
         if options.only and name not in options.only:

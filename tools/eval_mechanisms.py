@@ -43,6 +43,7 @@ from orbisim_world_model.sampling import Windows  # noqa: E402
 from orbisim_world_model.unroll import open_loop  # noqa: E402
 
 from orbisim import make_backend, tasks  # noqa: E402
+from orbisim.errors import InputError  # noqa: E402
 from orbisim.state import State  # noqa: E402
 from orbisim.tasks import EpisodeFile  # noqa: E402
 from orbisim.tasks.mechanism import prefix  # noqa: E402
@@ -191,6 +192,8 @@ def read_locks(path: Path, layout: Layout) -> list[Lock]:
     found = []
     with EpisodeFile(path) as file:
         task: Any = tasks.make(file.task, **file.config)
+        if not hasattr(task, "instance"):
+            raise InputError(f"{path}: episodes of {file.task}; expected task:mechanism:*")
         for index in range(len(file)):
             known = file.attributes(index)
             made = task.instance(known["subtask"], known["seed"])

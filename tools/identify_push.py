@@ -47,6 +47,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "backends"), str(ROOT / "tools")]
 import from_source  # noqa: E402  (needs the path above)
 
 from orbisim import load_scene, make_backend  # noqa: E402
+from orbisim.errors import InputError  # noqa: E402
 from orbisim.identification.classical import (  # noqa: E402
     around,
     identify_classical,
@@ -95,6 +96,9 @@ def main() -> int:
     from orbisim_world_model.packing import read_data
 
     pack = read_data([options.data])
+    task = pack.notes["sources"][0]["task"]
+    if task != "task:push":
+        raise InputError(f"{options.data}: episodes of {task}; expected task:push")
     pack = pack.subset(torch.arange(min(options.episodes, pack.episodes)))
     problems = cut(pack, round(options.window / pack.layout.timestep))
     result: dict[str, Any] = {"episodes": len(problems), "window_s": options.window}

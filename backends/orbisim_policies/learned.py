@@ -88,7 +88,7 @@ class LearnedWorlds:
         self, problem: Problem, checkpoint: str | Path | None, device: torch.device
     ) -> None:
         scene = problem.scene
-        folder = zoo.find(scene)[0] if checkpoint is None else _named(checkpoint)
+        folder = zoo.find(scene)[0] if checkpoint is None else zoo.located(checkpoint)
         found = fit(read_manifest(folder), scene)
         self.folder, self.problem, self.device = folder, problem, device
         self.name = folder.name
@@ -174,9 +174,3 @@ class LearnedWorlds:
         free_v = torch.cat([x.vel, local], dim=-1).flatten(1)
         qpos = torch.cat([x.q, free_q], dim=1)[:, self._to_qpos]
         return qpos, torch.cat([x.v, free_v], dim=1)[:, self._to_qvel]
-
-
-def _named(checkpoint: str | Path) -> Path:
-    """The folder; the zoo's of that name, if there is no such folder."""
-    path, known = Path(checkpoint), zoo.entries(zoo.FOLDER)
-    return zoo.FOLDER / path if str(checkpoint) in known and not path.exists() else path

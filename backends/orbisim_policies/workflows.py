@@ -163,7 +163,9 @@ def sentence(line: Mapping[str, Any]) -> str:
 def _model(name: str, problem: Problem, device: torch.device) -> LearnedWorlds:
     kind, _, path = name.partition(":")
     if kind != "learned":
-        raise InputError(f"--model is learned, learned:PATH or none; got {name!r}")
+        raise InputError(
+            f"--model is learned, learned:PATH, learned:NAME of the zoo or none; got {name!r}"
+        )
     return LearnedWorlds(problem.to(device), path or None, device)
 
 

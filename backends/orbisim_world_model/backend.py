@@ -76,7 +76,7 @@ class LearnedBackend(Backend):
     ) -> None:
         super().__init__(nworld=nworld, device=device)
         self._on = _device(device)
-        self._folder = Path(argument) if argument else None
+        self._folder = zoo.located(argument) if argument else None
         self._half, self._native, self._compiled = half, native, compiled
         self._engine: Stepping | None = None
         self._ran = False
@@ -343,6 +343,7 @@ class LearnedBackend(Backend):
 
         Raises:
           UnsupportedSceneError: the checkpoint is of a cloth.
+          InputError: an argument is none that `PolicyUpdate` takes.
         """
         engine = self.engine
         return PolicyUpdate(

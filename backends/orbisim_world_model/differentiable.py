@@ -15,6 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 from torch.autograd import forward_ad
+from torch.autograd.function import once_differentiable
 
 from orbisim_world_model.dynamics import Dynamics
 from orbisim_world_model.entities import Context, Entities
@@ -95,28 +96,21 @@ class _Slot:
 
     def forward(self, given: Tensors) -> Tensors:
         """The step."""
-        self._load(self._given, given)
-        found: Tensors = self._run("forward", self._forward)
-        return tuple(t.clone() for t in found)
+        return self._run("forward", self._forward, given)
 
     def backward(self, given: Tensors, back: Sequence[Tensor | None]) -> Tensors:
         """Gradients of all that is given, from those of what came out."""
-        self._load(self._given, given)
         if not self._back:
-            with torch.no_grad():
-                self._back = [torch.zeros_like(t) for t in self._run("forward", self._forward)]
+            self._back = [torch.zeros_like(t) for t in self.forward(given)]
         self._load(self._back, back)
-        found: Tensors = self._run("backward", self._backward)
-        return tuple(t.clone() for t in found)
+        return self._run("backward", self._backward, given)
 
     def tangent(self, given: Tensors, along: Sequence[Tensor | None]) -> Tensors:
         """The derivative of what comes out along a direction of what is given."""
-        self._load(self._given, given)
         if not self._along:
             self._along = [torch.zeros_like(t) for t in self._given]
         self._load(self._along, along)
-        found: Tensors = self._run("tangent", self._tangent)
-        return tuple(t.clone() for t in found)
+        return self._run("tangent", self._tangent, given)
 
     @torch.no_grad()  # type: ignore[untyped-decorator]
     def _load(self, mine: list[Tensor], given: Sequence[Tensor | None]) -> None:
@@ -126,13 +120,15 @@ class _Slot:
             else:
                 target.copy_(value)
 
-    def _run(self, name: str, function: Callable[[], Tensors]) -> Tensors:
+    def _run(self, name: str, function: Callable[[], Tensors], given: Tensors) -> Tensors:
+        """What a function makes of what is given, in tensors that no later run writes to."""
+        self._load(self._given, given)
         with current(self.device):
             if name not in self.graphs:
                 self._try(function)
                 self.graphs[name] = Graphed(function, lambda: None, self.device.type == "cuda")
             found: Tensors = self.graphs[name]()
-        return found
+        return tuple(t.clone() for t in found)
 
     def _try(self, function: Callable[[], Tensors]) -> None:
         """Compiles, or sees that this fails."""
@@ -187,6 +183,7 @@ class _Replayed(torch.autograd.Function):
         return slot.forward(given)
 
     @staticmethod
+    @once_differentiable  # type: ignore[untyped-decorator]
     def backward(ctx: Any, *back: Tensor | None) -> Any:
         return (None, *ctx.slot.backward(ctx.saved_tensors, back))
 

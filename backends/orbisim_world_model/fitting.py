@@ -50,13 +50,17 @@ def fit(manifest: dict[str, Any], scene: Scene) -> Fit:
     """
     if manifest["model"].get("articulated"):
         return _fit_limbs(manifest, scene)
-    refusals = []
+    refusals: list[UnsupportedSceneError] = []
     for number, view in enumerate(variants(manifest)):
         try:
             return _fit(view, scene, number)
         except UnsupportedSceneError as error:
             refusals.append(error)
-    raise refusals[0]
+    raise next((e for e in refusals if not isinstance(e, _OtherKindError)), refusals[0])
+
+
+class _OtherKindError(UnsupportedSceneError):
+    """One has mechanisms and the other not: of a checkpoint of both, another robot says more."""
 
 
 def _fit_limbs(manifest: dict[str, Any], scene: Scene) -> Fit:
@@ -100,6 +104,14 @@ def _fit(manifest: dict[str, Any], scene: Scene, variant: int) -> Fit:
         surface=_surface(model, trained.surface),
         source=scene.source,
     )
+    if bool(trained.parts) != bool(layout.parts):
+        if trained.parts:
+            theirs, ours = f"on mechanisms of up to {len(trained.parts)} parts", "none"
+        else:
+            theirs, ours = "without mechanisms", f"one of {len(layout.parts)} parts"
+        raise _OtherKindError(
+            scene.source, f"the checkpoint was trained {theirs}; the scene has {ours}"
+        )
     problem = _mismatch(trained, layout, manifest, model)
     if problem:
         raise UnsupportedSceneError(scene.source, problem)
@@ -135,11 +147,6 @@ def _mismatch(
     trained: Layout, layout: Layout, manifest: dict[str, Any], model: mujoco.MjModel
 ) -> str:
     """What makes it impossible, in words; empty if nothing does."""
-    if bool(trained.parts) != bool(layout.parts):
-        return (
-            f"the checkpoint was trained on mechanisms of up to {len(trained.parts)} parts; the "
-            f"scene has {len(layout.parts)}"
-        )
     if layout.parts and manifest["data"].get("shapes") != encoder_digest():
         return "the checkpoint was trained with another encoder of shapes than this version has"
     pairs = {

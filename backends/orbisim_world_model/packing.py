@@ -89,8 +89,9 @@ def with_limbs(pack: Pack, scene: str | None = None) -> Pack:
     sources = pack.notes["sources"]
     task = str(sources[0].get("task", "")) if sources else ""
     if pack.layout.objects or pack.layout.parts:
+        of_task = f" of {task}" if task else ""
         raise InputError(
-            f"a model of limbs knows robots alone; {task or 'the data'} have objects or mechanisms"
+            f"a model of limbs knows robots alone; the data{of_task} have objects or mechanisms"
         )
     return as_limbs(pack, _nominal(task, task, scene), task)
 

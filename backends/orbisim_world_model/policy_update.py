@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import math
 import warnings
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -12,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from orbisim.arguments import whole_number
+from orbisim.errors import InputError
 from orbisim_world_model.dynamics import Dynamics
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.graphs import Graphed, current
@@ -41,7 +43,12 @@ class PolicyUpdate:
       compiler: how torch compiles; None does not.
 
     Attributes:
-      optimizer: its `rate` may be changed between updates.
+      optimizer: its `rate` may be changed between updates. A gradient that is not finite changes
+        nothing, and is counted in `skipped`.
+
+    Raises:
+      InputError: the window or the rate makes no sense, or the policy has nothing to train; of a
+        call, the states are of another number of worlds, or policy or loss give another shape.
     """
 
     def __init__(
@@ -61,6 +68,10 @@ class PolicyUpdate:
         made.spread = None  # how far off it may be has no part in the loss
         if isinstance(made.network, ObjectCentricNetwork):
             made.network = FoldedNetwork(made.network)
+        if not any(parameter.requires_grad for parameter in policy.parameters()):
+            raise InputError("the policy has no parameters that ask for a gradient")
+        if not (rate >= 0.0 and math.isfinite(rate)):
+            raise InputError(f"rate must be a finite number of at least 0; got {rate!r}")
         self._model = made.requires_grad_(False).to(device)
         self._policy, self._loss, self._context = policy.to(device), loss, context
         self.window, self.device = whole_number("window", window, 1), device
@@ -73,8 +84,12 @@ class PolicyUpdate:
 
     def __call__(self, start: Entities) -> Tensor:
         """An update from these states, in as many worlds as the context has; gives the loss []."""
+        worlds = len(self._context.attributes)
+        if len(start.q) != worlds:
+            raise InputError(f"states are of {len(start.q)} worlds; descriptors are of {worlds}")
         with torch.no_grad():
             if self._start is None:
+                self._check(start, worlds)
                 whole = self._model.completed(start)
                 self._start = Entities(*(field.clone() for field in whole))
             else:
@@ -85,6 +100,16 @@ class PolicyUpdate:
                 self._run = self._prepared()
             loss: Tensor = self._run()
         return loss.clone()
+
+    def _check(self, start: Entities, worlds: int) -> None:
+        """That policy and loss give what a step and a mean over worlds need."""
+        x, controls = self._model.completed(start), (worlds, self._model.controls)
+        for what, found, wanted in (
+            ("policy gives controls", self._policy(x), controls),
+            ("loss gives values", self._loss(x), (worlds,)),
+        ):
+            if tuple(found.shape) != wanted:
+                raise InputError(f"the {what} of shape {tuple(found.shape)}; expected {wanted}")
 
     def _prepared(self) -> Graphed:
         saved = {name: tensor.clone() for name, tensor in self.optimizer.state().items()}

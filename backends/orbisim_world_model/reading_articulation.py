@@ -131,6 +131,17 @@ def _refuse(model: mujoco.MjModel, source: str) -> None:
         "tendons with springs, dampers, friction or limits": any(
             bool(np.any(values)) for values in (*tendons, model.tendon_limited)
         ),
+        "springs and dampers that are not linear": bool(
+            np.any(model.jnt_stiffnesspoly) or np.any(model.dof_dampingpoly)
+        ),
+        "damping, armature or delay of actuators": any(
+            bool(np.any(values))
+            for values in (
+                *(model.actuator_damping, model.actuator_dampingpoly),
+                *(model.actuator_armature, model.actuator_delay),
+            )
+        ),
+        "plugins": model.nplugin > 0,
         "bounds of the total force of actuators on a joint": bool(np.any(model.jnt_actfrclimited)),
     }
     for what, there in problems.items():

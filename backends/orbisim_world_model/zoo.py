@@ -6,7 +6,7 @@ import functools
 from pathlib import Path
 from typing import Any
 
-from orbisim.errors import UnsupportedSceneError
+from orbisim.errors import InputError, UnsupportedSceneError
 from orbisim.scene import Scene
 from orbisim_world_model.families import AnyFit, fit_any, read_any
 from orbisim_world_model.manifest import MANIFEST
@@ -18,6 +18,23 @@ FOLDER = Path(__file__).parent / "zoo"
 def entries(folder: Path) -> dict[str, dict[str, Any]]:
     """Manifests of the checkpoints in a folder, by name."""
     return {path.parent.name: read_any(path.parent) for path in folder.glob(f"*/{MANIFEST}")}
+
+
+def located(checkpoint: str | Path) -> Path:
+    """The folder of a checkpoint; the zoo's of that name, if there is no such folder.
+
+    Raises:
+      InputError: there is neither; of a path with several parts, whoever reads it says so.
+    """
+    path, known = Path(checkpoint), entries(FOLDER)
+    if path.exists() or len(path.parts) > 1:
+        return path
+    if str(checkpoint) in known:
+        return FOLDER / path
+    raise InputError(
+        f"{checkpoint}: no such folder, and the zoo has no checkpoint of that name "
+        f"({', '.join(sorted(known))})"
+    )
 
 
 def find(scene: Scene, baseline: str = "none") -> tuple[Path, AnyFit]:

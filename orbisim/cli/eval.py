@@ -239,7 +239,8 @@ _POLICY = "Example: orbisim eval policy policies/push --episodes 200 --json"
     "--model",
     default="learned",
     show_default=True,
-    help="Inside which model to evaluate as well: learned, learned:PATH, or none.",
+    help="Inside which model to evaluate as well: learned, learned:PATH, learned:NAME of the zoo, "
+    "or none.",
 )
 @randomize_option
 @click.option(

@@ -35,7 +35,8 @@ from orbisim.cli.common import (
     "--backend",
     default="learned",
     show_default=True,
-    help="learned or learned:PATH: gradients through a frozen model; mujoco: mujoco.sysid.",
+    help="learned, learned:PATH or learned:NAME of the zoo: gradients through a frozen model; "
+    "mujoco: mujoco.sysid.",
 )
 @click.option("--window", default=1.0, show_default=True, help="Duration of a free run, s.")
 @click.option("--steps", default=12, show_default=True, help="Steps of the search at most.")

@@ -9,34 +9,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 from orbisim_world_model.pack import Pack
-from orbisim_world_model.packing import read_data
-
-from orbisim.tasks.collect import collect
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 import identify_push
 
 
-@pytest.fixture(scope="module")
-def pack(tmp_path_factory: pytest.TempPathFactory) -> Pack:
-    path = tmp_path_factory.mktemp("push") / "push.h5"
-    collect("push", path, episodes=2, seed=1, workers=1)
-    return read_data([path])
-
-
-def test_windows_are_those_in_which_a_cube_moves(pack: Pack) -> None:
-    problems = identify_push.cut(pack, 20)
+def test_windows_are_those_in_which_a_cube_moves(pushes: Pack) -> None:
+    problems = identify_push.cut(pushes, 20)
     assert problems
     for episode, problem in problems.items():
-        np.testing.assert_allclose(problem.truth, identify_push.hidden(pack)[episode])
+        np.testing.assert_allclose(problem.truth, identify_push.hidden(pushes)[episode])
         for grid in (problem.fit, problem.held):
             for start, ends in zip(grid.qpos, grid.target, strict=True):
                 moves = (ends - start)[:, identify_push.CUBES :].reshape(len(ends), -1, 7)
                 assert np.linalg.norm(moves[..., :3], axis=-1).max() >= identify_push.MOVES
 
 
-def test_true_values_explain_what_is_held_out(pack: Pack) -> None:
-    problem = next(iter(identify_push.cut(pack, 20).values()))
+def test_true_values_explain_what_is_held_out(pushes: Pack) -> None:
+    problem = next(iter(identify_push.cut(pushes, 20).values()))
     problem = dataclasses.replace(problem, held=problem.fit)
     true = identify_push.slide(problem, problem.truth)
     wrong = identify_push.slide(problem, problem.truth * [3.0, 1.0])
@@ -44,8 +34,8 @@ def test_true_values_explain_what_is_held_out(pack: Pack) -> None:
 
 
 @pytest.mark.slow
-def test_sysid_and_cma_bring_the_error_down(pack: Pack) -> None:
-    problem = next(iter(identify_push.cut(pack, 20).values()))
+def test_sysid_and_cma_bring_the_error_down(pushes: Pack) -> None:
+    problem = next(iter(identify_push.cut(pushes, 20).values()))
     row = identify_push.one("sysid", problem, 6, None)
     assert row["low"][0] <= row["values"][0] <= row["high"][0]
     pytest.importorskip("cma")

@@ -15,6 +15,7 @@ from safetensors.torch import load_file, save_file
 from torch import nn
 
 from cloning.seen import Floats, Seen, flat_yaw, joined, piece_yaws, turned, yaw_of
+from orbisim.files.reading import read_json
 from orbisim.tasks import EpisodeFile
 from orbisim.tasks.arm import PANDA, ArmController
 from orbisim.tasks.stack import DEMONSTRATIONS, Stack
@@ -209,7 +210,7 @@ def save(network: nn.Module, out: Path, notes: dict[str, Any]) -> None:
 
 def load(folder: Path) -> tuple[Policy, dict[str, Any]]:
     """A policy and its manifest."""
-    notes = json.loads((folder / "manifest.json").read_text())
+    notes = read_json(folder / "manifest.json")
     policy = Policy(notes["features"])
     policy.load_state_dict(load_file(folder / "weights.safetensors"))
     return policy.eval(), notes

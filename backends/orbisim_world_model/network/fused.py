@@ -215,12 +215,7 @@ def _spread(
     spread_kernel[(-(-worlds // (_SPREAD_ROWS // tokens)),)](
         robot, objects, edges, control, attributes, setting, variance, weights, biases, start,
         senders, found, worlds,
-        K=tokens, HAS_ROBOT=tokens - objects.shape[1], W=width,
-        ROBOT=robot.shape[1], ROBOT_SPACE=_space(robot.shape[1]),
-        OBJECT=objects.shape[2], OBJECT_SPACE=_space(objects.shape[2]),
-        EDGE=edges.shape[3], EDGE_SPACE=_space(edges.shape[3]),
-        CONTROL=control.shape[1], ATTRIBUTES=attributes.shape[2], SETTING=setting.shape[1],
-        COMMAND_SPACE=_space(control.shape[1] + setting.shape[1]),
+        W=width, **_widths(robot, objects, edges, control, setting), ATTRIBUTES=attributes.shape[2],
         DESCRIBED_SPACE=_space(attributes.shape[2] + setting.shape[1]),
         MOST_GAIN=MOST_GAIN, MOST=MOST, AT=tuple(starts), AT_BIAS=tuple(bias_starts),
         NARROW=_LEAST, M=_SPREAD_ROWS,
@@ -318,13 +313,8 @@ def _network(
     tokens_kernel[(-(-most // _ROWS), 3 + all_of // columns)](
         robot, objects, edges, control, z, setting, z, pairs, robot_scales, z,
         weights, biases, worlds,
-        K=tokens, HAS_ROBOT=tokens - many, L=layers, W=width, PAIR=PAIR,
-        ROBOT=robot.shape[1], ROBOT_SPACE=_space(robot.shape[1]),
-        OBJECT=objects.shape[2], OBJECT_SPACE=_space(objects.shape[2]),
-        EDGE=edges.shape[3], EDGE_SPACE=_space(edges.shape[3]),
-        EDGE_HIDDEN=bias_starts[1] - bias_starts[0] - PAIR,
-        CONTROL=control.shape[1], ATTRIBUTES=1, SETTING=setting.shape[1],
-        COMMAND_SPACE=_space(control.shape[1] + setting.shape[1]), DESCRIBED_SPACE=_LEAST,
+        L=layers, W=width, PAIR=PAIR, **_widths(robot, objects, edges, control, setting),
+        EDGE_HIDDEN=bias_starts[1] - bias_starts[0] - PAIR, ATTRIBUTES=1, DESCRIBED_SPACE=_LEAST,
         AT=tuple(starts[:6]), AT_BIAS=tuple(bias_starts[:6]),
         COLUMNS=columns, CHUNK=min(_CHUNK, width), FIRST=0, M=_ROWS,
     )  # fmt: skip
@@ -350,6 +340,26 @@ def _(robot: Tensor, objects: Tensor, *rest: Any) -> tuple[Tensor, Tensor]:
     single = {"dtype": torch.float32}
     found = robot.new_empty((len(robot), robot_out), **single)
     return found, robot.new_empty((len(robot), objects.shape[1], object_out), **single)
+
+
+def _widths(
+    robot: Tensor, objects: Tensor, edges: Tensor, control: Tensor, setting: Tensor
+) -> dict[str, int]:
+    """How many tokens and numbers a kernel is given, and the room that it takes for them."""
+    tokens, commands = edges.shape[1], control.shape[1] + setting.shape[1]
+    return {
+        "K": tokens,
+        "HAS_ROBOT": tokens - objects.shape[1],
+        "ROBOT": robot.shape[1],
+        "ROBOT_SPACE": _space(robot.shape[1]),
+        "OBJECT": objects.shape[2],
+        "OBJECT_SPACE": _space(objects.shape[2]),
+        "EDGE": edges.shape[3],
+        "EDGE_SPACE": _space(edges.shape[3]),
+        "CONTROL": control.shape[1],
+        "SETTING": setting.shape[1],
+        "COMMAND_SPACE": _space(commands),
+    }
 
 
 class _Packed:

@@ -75,6 +75,15 @@ def test_derivatives_along_a_direction_are_the_steps_own(given: tuple[Dynamics, 
     torch.testing.assert_close(slopes[1], slopes[0], rtol=1e-4, atol=1e-6)
 
 
+def test_second_derivatives_are_refused(given: tuple[Dynamics, Inputs]) -> None:
+    model, (x, memory, controls, context) = given
+    ctrl = controls.clone().requires_grad_()
+    total = _rolled(_both(model)[1], (x, memory, ctrl, context)).sum()
+    (slope,) = torch.autograd.grad(total, ctrl, create_graph=True)
+    with pytest.raises(RuntimeError, match="differentiate twice"):
+        slope.square().sum().backward()
+
+
 def test_shapes_that_come_back_keep_what_was_made_for_them(
     given: tuple[Dynamics, Inputs],
 ) -> None:

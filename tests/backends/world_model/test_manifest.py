@@ -198,6 +198,14 @@ def test_the_number_of_parameters_is_that_of_the_network(name: str) -> None:
     assert manifest["parameters"] == sum(p.numel() for p in nn.ModuleList(models).parameters())
 
 
+def test_a_checkpoint_is_taken_by_its_name_or_its_folder() -> None:
+    backend = make_backend("learned:push_contacts", load_scene("task:push"))
+    assert backend.checkpoint.path == ZOO / "push_contacts"
+    assert zoo.located(ZOO / "push") == ZOO / "push"
+    with pytest.raises(InputError, match=r"push_contact: no such folder, and the zoo .*push_cont"):
+        make_backend("learned:push_contact", load_scene("task:push"))
+
+
 def test_of_those_that_know_a_task_the_one_of_fewest_tasks_is_taken(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -15,7 +15,7 @@ from orbisim_world_model.run import Run, train
 from orbisim_world_model.trainer import new_models
 
 from orbisim import load_scene, make_backend
-from orbisim.errors import InputError
+from orbisim.errors import InputError, UnsupportedSceneError
 from tests.backends.world_model.conftest import toy
 from tests.backends.world_model.synthetic import PANEL, TABLE, simulate
 
@@ -55,6 +55,9 @@ def test_a_checkpoint_steps_scenes_of_both_kinds(packs: list[Pack], tmp_path: Pa
     models = [load_for(tmp_path / "one", pack.layout).model for pack in packs]
     for name, tensor in models[0].network.f_cp.state_dict().items():
         assert torch.equal(tensor, models[1].network.f_cp.state_dict()[name]), name
+    for scene in (TABLE, PANEL):  # of a robot that it does not know
+        with pytest.raises(UnsupportedSceneError, match=r"with joints .*scene has \('left'"):
+            make_backend(f"learned:{tmp_path / 'one'}", load_scene(scene.replace('"x"', '"left"')))
     for scene, objects in ((TABLE, 1), (PANEL, 0)):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

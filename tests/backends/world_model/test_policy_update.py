@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import copy
+from typing import Any
 
 import pytest
 import torch
@@ -88,8 +89,46 @@ def test_the_backend_offers_it() -> None:
     assert not torch.equal(policy.layer.weight, before)
 
 
-def test_a_window_has_steps(model: Dynamics) -> None:
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"window": 0}, "window"),
+        ({"rate": -1e-3}, "rate must be a finite number of at least 0; got -0.001"),
+        ({"rate": float("nan")}, "rate must be .*got nan"),
+        ({"policy": nn.Identity()}, "no parameters"),
+    ],
+)
+def test_arguments_that_make_no_sense(
+    model: Dynamics, changes: dict[str, Any], message: str
+) -> None:
+    x, context = _start(model)
+    given = {"policy": Joints(x.q.shape[1], model.controls), "window": WINDOW, **changes}
+    policy = given.pop("policy")
+    with pytest.raises(InputError, match=message):
+        PolicyUpdate(model, policy, _far, context, CPU, **given)
+
+
+def test_states_policies_and_losses_of_another_shape(model: Dynamics) -> None:
+    x, context = _start(model)
+
+    def update(wide: int = 0, loss: Any = _far) -> PolicyUpdate:
+        policy = Joints(x.q.shape[1], model.controls + wide)
+        return PolicyUpdate(model, policy, loss, context, CPU, window=WINDOW)
+
+    one = update()
+    one(x)
+    with pytest.raises(InputError, match="states are of 1 worlds; descriptors are of 3"):
+        one(x.at(slice(1)))
+    with pytest.raises(InputError, match=r"controls of shape \(3, 3\); expected \(3, 2\)"):
+        update(wide=1)(x)
+    with pytest.raises(InputError, match=r"values of shape \(\); expected \(3,\)"):
+        update(loss=lambda x: _far(x).sum())(x)
+
+
+def test_a_gradient_that_is_not_finite_changes_nothing(model: Dynamics) -> None:
     x, context = _start(model)
     policy = Joints(x.q.shape[1], model.controls)
-    with pytest.raises(InputError, match="window"):
-        PolicyUpdate(model, policy, _far, context, CPU, window=0)
+    update = PolicyUpdate(model, policy, _far, context, CPU, window=WINDOW)
+    before = policy.layer.weight.detach().clone()
+    assert update(x._replace(q=x.q * float("nan"))).isnan()
+    assert torch.equal(policy.layer.weight, before) and int(update.optimizer.skipped) == 1
