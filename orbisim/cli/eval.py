@@ -227,6 +227,9 @@ def _print_vision(table: dict[str, Any]) -> None:
 
 _POLICY = "Example: orbisim eval policy policies/push --episodes 200 --json"
 
+_FROM_FRAMES = ("infer", "objects", "stainf")
+"""What is observed by images."""
+
 
 @command.command("policy", epilog=_POLICY)
 @click.argument("folder", type=click.Path(path_type=Path))
@@ -245,7 +248,7 @@ _POLICY = "Example: orbisim eval policy policies/push --episodes 200 --json"
 @randomize_option
 @click.option(
     "--observe",
-    type=click.Choice(["state", "nominal", "infer", "objects", "stainf"]),
+    type=click.Choice(["state", "nominal", *_FROM_FRAMES]),
     default="state",
     show_default=True,
     help="What the policy sees: the true state, that with nominal values of what no image shows "
@@ -274,6 +277,16 @@ def policy(
     By each definition of success, with 95 % intervals; beside it the same episodes inside the
     learned model. Where the model promises more than MuJoCo keeps, the policy exploits it.
     """
+    asked = click.get_current_context().get_parameter_source("model")
+    if (
+        observe in _FROM_FRAMES
+        and model != "none"
+        and asked == click.core.ParameterSource.COMMANDLINE
+    ):
+        raise InputError(
+            f"--model {model} with --observe {observe}: a learned step has no frames to read "
+            "states off; leave --model out, or use --observe state or nominal"
+        )
     try:
         from orbisim_policies import workflows
     except ImportError as error:

@@ -25,6 +25,8 @@ def test_from_a_training_to_an_evaluation_and_a_simulation(
     assert found["method"] == "apg"
     assert run([*arguments, "--model", "none"]) == 0
     assert "return" in capsys.readouterr().out
+    assert run([*arguments, "--observe", "stainf", "--model", "learned"]) == 2
+    assert "no frames to read states off" in capsys.readouterr().err
     assert run(["sim", *task, "--policy", out, "--controls", "zero"]) == 2
     assert "exclude each other" in capsys.readouterr().err
     assert run(["sim", *task, "--policy", out, "--duration", "0.16", "--json"]) == 0
