@@ -25,7 +25,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +36,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "backends"), str(ROOT / "tools")]
 from cloning import eyes, policy  # noqa: E402  (needs the path above)
 from cloning.world import play  # noqa: E402
 from orbisim_policies.evaluate import wilson  # noqa: E402
+from processes import spawned  # noqa: E402
 
 from orbisim.files.reading import read_json  # noqa: E402
 from orbisim.tasks.sampling import episode_seed  # noqa: E402
@@ -66,7 +66,7 @@ def evaluate(options: Any) -> dict[str, Any]:
         parts = [seeds[i : i + options.at_once] for i in range(0, len(seeds), options.at_once)]
         jobs = [(options.policy, changes, part, options.noise, options.eyes) for part in parts]
         if options.workers > 1:
-            with ProcessPoolExecutor(options.workers) as pool:
+            with spawned(options.workers) as pool:
                 played = list(pool.map(play, *zip(*jobs, strict=True)))
         else:
             played = [play(*job) for job in jobs]

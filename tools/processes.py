@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
 import threading
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -51,6 +52,11 @@ def answer_of(command: Sequence[str], limit: float) -> dict[str, Any]:
     if not isinstance(answer, dict):
         raise ValueError(f"exit status {process.returncode}: {stderr.strip()[-2000:]}")
     return answer
+
+
+def spawned(workers: int) -> ProcessPoolExecutor:
+    """Processes that may draw: a forked one has no OpenGL context where EGL was opened before."""
+    return ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"))
 
 
 def with_own_cores(workers: int) -> ThreadPoolExecutor:

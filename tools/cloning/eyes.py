@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import time
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 import torch
+from processes import spawned
 from safetensors.torch import load_file
 from torch import nn
 
@@ -118,8 +118,7 @@ def drawn(path: Path, out: Path, index: int) -> int:
         camera = Camera(model)
     except Exception as error:  # of EGL's own kinds, which do not come back from a process
         raise RuntimeError(
-            f"no OpenGL context to draw demonstration {index} with ({type(error).__name__}): "
-            "give fewer --workers"
+            f"demonstration {index}: no OpenGL context to draw with ({error!r})"
         ) from None
     images = []
     for row in qpos[:-1:EVERY]:
@@ -144,7 +143,7 @@ def draw(options: Any) -> None:
     )
     began = time.monotonic()
     jobs = ([options.data] * len(numbers), [options.out] * len(numbers), numbers)
-    with ProcessPoolExecutor(options.workers) as pool:
+    with spawned(options.workers) as pool:
         total = sum(pool.map(drawn, *jobs, chunksize=4))
     print(json.dumps({"looks": total, "seconds": round(time.monotonic() - began, 1)}), flush=True)
 
