@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import math
@@ -340,29 +341,28 @@ def train_baseline(
     with claimed(make_folder(run.out), "another training", "wait for it, or choose another --out"):
         starts = problem.draw(training_seeds(problem, run))
         episodes = SuccessiveEpisodes(problem, config.batch, starts, run.seed, run.nthread)
-        environment = ProblemVecEnv(episodes)
-        model, policy_of = _learner(config, environment, run.seed)
-        curiosity = None
-        if config.method == "ppo_rnd":
-            curiosity = Curiosity(problem.observations, run.seed)
-        weight = config.curiosity
-        progress = _Progress(problem, run, report, policy_of, curiosity, weight, settings)
-        progress.init_callback(model)
-        done = progress.resume(model, environment) if run.resume else 0
-        begin_metrics(run.out / METRICS, done)
-        left = (run.steps or 10**12) - done
-        if left > 0:
-            model.learn(left, callback=progress, reset_num_timesteps=not done)
-        if not progress.stopped:
-            progress.save()
-        progress.log(run.check > 0)
-        kept = policy_of(model)
-        if run.check and progress.best > -math.inf:  # the best by its live estimates
-            kept = load_policy(run.out, problem)
-        notes = progress.notes(True)
-        save_policy(run.out, kept, problem, notes)
-        draw_curves(run.out)
-        environment.close()
+        with contextlib.closing(ProblemVecEnv(episodes)) as environment:
+            model, policy_of = _learner(config, environment, run.seed)
+            curiosity = None
+            if config.method == "ppo_rnd":
+                curiosity = Curiosity(problem.observations, run.seed)
+            weight = config.curiosity
+            progress = _Progress(problem, run, report, policy_of, curiosity, weight, settings)
+            progress.init_callback(model)
+            done = progress.resume(model, environment) if run.resume else 0
+            begin_metrics(run.out / METRICS, done)
+            left = (run.steps or 10**12) - done
+            if left > 0:
+                model.learn(left, callback=progress, reset_num_timesteps=not done)
+            if not progress.stopped:
+                progress.save()
+            progress.log(run.check > 0)
+            kept = policy_of(model)
+            if run.check and progress.best > -math.inf:  # the best by its live estimates
+                kept = load_policy(run.out, problem)
+            notes = progress.notes(True)
+            save_policy(run.out, kept, problem, notes)
+            draw_curves(run.out)
     return {"task": problem.name, **notes}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Sequence
 from typing import Any
@@ -64,22 +65,21 @@ def demonstrate(problem: PushProblem, seeds: Sequence[int], nthread: int = 0) ->
         part = seeds[first : first + _AT_ONCE]
         starts = problem.draw(part)
         directors = [_director(problem, seed) for seed in part]
-        worlds = TrueWorlds(problem, len(part), nthread)
-        worlds.begin(np.arange(len(part)), starts)
-        views, actions, lost = [], [], np.zeros(len(part), bool)
-        for _ in range(problem.steps):
-            action = torch.as_tensor(np.array([d.action() for d in directors])).float()
-            views.append(worlds.observation())
-            actions.append(action)
-            lost |= worlds.step(action)
-        steps += worlds.steps
-        value = worlds.worth().double().numpy()
-        success = problem.success(starts, worlds.coordinates[0], value)
+        with contextlib.closing(TrueWorlds(problem, len(part), nthread)) as worlds:
+            worlds.begin(np.arange(len(part)), starts)
+            views, actions, lost = [], [], np.zeros(len(part), bool)
+            for _ in range(problem.steps):
+                action = torch.as_tensor(np.array([d.action() for d in directors])).float()
+                views.append(worlds.observation())
+                actions.append(action)
+                lost |= worlds.step(action)
+            steps += worlds.steps
+            value = worlds.worth().double().numpy()
+            success = problem.success(starts, worlds.coordinates[0], value)
         wins.append(success["moved"] & ~lost)
         kept = torch.as_tensor(~lost)
         seen.append(torch.stack(views)[:, kept].flatten(0, 1))
         done.append(torch.stack(actions)[:, kept].flatten(0, 1))
-        worlds.close()
     share = float(np.concatenate(wins).mean())
     return Demonstrations(torch.cat(seen), torch.cat(done), share, len(seeds), steps)
 

@@ -7,6 +7,7 @@ for continuous actions, too.
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import dataclasses
 import math
@@ -418,9 +419,8 @@ def train_dreamer(
         **problem.conditions,
     }
     names = (*Dreamer.names, *problem.parts)
-    manifest = train_with(trainer, problem, run, clock, names, notes, report)
-    trainer.episodes.close()
-    return manifest
+    with contextlib.closing(trainer.episodes):
+        return train_with(trainer, problem, run, clock, names, notes, report)
 
 
 def _gumbel(shape: tuple[int, ...], generator: torch.Generator) -> Tensor:

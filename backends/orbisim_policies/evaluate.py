@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -60,18 +61,18 @@ def in_mujoco(
     ends, values, lost = [], [], 0
     for first in range(0, len(starts), _AT_ONCE):
         part = starts.at(slice(first, first + _AT_ONCE))
-        worlds = TrueWorlds(problem, len(part), nthread, nominal)
-        worlds.begin(np.arange(len(part)), part)
-        alive, end = np.arange(len(part)), part.qpos.copy()
-        playing = begun(act, len(part))
-        for _ in range(problem.steps):
-            with torch.no_grad():
-                action = playing(worlds.observation())
-            alive = alive[~worlds.step(action, alive)[alive]]
-            end[alive] = worlds.coordinates[0][alive]
-            if not len(alive):
-                break
-        value = worlds.measure().double().numpy()
+        with contextlib.closing(TrueWorlds(problem, len(part), nthread, nominal)) as worlds:
+            worlds.begin(np.arange(len(part)), part)
+            alive, end = np.arange(len(part)), part.qpos.copy()
+            playing = begun(act, len(part))
+            for _ in range(problem.steps):
+                with torch.no_grad():
+                    action = playing(worlds.observation())
+                alive = alive[~worlds.step(action, alive)[alive]]
+                end[alive] = worlds.coordinates[0][alive]
+                if not len(alive):
+                    break
+            value = worlds.measure().double().numpy()
         well = alive[np.isfinite(value[alive]).all(axis=1)]
         gone = np.setdiff1d(np.arange(len(part)), well)
         end[gone] = part.qpos[gone]
@@ -79,7 +80,6 @@ def in_mujoco(
         lost += len(gone)
         ends.append(end)
         values.append(value)
-        worlds.close()
     return np.concatenate(ends), np.concatenate(values), lost
 
 

@@ -17,6 +17,7 @@ pytest.importorskip("stable_baselines3")
 from orbisim_policies import baselines
 from orbisim_policies.baselines import Baseline, Curiosity, ProblemVecEnv, train_baseline
 from orbisim_policies.checkpoint import load_policy
+from orbisim_policies.dreamer import DreamerConfig, train_dreamer
 from orbisim_policies.network import NetworkConfig
 from orbisim_policies.run import Run
 from orbisim_policies.successive import SuccessiveEpisodes
@@ -113,6 +114,27 @@ def test_a_killed_training_goes_on_exactly(
     assert manifest["true_steps"] == 198 == manifest["training"]["step"]
     curves = [curve(out) for out in (job.out, parts.out)]
     assert curves[0] == curves[1] and len(curves[0]) > 8
+
+
+@pytest.mark.parametrize("method", ["sac", "dreamer"])
+def test_a_training_that_ends_with_an_error_closes_its_worlds(
+    cartpole: SuiteProblem, tmp_path: Path, method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closed = []
+    close = SuccessiveEpisodes.close
+    monkeypatch.setattr(SuccessiveEpisodes, "close", lambda self: (closed.append(1), close(self)))
+
+    def broken(self: object, action: object) -> None:
+        raise RuntimeError("no step")
+
+    monkeypatch.setattr(SuccessiveEpisodes, "step", broken)
+    run = Run(tmp_path / "p", steps=64, starts=4, check=0, nthread=1)
+    with pytest.raises(RuntimeError, match="no step"):
+        if method == "sac":
+            train_baseline(cartpole, Baseline("sac", batch=2), run)
+        else:
+            train_dreamer(cartpole, DreamerConfig(batch=2), run)
+    assert closed
 
 
 def test_the_best_by_its_live_estimates_is_kept(
