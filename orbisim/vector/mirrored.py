@@ -67,8 +67,7 @@ class Mirrored(Threads):
         """See `Threads.step`."""
         steps = self._backend_steps(nstep)
         lost = np.zeros(self.nworld, bool)
-        fresh = self._fresh[worlds]  # of those a backend must not remember what it does of others
-        for part in (worlds[fresh], worlds[~fresh]):
+        for part in self._parts(worlds):
             self._step_part(part, steps, lost)
         well = worlds[~lost[worlds]]
         if well.size:
@@ -108,23 +107,37 @@ class Mirrored(Threads):
             self._reported[name] = np.full((self.nworld, *shape), np.nan)
         return self._reported[name]
 
+    def _parts(self, worlds: Ids) -> list[Ids]:
+        """Worlds to step together: what a backend remembers of some, it must not of those that
+        begin."""
+        if not self._private:
+            return [worlds]
+        fresh = self._fresh[worlds]
+        return [worlds[fresh], worlds[~fresh]]
+
     def _step_part(self, worlds: Ids, steps: int, lost: npt.NDArray[np.bool_]) -> None:
-        """Steps worlds that the backend remembers, or worlds that begin; notes those it loses."""
+        """Steps worlds that the backend remembers, or worlds that begin; notes those it loses.
+
+        The backend always steps as many worlds as there are, so that it neither allocates nor
+        records anew: one of `worlds` stands in the places of the others.
+        """
         while worlds.size:
+            places = np.full(self.nworld, worlds[0])
+            places[worlds] = worlds
             try:
-                after = self.backend.step(self._state(worlds), self.ctrl[worlds], steps)
+                after = self.backend.step(self._state(places), self.ctrl[places], steps)
             except DivergedError as error:
                 if not error.worlds:
                     raise
-                lost[worlds[list(error.worlds)]] = True
+                lost[places[list(error.worlds)]] = True
                 worlds = worlds[~lost[worlds]]
                 continue
-            self._take(worlds, after.numpy())
+            self._take(worlds, after.numpy()[worlds])
             return
 
     def _state(self, worlds: Ids) -> State:
         state = super().state[worlds]
-        if self._fresh[worlds[0]]:
+        if not self._private or self._fresh[worlds[0]]:
             return state
         return state.with_memory(**{n: rows[worlds] for n, rows in self._private.items()})
 

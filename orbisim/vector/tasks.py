@@ -55,7 +55,7 @@ class Tasks:
     def __init__(self, each: Sequence[Any]) -> None:
         self.each = list(each)
         self._shared = {k: v for k, v in vars(self.each[0]).items() if not is_random(v)}
-        self._varied: dict[str, list[Any]] = {}
+        self._varied: dict[str, _Attribute] = {}
         for world in range(len(self.each)):
             self.note(world)
 
@@ -74,13 +74,13 @@ class Tasks:
         if mine.keys() - {k for k, v in mine.items() if is_random(v)} != self._known():
             for name in mine:
                 if name not in self._known() and not is_random(mine[name]):
-                    self._varied[name] = [vars(task).get(name) for task in self.each]
+                    self._varied[name] = _Attribute(name, self.each)
         for name, value in list(self._shared.items()):
             if not _same(mine.get(name), value):
-                self._varied[name] = [vars(task).get(name) for task in self.each]
+                self._varied[name] = _Attribute(name, self.each)
                 del self._shared[name]
-        for name, values in self._varied.items():
-            values[world] = mine.get(name)
+        for name, attribute in self._varied.items():
+            attribute.set(world, mine.get(name))
 
     def together(self, ids: Ids | None) -> Any:
         """A task for some worlds (None: all); what differs between them is `Worlds`.
@@ -92,26 +92,84 @@ class Tasks:
         for name, value in vars(task).items():
             if is_random(value):
                 setattr(task, name, _NoRandomness())
-        for name, values in self._varied.items():
-            setattr(task, name, _together(name, values, ids))
+        for name, attribute in self._varied.items():
+            setattr(task, name, attribute.together(ids))
         return task
 
     def _known(self) -> set[str]:
         return {*self._shared, *self._varied}
 
 
-def _together(name: str, values: list[Any], ids: Ids | None) -> Any:
-    chosen = values if ids is None else [values[i] for i in ids]
-    if all(_same(value, chosen[0]) for value in chosen):
-        return chosen[0]
-    try:
-        rows = np.stack([np.asarray(value) for value in chosen])
-    except ValueError:
-        rows = np.empty(0, object)
-    if rows.dtype.kind not in "biuf":
-        raise NotBatchedError(f"the task's {name!r} is of another kind in every world")
-    rows.flags.writeable = False
-    return Worlds(rows)
+class _Attribute:
+    """An attribute that may differ from world to world.
+
+    Numbers of one type and shape are kept as the rows of an array, too: a step asks for them more
+    than once, and a loop over thousands of worlds would take longer than MuJoCo.
+
+    Args:
+      name: of the attribute. tasks: of all worlds.
+    """
+
+    def __init__(self, name: str, tasks: Sequence[Any]) -> None:
+        self._name = name
+        self._values = [vars(task).get(name) for task in tasks]
+        self._rows: npt.NDArray[Any] | None = None
+        self._stale = True
+
+    def set(self, world: int, value: Any) -> None:
+        """Takes what it is in one world now."""
+        self._values[world] = value
+        if self._rows is not None and _kind(value) == self._kind:
+            self._rows[world] = value
+        else:
+            self._stale = True
+
+    def together(self, ids: Ids | None) -> Any:
+        """Its value where it is the same in some worlds (None: all), otherwise `Worlds`.
+
+        Raises:
+          NotBatchedError: it differs and is not made of numbers.
+        """
+        if self._stale:
+            self._rows, self._kind = _stacked(self._values)
+            self._stale = False
+        first = self._values[0 if ids is None else ids[0]]
+        if self._rows is not None:
+            rows = self._rows.copy() if ids is None else self._rows[ids]
+            same = np.broadcast_to(rows[0], rows.shape)
+            if np.array_equal(rows, same, equal_nan=rows.ndim > 1 and rows.dtype.kind == "f"):
+                return first
+        else:
+            chosen = self._values if ids is None else [self._values[i] for i in ids]
+            if all(_same(value, first) for value in chosen):
+                return first
+            rows = self._of_numbers(chosen)
+        rows.flags.writeable = False
+        return Worlds(rows)
+
+    def _of_numbers(self, values: Sequence[Any]) -> npt.NDArray[Any]:
+        try:
+            rows = np.stack([np.asarray(value) for value in values])
+        except ValueError:
+            rows = np.empty(0, object)
+        if rows.dtype.kind not in "biuf":
+            raise NotBatchedError(f"the task's {self._name!r} is of another kind in every world")
+        return rows
+
+
+def _kind(value: Any) -> tuple[Any, ...]:
+    """Type, and shape where it has one."""
+    return (type(value), getattr(value, "dtype", None), getattr(value, "shape", None))
+
+
+def _stacked(values: Sequence[Any]) -> tuple[npt.NDArray[Any] | None, tuple[Any, ...]]:
+    """The rows of numbers of one kind, and that kind; None of anything else."""
+    kind = _kind(values[0])
+    numbers = kind[0] in (bool, int, float) or isinstance(values[0], np.ndarray | np.generic)
+    if not numbers or any(_kind(value) != kind for value in values):
+        return None, kind
+    rows = np.stack([np.asarray(value) for value in values])
+    return (rows if rows.dtype.kind in "biuf" else None), kind
 
 
 def _same(a: Any, b: Any) -> bool:

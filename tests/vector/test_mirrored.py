@@ -82,6 +82,47 @@ def test_a_world_that_the_backend_loses() -> None:
     assert np.isfinite(step.reward).all()
 
 
+class Counting(MujocoBackend):
+    """C MuJoCo that notes how many worlds it is given, and can lose one that stands far out."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.given: list[int] = []
+
+    def step(self, state: Any, control: Any = None, nstep: int = 1) -> Any:
+        self.given.append(state.nworld)
+        far = np.flatnonzero(np.abs(state.qpos[:, 0]) > 50.0)
+        if far.size:
+            raise DivergedError("lost", far.tolist())
+        return super().step(state, control, nstep)
+
+
+def test_the_backend_always_steps_as_many_worlds_as_there_are() -> None:
+    backend = Counting()
+    mirrored, native = pair("cartpole", "balance", backend)
+    backend.given.clear()
+    mirrored.reset(0), native.reset(0)
+
+    def step() -> None:
+        after, expected = mirrored.step(np.ones((3, 1))), native.step(np.ones((3, 1)))
+        for name, rows in expected.observation.items():
+            np.testing.assert_allclose(after.observation[name], rows, rtol=0, atol=1e-9)
+
+    step()
+    mirrored.restart([1]), native.restart([1])
+    step()
+    assert backend.given == [3, 3], "one that begins is stepped with the others"
+    backend.given.clear()
+    out = mirrored._simulator.physics
+    out[0, 1] = 100.0  # the cart's position, after the time
+    mirrored._simulator.physics = out
+    lost = mirrored.step(np.ones((3, 1)))
+    assert lost.truncated.tolist() == [True, False, False]
+    assert mirrored.diverged.tolist() == [1, 0, 0]
+    mirrored.step(np.ones((3, 1)))  # one begins, two go on
+    assert backend.given == [3, 3, 3]
+
+
 def test_a_task_that_reads_what_is_not_reported_is_refused() -> None:
     with pytest.raises(UnsupportedSceneError, match="'touch' reads what backend 'mujoco'"):
         orbisim.vector.load("hopper", "hop", 2, Silent(), seed=0)

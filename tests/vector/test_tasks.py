@@ -46,6 +46,40 @@ def test_what_differs_stands_for_all_worlds() -> None:
         together._random.uniform()
 
 
+def test_what_an_episode_sets_anew_is_what_is_read() -> None:
+    tasks = Tasks(copies(Task(0), 0, 3))
+    for world in range(3):
+        tasks.each[world].target = np.array([float(world), 0.0])
+        tasks.each[world].tries = 0
+        tasks.note(world)
+    assert tasks.together(None).target.rows[:, 0].tolist() == [0, 1, 2]
+    before = tasks.together(None).target
+    tasks.each[1].target = np.array([5.0, 0.0])
+    tasks.each[1].tries = 1
+    tasks.note(1)
+    assert tasks.together(None).target.rows[:, 0].tolist() == [0, 5, 2]
+    assert tasks.together(np.array([2, 1])).target.rows[:, 0].tolist() == [2, 5]
+    assert before.rows[:, 0].tolist() == [0, 1, 2], "values that were read before"
+    assert tasks.together(None).tries.rows.tolist() == [0, 1, 0]
+    tasks.each[1].tries = 0.5  # of another type than in the other worlds
+    tasks.note(1)
+    assert tasks.together(None).tries.rows.tolist() == [0, 0.5, 0]
+    tasks.each[2].target[0] = 7.0  # in place
+    tasks.note(2)
+    assert tasks.together(None).target.rows[:, 0].tolist() == [0, 5, 7]
+
+
+def test_not_a_number_is_what_it_is_in_every_world() -> None:
+    tasks = Tasks(copies(Task(0), 0, 2))
+    for world in range(2):
+        tasks.each[world].best = float("nan")
+        tasks.each[world].goal = np.array([np.nan, 1.0])
+        tasks.note(world)
+    together = tasks.together(None)
+    assert np.isnan(together.best.rows).all()
+    assert together.goal is tasks.each[0].goal
+
+
 @pytest.mark.parametrize("value", ["left", object(), [1, 2]])
 def test_what_is_no_number_cannot_differ(value: Any) -> None:
     tasks = Tasks(copies(Task(0), 0, 2))
