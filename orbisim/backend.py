@@ -111,6 +111,7 @@ class Backend(abc.ABC):
       capabilities: what it can do.
       reportable: names of MjData's derived fields (accelerations, forces, `sensordata`) that it
         can put into `State.memory`; it does not know the others.
+      derivable: names of those (poses, velocities of bodies, sensors of both) that `derive` gives.
       perturbation: of states and controls in `linearize`. Central differences are most exact near
         the cube root of the rounding error: 1e-6 for float64, some 1e-3 for float32.
     """
@@ -118,6 +119,7 @@ class Backend(abc.ABC):
     name: ClassVar[str] = ""
     capabilities: frozenset[Capability] = frozenset()
     reportable: frozenset[str] = frozenset()
+    derivable: frozenset[str] = frozenset()
     perturbation: float = 1e-6
 
     def __init__(self, *, nworld: int = 1, device: str | None = None) -> None:
@@ -150,6 +152,17 @@ class Backend(abc.ABC):
                 f"{', '.join(sorted(self.reportable)) or 'nothing'}"
             )
         self._report = frozenset(names)
+
+    def derive(self, state: State, names: Iterable[str]) -> dict[str, Any]:
+        """Fields that follow from the positions and velocities of a state, by MuJoCo's stages.
+
+        Args:
+          names: of `derivable`. Of `sensordata` only sensors of positions and velocities count.
+
+        Returns:
+          By name, [nworld, ...] as in MjData.
+        """
+        raise InputError(f"backend {self.name!r} derives nothing; got {sorted(names)}")
 
     @property
     def scene(self) -> Scene:

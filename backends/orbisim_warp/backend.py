@@ -87,6 +87,30 @@ class WarpBackend(Backend):
         }
     )
 
+    derivable = frozenset(
+        {
+            "actuator_length",
+            "actuator_velocity",
+            "cam_xmat",
+            "cam_xpos",
+            "cvel",
+            "geom_xmat",
+            "geom_xpos",
+            "sensordata",
+            "site_xmat",
+            "site_xpos",
+            "subtree_com",
+            "ten_length",
+            "ten_velocity",
+            "xaxis",
+            "ximat",
+            "xipos",
+            "xmat",
+            "xpos",
+            "xquat",
+        }
+    )
+
     def __init__(
         self,
         *,
@@ -140,7 +164,7 @@ class WarpBackend(Backend):
         self._kept = None
         self._use_report()
         self._solves_implicitly = _may_solve_indefinite(scene.model)
-        defaults = mujoco.MjData(scene.model)
+        defaults = self._shapes = mujoco.MjData(scene.model)
         self._defaults = {name: np.array(getattr(defaults, name)) for name in _MEMORY}
 
     def reset(self, nworld: int | None = None, seed: int | None = None) -> State:
@@ -214,6 +238,32 @@ class WarpBackend(Backend):
         finally:
             self._model.opt.disableflags = flags
         return state.with_memory(**self._reported())
+
+    @one_at_a_time
+    def derive(self, state: State, names: Iterable[str]) -> dict[str, Any]:
+        """See `Backend.derive`; on the device, in float32."""
+        self.check_step(state, None, 1)
+        wanted = sorted(names)
+        if unknown := set(wanted) - self.derivable:
+            raise InputError(f"backend 'warp' does not derive {', '.join(sorted(unknown))}")
+
+        def run() -> None:
+            self._write(state, None)
+            self._launch("derive", self._stages)
+
+        self._until_it_fits(run, state.nworld)
+        found = {name: self._array(getattr(self._data, name)) for name in wanted}
+        shapes = {name: getattr(self._shapes, name).shape for name in wanted}
+        return {n: rows.reshape(state.nworld, *shapes[n]) for n, rows in found.items()}
+
+    def _stages(self) -> None:
+        """Of positions and velocities."""
+        model, data = self._model, self._data
+        mjw.fwd_position(model, data, factorize=False)
+        data.sensordata.zero_()
+        mjw.sensor_pos(model, data)
+        mjw.fwd_velocity(model, data)
+        mjw.sensor_vel(model, data)
 
     def rollout(
         self,

@@ -109,7 +109,7 @@ class VectorEnvironment:
         self._simulator = (
             Threads(model, self._fields, self.nworld, legacy_step=legacy, nthread=nthread)
             if backend is None
-            else Mirrored(backend, model, self._fields, self.nworld)
+            else Mirrored(backend, model, self._fields, self.nworld, exact=check)
         )
         self._take_models(environments)
         self._exact = WorldByWorld(self._physics, self._simulator, self._fields, self._tasks)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import mujoco.batch
 import numpy as np
@@ -16,27 +18,41 @@ from orbisim.vector.models import ModelFields
 from orbisim.vector.simulator import Ids, Rows, Threads
 
 _PHYSICAL = ("time", "qpos", "qvel", "act")
+_GIVEN = frozenset({*_PHYSICAL, *MEMORY, "ctrl"})
+"""What is known of a state without a stage of MuJoCo's."""
 _BODY_FORCES = frozenset({"cacc", "cfrc_ext", "cfrc_int"})
 """Reported only where they cost another pass over all bodies, and no task of the suite reads them:
 left out."""
 
 
 class Mirrored(Threads):
-    """Steps by a backend; positions and velocities go through MuJoCo's own stages.
+    """Steps by a backend; positions and velocities go through MuJoCo's stages of them.
 
-    As in `orbisim.Physics`, what depends on accelerations comes from the backend, and is NaN where
-    the backend does not report it.
+    They do so in the backend where it derives what is asked for, otherwise, and if any world is to
+    be seen alone, in C MuJoCo. As in `orbisim.Physics`, what depends on accelerations comes from
+    the backend, and is NaN where the backend does not report it.
 
     Args:
       backend: with the model's scene loaded.
       model, fields, nworld: see `Threads`.
+      exact: whether to go through C MuJoCo's stages in any case.
     """
 
     def __init__(
-        self, backend: Backend, model: mujoco.MjModel, fields: ModelFields, nworld: int
+        self,
+        backend: Backend,
+        model: mujoco.MjModel,
+        fields: ModelFields,
+        nworld: int,
+        *,
+        exact: bool = False,
     ) -> None:
         super().__init__(model, fields, nworld)
         self.backend = backend
+        self._derivable = frozenset() if exact else backend.derivable
+        self._derived: dict[str, Rows] = {}
+        self._asked: set[str] = set()
+        self._stale = np.zeros(nworld, bool)
         backend.report = (backend.reportable & {*ACCELERATION_FIELDS, "sensordata"}) - _BODY_FORCES
         self._private: dict[str, Rows] = {}
         self._fresh = np.ones(nworld, bool)
@@ -69,17 +85,22 @@ class Mirrored(Threads):
         lost = np.zeros(self.nworld, bool)
         for part in self._parts(worlds):
             self._step_part(part, steps, lost)
-        well = worlds[~lost[worlds]]
-        if well.size:
-            self._late.clear()
-            self._batch.forward(well, mujoco.mjtStage.mjSTAGE_VEL)
+        self._stale[worlds[~lost[worlds]]] = True
+        self._late.clear()
+        self._derived.clear()
         return lost[worlds]
 
     def field(self, name: str) -> Rows:
         """See `Threads.field`; NaN where the backend does not say."""
         if name in ACCELERATION_FIELDS and name in mujoco.batch.DATA_FIELDS:
             return self._report_of(name)
-        rows = super().field(name)
+        if name in _GIVEN:
+            return super().field(name)
+        if name in self._derivable and not self._fields.varied:
+            rows = self._derivation_of(name)
+        else:
+            self._mirror()
+            rows = super().field(name)
         if name != "sensordata" or not self._unknown.size:
             return rows
         rows = np.array(rows)
@@ -88,6 +109,7 @@ class Mirrored(Threads):
 
     def fill(self, world: int, data: mujoco.MjData) -> None:
         """See `Threads.fill`."""
+        self._mirror()
         super().fill(world, data)
         for name in ACCELERATION_FIELDS:
             counted = name.startswith("efc_")  # as many as constraints: never the backend's
@@ -100,6 +122,21 @@ class Mirrored(Threads):
         """The state of all worlds, with what the backend remembers."""
         state = super().state
         return state if self._fresh.any() else state.with_memory(**self._private)
+
+    def _mirror(self) -> None:
+        """C MuJoCo's own stages of positions and velocities, where they were not since a step."""
+        worlds = np.flatnonzero(self._stale)
+        if worlds.size:
+            self._stale[:] = False
+            self._batch.forward(worlds, mujoco.mjtStage.mjSTAGE_VEL)
+
+    def _derivation_of(self, name: str) -> Rows:
+        """What the backend derives; with it, all that was ever asked for."""
+        if name not in self._derived:
+            self._asked.add(name)
+            found = self.backend.derive(super().state, self._asked)
+            self._derived = {n: _on_host(rows) for n, rows in found.items()}
+        return self._derived[name]
 
     def _report_of(self, name: str) -> Rows:
         if name not in self._reported:
@@ -167,3 +204,8 @@ class Mirrored(Threads):
                 "not a multiple of it"
             )
         return round(ratio)
+
+
+def _on_host(rows: Any) -> Rows:
+    """An array, or a tensor on any device, in float64."""
+    return np.asarray(rows.cpu() if hasattr(rows, "cpu") else rows, np.float64)

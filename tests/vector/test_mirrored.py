@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from orbisim_mujoco import MujocoBackend
@@ -121,6 +122,76 @@ def test_the_backend_always_steps_as_many_worlds_as_there_are() -> None:
     assert mirrored.diverged.tolist() == [1, 0, 0]
     mirrored.step(np.ones((3, 1)))  # one begins, two go on
     assert backend.given == [3, 3, 3]
+
+
+class Deriving(MujocoBackend):
+    """C MuJoCo that gives poses and sensors itself, and notes what it is asked for."""
+
+    derivable = frozenset({"xmat", "xpos", "xipos", "geom_xpos", "sensordata"})
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.asked: list[set[str]] = []
+
+    def derive(self, state: Any, names: Any) -> dict[str, Any]:
+        self.asked.append(set(names))
+        model, rows = self.model, {name: [] for name in names}
+        for world in range(state.nworld):
+            data = mujoco.MjData(model)
+            data.qpos, data.qvel, data.act = (getattr(state, n)[world] for n in _COORDINATES)
+            mujoco.mj_fwdPosition(model, data)
+            mujoco.mj_sensorPos(model, data)
+            mujoco.mj_fwdVelocity(model, data)
+            mujoco.mj_sensorVel(model, data)
+            for name, found in rows.items():
+                found.append(np.array(getattr(data, name)))
+        return {name: np.stack(found) for name, found in rows.items()}
+
+
+_COORDINATES = ("qpos", "qvel", "act")
+
+
+@pytest.mark.parametrize(
+    ("domain", "task", "derived"),
+    [
+        ("walker", "walk", {"xmat", "xpos", "sensordata"}),
+        ("hopper", "hop", {"xipos", "sensordata"}),  # with touch sensors, which are reported
+        ("cartpole", "balance", {"xmat"}),
+    ],
+)
+def test_what_the_backend_derives_is_not_mirrored(
+    domain: str, task: str, derived: set[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    backend = Deriving()
+    mirrored, native = pair(domain, task, backend)
+    assert mirrored.evaluation == "batched", mirrored.reason
+    assert not backend.asked, "both ways of evaluation are compared over the same numbers"
+
+    def refused() -> None:
+        raise AssertionError("mirrored")
+
+    monkeypatch.setattr(mirrored._simulator, "_mirror", refused)
+    random, nu = np.random.default_rng(0), native.action_spec().shape[0]
+    mirrored.reset(), native.reset()
+    for _ in range(24):
+        action = random.uniform(-1, 1, (3, nu))
+        step, other = mirrored.step(action), native.step(action)
+        np.testing.assert_allclose(step.reward, other.reward, rtol=0, atol=1e-9)
+        for name, rows in other.observation.items():
+            np.testing.assert_allclose(step.observation[name], rows, rtol=0, atol=1e-9)
+    assert backend.asked[-1] == derived
+    late = [n for n, names in enumerate(backend.asked) if names != derived]
+    assert late == list(range(len(derived) - 1)), "then all at once in each step"
+
+
+def test_where_models_differ_nothing_is_derived() -> None:
+    backend = Deriving()
+    mirrored, native = pair("reacher", "easy", backend)  # whose targets are geoms of the model
+    mirrored.reset(), native.reset()
+    step, other = mirrored.step(np.ones((3, 2))), native.step(np.ones((3, 2)))
+    for name, rows in other.observation.items():
+        np.testing.assert_allclose(step.observation[name], rows, rtol=0, atol=1e-9)
+    assert not backend.asked
 
 
 def test_a_task_that_reads_what_is_not_reported_is_refused() -> None:

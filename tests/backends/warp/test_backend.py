@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+
+import mujoco
 import numpy as np
 import pytest
 
@@ -85,3 +88,31 @@ def test_acceleration_fields_are_warps_own() -> None:
     for field in ("qacc", "qfrc_actuator", "sensordata", "actuator_force"):
         a, b = reports["mujoco"][field], reports["warp"][field]
         np.testing.assert_allclose(b, a, atol=1e-3 * (1 + np.abs(a).max()), err_msg=field)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arrays", ["numpy", "torch"])
+def test_what_positions_and_velocities_say_is_mujocos(arrays: str) -> None:
+    model = suite.load("hopper", "hop").physics.model.ptr
+    scene = Scene.from_model(model, source="hopper")
+    engine = make_backend("warp", scene, nworld=3, device="cpu", arrays=arrays)
+    random = np.random.default_rng(0)
+    start = make_backend("mujoco", scene, nworld=3).reset()
+    qpos = start.qpos + random.uniform(-0.3, 0.3, start.qpos.shape)
+    state = dataclasses.replace(start, qpos=qpos, qvel=random.normal(size=start.qvel.shape))
+    found = engine.derive(state, engine.derivable)
+    needed = np.asarray(model.sensor_needstage)[np.repeat(range(model.nsensor), model.sensor_dim)]
+    moves = needed != mujoco.mjtStage.mjSTAGE_ACC
+    assert moves.any() and not moves.all()
+    data = mujoco.MjData(model)
+    for world in range(3):
+        data.qpos, data.qvel = state.qpos[world], state.qvel[world]
+        mujoco.mj_forward(model, data)
+        for name, rows in found.items():
+            mine, theirs = np.asarray(rows[world]), getattr(data, name)
+            assert mine.shape == theirs.shape, name
+            if name == "sensordata":
+                mine, theirs = mine[moves], theirs[moves]
+            np.testing.assert_allclose(mine, theirs, atol=2e-5, err_msg=name)
+    with pytest.raises(InputError, match="does not derive qacc"):
+        engine.derive(state, ["qacc"])
