@@ -103,8 +103,8 @@ class Tasks:
 class _Attribute:
     """An attribute that may differ from world to world.
 
-    Numbers of one type and shape are kept as the rows of an array, too: a step asks for them more
-    than once, and a loop over thousands of worlds would take longer than MuJoCo.
+    Numbers of one type and shape are kept as the rows of an array, too: each step asks for them
+    three times, and a loop over thousands of worlds takes milliseconds.
 
     Args:
       name: of the attribute. tasks: of all worlds.
@@ -119,9 +119,12 @@ class _Attribute:
     def set(self, world: int, value: Any) -> None:
         """Takes what it is in one world now."""
         self._values[world] = value
-        if self._rows is not None and _kind(value) == self._kind:
+        if self._rows is None or _kind(value) != self._kind:
+            self._stale = True
+            return
+        try:
             self._rows[world] = value
-        else:
+        except OverflowError:  # Python's integers have no limit
             self._stale = True
 
     def together(self, ids: Ids | None) -> Any:
@@ -169,7 +172,8 @@ def _stacked(values: Sequence[Any]) -> tuple[npt.NDArray[Any] | None, tuple[Any,
     if not numbers or any(_kind(value) != kind for value in values):
         return None, kind
     rows = np.stack([np.asarray(value) for value in values])
-    return (rows if rows.dtype.kind in "biuf" else None), kind
+    as_it_is = rows.dtype.kind in "biuf" and rows.dtype == np.asarray(values[0]).dtype
+    return (rows if as_it_is else None), kind
 
 
 def _same(a: Any, b: Any) -> bool:

@@ -64,6 +64,13 @@ def test_what_an_episode_sets_anew_is_what_is_read() -> None:
     tasks.each[1].tries = 0.5  # of another type than in the other worlds
     tasks.note(1)
     assert tasks.together(None).tries.rows.tolist() == [0, 0.5, 0]
+    tasks.each[1].tries = 2**70  # beyond what an array of integers holds
+    tasks.note(1)
+    with pytest.raises(NotBatchedError, match="'tries'"):
+        tasks.together(None)
+    tasks.each[1].tries = 3
+    tasks.note(1)
+    assert tasks.together(None).tries.rows.tolist() == [0, 3, 0]
     tasks.each[2].target[0] = 7.0  # in place
     tasks.note(2)
     assert tasks.together(None).target.rows[:, 0].tolist() == [0, 5, 7]
