@@ -21,11 +21,11 @@ from orbisim.errors import OrbiSimError
 from orbisim.host.deadline import Deadline, TimeIsUpError
 from orbisim.scene import Scene
 from orbisim.shooting.confidence import confidence
-from orbisim.shooting.elsewhere import LITTLE, Wide, widened
+from orbisim.shooting.elsewhere import Wide, widened
 from orbisim.shooting.fits import Fit
 from orbisim.shooting.gauss_newton import gauss_newton
 from orbisim.shooting.shooter import Shooter, Variant
-from orbisim.shooting.ties import inverse_of, tied, ties
+from orbisim.shooting.ties import tied
 
 Floats = npt.NDArray[np.float64]
 
@@ -36,14 +36,14 @@ def combined_in_runs(found: Attribution, settings: Settings) -> tuple[Combinatio
     if not hypothesis.effects:
         return ()
     scene, limit = bench.scene, Deadline.after(_OF_TIME * settings.patience)
-    wide = widened(scene, bench.samples, hypothesis, settings.effects)
     shooter = Shooter(scene, bench.samples, bench.intervals, after.windows, bench.noise, limit)
 
     def build(values: Floats) -> Variant:
         return wide.whole.at(scene, values).variant(scene)
 
-    unknowns, start = wide.whole.unknowns(scene), after.fit.start
     try:
+        wide = widened(scene, bench.samples, hypothesis, settings.effects)
+        unknowns, start = wide.whole.unknowns(scene), after.fit.start
         every = gauss_newton(shooter, build, unknowns, start=start, iterations=0)
     except (OrbiSimError, TimeIsUpError):
         return ()
@@ -56,20 +56,16 @@ _OF_TIME = 0.02
 
 
 def combined_in_forces(found: ForceAttribution, settings: Settings) -> tuple[Combination, ...]:
-    """Of the missing forces."""
+    """Of the missing forces, by their derivatives."""
     scene, hypothesis = found.data.scene, found.hypothesis
     if not hypothesis.effects:
         return ()
-    wide = widened(scene, found.samples, hypothesis, settings.effects)
     try:
+        wide = widened(scene, found.samples, hypothesis, settings.effects)
         slopes = jacobian(found, wide.whole)
     except OrbiSimError:
         return ()
     return _combined(scene, wide, found.fit, slopes.T @ slopes, settings.seed)
-
-
-_NONE = (-1, "")
-"""Of a declared parameter: of no effect."""
 
 
 def _combined(
@@ -80,43 +76,16 @@ def _combined(
     Args:
       fit: of what was found. gram: [N, N]. independent: data of the fit.
     """
-    every, own, there = wide.whole.free(scene), len(fit.values), len(wide.found.effects)
-    factors = len(wide.found.factors)  # declared parameters, of which fits have the last numbers
-    keys = [*every[: own - factors], *[_NONE] * factors, *every[own - factors :]]
-    order = [
-        *range(own - factors),
-        *range(len(every), len(gram)),
-        *range(own - factors, len(every)),
-    ]
-    gram = gram[np.ix_(order, order)]
-    names = [str(k) for k in range(own)]
+    names = [str(k) for k in range(len(fit.values))]
     intervals = confidence(fit, names, seed, independent)
     half = np.array([np.ptp(intervals[name]) / 2 for name in names])
-    # data count as much less as the reported intervals are wider than independent data's
-    sure = np.sqrt(np.diag(inverse_of(gram[:own, :own])))
-    wider = max(float(np.median(half / (1.96 * sure))), 1.0)
-    # where something is shows as much as there is of it: half of it would be elsewhere
-    little = [key in wide.width and key[0] >= there for key in keys]
-    shown = np.where(little, 0.5 / LITTLE, 1.0) / wider
-    prior = [1 / wide.width[key] ** 2 if key in wide.width else 0.0 for key in keys]
-    gram = gram * np.outer(shown, shown) + np.diag(prior)
-    size = np.array([wide.size.get(key, 0.0) for key in keys])
-    beside = {
-        k: [n for n, other in enumerate(keys) if other[0] == key[0] and not size[n]]
-        for k, key in enumerate(keys)
-        if k >= own and size[k]
-    }
-
-    def possible(moved: Floats) -> bool:
-        return wide.possible(scene, fit.values + moved)
-
-    found = ties(gram, size, own, beside, possible)
+    found, keys, own = *wide.ties(scene, fit, gram, half), len(names)
     both = tied(fit, found, own)
     intervals = confidence(both, names, seed, independent)
     result = []
     for one in found:
-        every = {one.first: 1.0, **one.others}
-        at = [(wide.whole.effects[keys[k][0]], keys[k][1], b) for k, b in every.items()]
+        parts = {one.first: 1.0, **one.others}
+        at = [(wide.whole.effects[keys[k][0]], keys[k][1], b) for k, b in parts.items()]
         terms = tuple(Term(effect.effect, effect.target, name, b) for effect, name, b in at)
         none = sum(b * wide.neutral[keys[k]] for k, b in one.others.items() if k >= own)
         value, *ends = (x + none for x in (both.values[one.first], *intervals[names[one.first]]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Collection, Mapping, Sequence
 
 import mujoco
@@ -14,8 +15,9 @@ from orbisim.effects.base import Extent
 from orbisim.errors import OrbiSimError
 from orbisim.motion.samples import Samples, extent
 from orbisim.scene import Scene
+from orbisim.shooting.fits import Fit
 from orbisim.shooting.hypothesis import Hypothesis, completed
-from orbisim.shooting.ties import ALIKE
+from orbisim.shooting.ties import ALIKE, Tie, inverse_of, ties
 
 Floats = npt.NDArray[np.float64]
 Key = tuple[int, str]
@@ -28,7 +30,7 @@ class Wide:
 
     Attributes:
       found: what was found. extent: of the recordings.
-      whole: with `LITTLE` of each of the others after its effects.
+      whole: with `_LITTLE` of each of the others after its effects.
       size: usual size of each number that is one, with its sign. neutral: where there is nothing.
       width: usual size of each number that says where or how something is.
     """
@@ -40,13 +42,13 @@ class Wide:
     neutral: Mapping[Key, float]
     width: Mapping[Key, float]
 
-    def possible(self, scene: Scene, values: Floats) -> bool:
-        """Whether what was found can have such values, and there is no more of it then: others take
-        its place, and do not work against it."""
+    def _possible(self, scene: Scene, now: Floats, moved: Floats) -> bool:
+        """Whether what was found can be so much less, and is no more: others take its place, and do
+        not work against it."""
+        values = now + moved
         for one, value in zip(self.found.unknowns(scene), values, strict=True):
             if not one.low <= value <= one.high:
                 return False
-        now = self.found.values(scene)
         for key, old, new in zip(self.found.free(scene), now, values, strict=False):
             none = self.neutral.get(key)
             if none is not None and abs(new - none) > (1 + ALIKE) * abs(old - none):
@@ -54,8 +56,44 @@ class Wide:
         effects, model = self.found.at(scene, values).effects, scene.model
         return all(find(e.effect).log_prior(model, e, self.extent) > -np.inf for e in effects)
 
+    def ties(
+        self, scene: Scene, fit: Fit, gram: Floats, half: Floats
+    ) -> tuple[list[Tie], list[Key]]:
+        """What is determined of numbers that are not, and the numbers: those that were fitted, then
+        the others.
 
-LITTLE = 1e-3
+        Args:
+          fit: of what was found. gram: [N, N] information on the numbers of the whole.
+          half: [P] half-widths of the 95 % intervals of what was fitted.
+        """
+        every, own, there = self.whole.free(scene), len(fit.values), len(self.found.effects)
+        free = own - len(self.found.factors)  # declared parameters are the last numbers of a fit
+        keys = [*every[:free], *[_NONE] * (own - free), *every[free:]]
+        if not np.isfinite(gram).all():
+            return [], keys
+        order = [*range(free), *range(len(every), len(gram)), *range(free, len(every))]
+        # data count as much less as the reported intervals are wider than independent data's
+        gram = gram[np.ix_(order, order)]
+        sure = np.sqrt(np.diag(inverse_of(gram[:own, :own])))
+        wider = max(float(np.nanmedian(half / (1.96 * sure))), 1.0)
+        # where something is shows as much as there is of it: half of it would be elsewhere
+        little = [key in self.width and key[0] >= there for key in keys]
+        shown = np.where(little, 0.5 / _LITTLE, 1.0) / wider
+        prior = [1 / self.width[key] ** 2 if key in self.width else 0.0 for key in keys]
+        size = np.array([self.size.get(key, 0.0) for key in keys])
+        beside = {
+            k: [n for n, other in enumerate(keys) if other[0] == keys[k][0] and not size[n]]
+            for k in np.flatnonzero(size).tolist()
+            if k >= own
+        }
+        gram = gram * np.outer(shown, shown) + np.diag(prior)
+        possible = functools.partial(self._possible, scene, fit.values)
+        return ties(gram, size, own, beside, possible), keys
+
+
+_NONE = (-1, "")
+"""Of a declared parameter: of no effect."""
+_LITTLE = 1e-3
 """Share of each that is added: no motion changes by it, and there are derivatives by it."""
 
 
@@ -83,7 +121,7 @@ def widened(
             else:
                 width[i, name] = (known_as[name].scale if name in known_as else 0.0) or 1.0
         if i >= len(found.effects):
-            free |= {n: at + LITTLE * (free[n] - at) for n, (_, at) in sizes.items()}
+            free |= {n: at + _LITTLE * (free[n] - at) for n, (_, at) in sizes.items()}
             effects[i] = completed(scene, one, free)
     whole = dataclasses.replace(found, effects=tuple(effects))
     return Wide(found, known, whole, size, neutral, width)
