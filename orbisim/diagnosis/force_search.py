@@ -315,9 +315,9 @@ def fit_forces(
 
 
 def jacobian(found: ForceAttribution, hypothesis: Hypothesis) -> Floats:
-    """[R, P]: by how much each number of a hypothesis lowers the missing force, where and weighted
-    as another was fitted."""
-    few = force_data(found.data.scene, found.samples, _FITTED)
+    """[R, P]: by how much each number of a hypothesis lowers the missing force, weighted as another
+    was fitted, at half as many rows."""
+    few = force_data(found.data.scene, found.samples, _FITTED // 2)
     sigma = spread(few, few.left(found.hypothesis))
     slopes = _slopes(few, hypothesis, sigma, _weighted(few, hypothesis, sigma))
     return slopes.reshape(-1, slopes.shape[2])

@@ -69,13 +69,15 @@ class Wide:
         every, own, there = self.whole.free(scene), len(fit.values), len(self.found.effects)
         free = own - len(self.found.factors)  # declared parameters are the last numbers of a fit
         keys = [*every[:free], *[_NONE] * (own - free), *every[free:]]
-        if not np.isfinite(gram).all():
+        if not own or not np.isfinite(gram).all():
             return [], keys
         order = [*range(free), *range(len(every), len(gram)), *range(free, len(every))]
-        # data count as much less as the reported intervals are wider than independent data's
+        # data count as much less as the reported intervals are wider than these data's alone
         gram = gram[np.ix_(order, order)]
         sure = np.sqrt(np.diag(inverse_of(gram[:own, :own])))
-        wider = max(float(np.nanmedian(half / (1.96 * sure))), 1.0)
+        wider = float(np.nanmedian(half / (1.96 * sure)))
+        if not wider > 0:
+            return [], keys
         # where something is shows as much as there is of it: half of it would be elsewhere
         little = [key in self.width and key[0] >= there for key in keys]
         shown = np.where(little, 0.5 / _LITTLE, 1.0) / wider
