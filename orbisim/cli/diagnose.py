@@ -219,6 +219,8 @@ def _print(result: Any) -> None:
     from orbisim.diagnosis.wording import interval
 
     click.echo(result.sentence)
+    for one in result.combinations:
+        click.echo(f"{one.told[0].upper()}{one.told[1:]}.")
     if result.effects:
         rows = [
             (

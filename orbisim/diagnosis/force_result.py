@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.alternatives import known_alike, suspected
+from orbisim.diagnosis.combinations import combined_in_forces
 from orbisim.diagnosis.findings import effects_of, noise_of
 from orbisim.diagnosis.force_search import ForceAttribution, attribute_forces
 from orbisim.diagnosis.found import Alternative, Verdict
@@ -73,6 +74,7 @@ def diagnose_forces(
         augmented_scene=found.hypothesis.scene(scene),
         notes=tuple(dict.fromkeys([*notes, *_implausible(scene, found)])),
         attribution=found,
+        combinations=combined_in_forces(found, settings),
     )
 
 

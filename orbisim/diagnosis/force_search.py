@@ -314,6 +314,15 @@ def fit_forces(
     return hypothesis, _fit_of(data, here, slopes, hypothesis.values(scene))
 
 
+def jacobian(found: ForceAttribution, hypothesis: Hypothesis) -> Floats:
+    """[R, P]: by how much each number of a hypothesis lowers the missing force, weighted as another
+    was fitted, at half as many rows."""
+    few = force_data(found.data.scene, found.samples, _FITTED // 2)
+    sigma = spread(few, few.left(found.hypothesis))
+    slopes = _slopes(few, hypothesis, sigma, _weighted(few, hypothesis, sigma))
+    return slopes.reshape(-1, slopes.shape[2])
+
+
 def _weighted(data: ForceData, hypothesis: Hypothesis, sigma: Floats) -> Floats:
     return np.nan_to_num(data.left(hypothesis) / sigma)
 

@@ -72,3 +72,29 @@ class Rival:
     ratio: float
     round: int
     reason: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Term:
+    """One number of a combination. effect, target, parameter: as in the catalogue."""
+
+    effect: str
+    target: str
+    parameter: str
+    coefficient: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Combination:
+    """Numbers of which only a combination is determined: the sum of all, times their coefficients.
+
+    Attributes:
+      terms: the first is of an effect that was found, with coefficient 1.
+      value, unit, ci95: of the combination. told: in words.
+    """
+
+    terms: tuple[Term, ...]
+    value: float
+    unit: str
+    ci95: tuple[float, float]
+    told: str

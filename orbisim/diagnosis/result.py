@@ -17,7 +17,7 @@ import numpy as np
 from orbisim import plugins
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.force_search import ForceAttribution
-from orbisim.diagnosis.found import Alternative, Candidate, Retuned, Verdict
+from orbisim.diagnosis.found import Alternative, Candidate, Combination, Retuned, Verdict
 from orbisim.diagnosis.history import HistoryDependent
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.wording import sentence
@@ -59,6 +59,7 @@ class Diagnosis:
       settings: how the search went about it, as it was told.
       rest: a learned force for what is left, if it was asked for; it is no effect.
       history: joints that no function of the recorded state explains, where something is left.
+      combinations: what is determined of effects' numbers that are not themselves.
     """
 
     scene: Scene
@@ -81,6 +82,7 @@ class Diagnosis:
     sensors: Sensed | None = None
     settings: Settings = dataclasses.field(default_factory=Settings)
     history: tuple[HistoryDependent, ...] = ()
+    combinations: tuple[Combination, ...] = ()
 
     @property
     def sentence(self) -> str:
@@ -130,6 +132,7 @@ class Diagnosis:
             "sentence": self.sentence,
             "effects": [dataclasses.asdict(effect) for effect in self.effects],
             "retuned": [dataclasses.asdict(one) for one in self.retuned],
+            "combinations": [dataclasses.asdict(one) for one in self.combinations],
             "alternatives": [dataclasses.asdict(one) for one in self.alternatives],
             "candidates": [dataclasses.asdict(one) for one in self.candidates],
             "error": dict(self.error),

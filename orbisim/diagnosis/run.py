@@ -17,6 +17,7 @@ from orbisim.backend import Backend
 from orbisim.diagnosis.alternatives import alternatives_of, candidates_of
 from orbisim.diagnosis.both import by_runs, worth_in_both
 from orbisim.diagnosis.checks import between_samples, disabled, doubts, shortened
+from orbisim.diagnosis.combinations import combined_in_runs
 from orbisim.diagnosis.conclusion import Attribution, attribute
 from orbisim.diagnosis.discretization import asked, read_as
 from orbisim.diagnosis.findings import (
@@ -375,4 +376,5 @@ def _result(
         augmented_scene=augmented,
         notes=tuple(dict.fromkeys([*notes, *before["fit"].notes, *before["held_out"].notes])),
         attribution=found,
+        combinations=combined_in_runs(found, settings),
     )

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from orbisim.diagnosis.found import Retuned, Verdict
+from orbisim.diagnosis.found import Retuned, Term, Verdict
 from orbisim.effects import find
 from orbisim.effects.estimate import FoundEffect
 
@@ -135,6 +135,25 @@ def described(effect: FoundEffect) -> str:
     label = next(iter(effect.parameters))
     axis = f" along {effect.options['axis']}" if "axis" in effect.options else ""
     return f"{where} lacks {phrase}{axis} ({label} {amount})"
+
+
+def together(terms: Sequence[Term], value: float, ci95: tuple[float, float], unit: str) -> str:
+    """'mass of a payload at 'upper' or 'fore': only the sum is determined, 2.1 ± 0.1 kg'."""
+    places = [f"{t.parameter} of {find(t.effect).phrase} at {t.target!r}" for t in terms]
+    factors = [number(abs(t.coefficient), 2) for t in terms]
+    signs = [" - " if t.coefficient < 0 else " + " for t in terms]
+    if len({(t.effect, t.parameter) for t in terms}) == 1:
+        places = [places[0], *(repr(t.target) for t in terms[1:])]
+    if set(factors) == {"1"} and set(signs) == {" + "}:
+        what = "the sum"
+    else:
+        parts = [f"{t.parameter} at {t.target!r}" for t in terms]
+        parts = [p if f == "1" else f"{f} * {p}" for f, p in zip(factors, parts, strict=True)]
+        what = parts[0] + "".join(s + p for s, p in zip(signs[1:], parts[1:], strict=True))
+    half = max(ci95[1] - value, value - ci95[0])
+    amount = f"{number(value)} ± {number(half, 2)} {unit}".removesuffix(" 1")
+    either = f"{', '.join(places[:-1])} or {places[-1]}"
+    return f"{either}: only {what} is determined, {amount}"
 
 
 def number(value: float | None, digits: int = 3) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Literal
 
 import mujoco
@@ -239,6 +239,18 @@ class Effect(abc.ABC):
         """Other effects that do nearly the same as this one, with the values at which they do."""
         return []
 
+    def elsewhere(
+        self, model: mujoco.MjModel, instance: EffectInstance, data: mujoco.MjData
+    ) -> list[EffectInstance]:
+        """What would do the same at another place if the motion did not tell the places apart, with
+        the values at which it would: the same at all other targets.
+
+        Args:
+          data: at a recorded pose, its kinematics computed.
+        """
+        others = (name for name in self.targets(model) if name != instance.target)
+        return [dataclasses.replace(instance, target=name) for name in others]
+
     def parts(self, instance: EffectInstance) -> list[EffectInstance]:
         """Effects that together do exactly the same: itself, or less of it and what it refines."""
         return [instance]
@@ -446,6 +458,23 @@ def reach(model: mujoco.MjModel, name: str) -> float:
         if child != body:
             far.append(float(np.linalg.norm(model.body_pos[child])))
     return max(far)
+
+
+def joints_above(model: mujoco.MjModel, body: int) -> Iterator[int]:
+    """Joints between a body and the world."""
+    while body:
+        first = int(model.body_jntadr[body])
+        yield from range(first, first + int(model.body_jntnum[body]))
+        body = int(model.body_parentid[body])
+
+
+def leverage(model: mujoco.MjModel, data: mujoco.MjData, joint: int, place: Floats) -> float:
+    """Inertia at a hinge or slide of 1 kg at a place in the world: the square of its distance from
+    the axis, m^2, or 1."""
+    if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
+        return 1.0
+    arm = np.cross(data.xaxis[joint], place - data.xanchor[joint])
+    return float(arm @ arm)
 
 
 def names_of_kind(model: mujoco.MjModel, kind: str) -> tuple[str, ...]:

@@ -22,6 +22,8 @@ from orbisim.effects.base import (
     index_of,
     is_scalar_joint,
     joint_unit,
+    joints_above,
+    leverage,
     names_of_kind,
     only_if,
     reach,
@@ -133,6 +135,26 @@ class Payload(BodyEffect):
             found.append({"mass": share * float(model.body_mass[body]), **parts})
         return found
 
+    def elsewhere(
+        self, model: mujoco.MjModel, instance: EffectInstance, data: mujoco.MjData
+    ) -> list[EffectInstance]:
+        """The mass at the same place, fixed to another body; and rotors of as much inertia as it
+        has about the joints that carry it."""
+        own, mass = index_of(model, "body", instance.target), instance.values["mass"]
+        com = np.array([instance.values[f"com_{axis}"] for axis in AXES])
+        place = data.xpos[own] + data.xmat[own].reshape(3, 3) @ com
+        found = []
+        for body, name in _movable(model, own):
+            at = data.xmat[body].reshape(3, 3).T @ (place - data.xpos[body])
+            parts = dict(zip(("com_x", "com_y", "com_z"), map(float, at), strict=True))
+            found.append(EffectInstance(self.name, name, {"mass": mass, **parts}))
+        for joint in joints_above(model, own):
+            name = names_of_kind(model, "joint")[joint]
+            if is_scalar_joint(model, name):
+                inertia = mass * leverage(model, data, joint, place)
+                found.append(EffectInstance("armature", name, {"inertia": inertia}))
+        return found
+
     def _at(self, view: MotionRegressors, target: str, place: np.ndarray) -> Candidate:
         """A point mass at a known place."""
         parts = dict(zip(("com_x", "com_y", "com_z"), map(float, place), strict=True))
@@ -141,6 +163,13 @@ class Payload(BodyEffect):
             return {"mass": float(c[0]), **parts} if c[0] > 0 else None
 
         return Candidate(self.name, target, (_inertia(view, target, place),), solve, shape=1)
+
+
+def _movable(model: mujoco.MjModel, own: int) -> list[tuple[int, str]]:
+    """Other bodies of the same tree with joints: what is welded to one is a part of it."""
+    names, weld = names_of_kind(model, "body"), model.body_weldid
+    same = np.flatnonzero((model.body_rootid == model.body_rootid[own]) & (model.body_mass > 0))
+    return [(int(b), names[b]) for b in same if weld[b] == b and weld[own] != b]
 
 
 def _places(model: mujoco.MjModel, target: str) -> list[np.ndarray]:
@@ -196,6 +225,20 @@ class ComOffset(BodyEffect):
         offset = (place - model.body_ipos[body]) * mass / (mass + float(model.body_mass[body]))
         parts = dict(zip(AXES, offset.tolist(), strict=True))
         return [self.complete(model, special.target, parts)]
+
+    def elsewhere(
+        self, model: mujoco.MjModel, instance: EffectInstance, data: mujoco.MjData
+    ) -> list[EffectInstance]:
+        """Offsets of other bodies that move the centre of all mass as far the same way."""
+        own = index_of(model, "body", instance.target)
+        moment = np.array([instance.values[axis] for axis in AXES]) * model.body_mass[own]
+        moment = data.xmat[own].reshape(3, 3) @ moment
+        found = []
+        for body, name in _movable(model, own):
+            offset = data.xmat[body].reshape(3, 3).T @ moment / model.body_mass[body]
+            values = self.complete(model, name, dict(zip(AXES, offset.tolist(), strict=True)))
+            found.append(EffectInstance(self.name, name, dict(values)))
+        return found
 
     def log_prior(
         self, model: mujoco.MjModel, instance: EffectInstance, extent: Extent | None = None

@@ -19,7 +19,10 @@ from orbisim.effects.base import (
     index_of,
     is_scalar_joint,
     joint_unit,
+    leverage,
+    names_of_kind,
     only_if,
+    reach,
     spec_element,
 )
 from orbisim.effects.screening import (
@@ -187,6 +190,22 @@ class Armature(JointEffect):
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         spec_element(spec, "joint", instance.target).armature += instance.values["inertia"]
+
+    def elsewhere(
+        self, model: mujoco.MjModel, instance: EffectInstance, data: mujoco.MjData
+    ) -> list[EffectInstance]:
+        """Rotors at other joints, and a mass with that inertia at the centre of the body."""
+        found = super().elsewhere(model, instance, data)
+        joint = index_of(model, "joint", instance.target)
+        body = int(model.jnt_bodyid[joint])
+        inertia = leverage(model, data, joint, data.xipos[body])
+        if inertia > _ON_AXIS * reach(model, names_of_kind(model, "body")[body]) ** 2:
+            parts = dict(
+                zip(("com_x", "com_y", "com_z"), model.body_ipos[body].tolist(), strict=True)
+            )
+            values = {"mass": instance.values["inertia"] / inertia, **parts}
+            found.append(EffectInstance("payload", names_of_kind(model, "body")[body], values))
+        return found
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         acceleration = view.qacc[:, _dof(view.model, target)]
@@ -709,6 +728,8 @@ def _second_joint(spec: mujoco.MjSpec, joint: Any, name: str) -> Any:
 _MOTOR_ARMATURE = 1e-3
 """kg m^2 (kg) of a motor that is declared without: a degree of freedom needs some inertia."""
 
+_ON_AXIS = 1e-4
+"""Square of the distance from an axis, over that of the body's reach, that is none."""
 _STILL = 1e-3
 """rad or m: travel of a joint that does not move."""
 _LOST = 0.2

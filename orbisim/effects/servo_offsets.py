@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from orbisim.effects.base import EffectInstance, index_of, names_of_kind
+from orbisim.effects.base import EffectInstance, index_of, joints_above, names_of_kind
 
 
 def same_offsets(model: mujoco.MjModel, one: EffectInstance) -> list[EffectInstance]:
@@ -48,19 +48,11 @@ def _torques(model: mujoco.MjModel, one: EffectInstance) -> Iterator[tuple[int, 
         force = np.array([one.values[axis] for axis in "xyz"])
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
-        for joint in _above(model, index_of(model, "body", one.target)):
+        for joint in joints_above(model, index_of(model, "body", one.target)):
             along = float(force @ data.xaxis[joint])
             slide = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
             if slide and abs(along) > _MOSTLY * np.linalg.norm(force):
                 yield joint, along
-
-
-def _above(model: mujoco.MjModel, body: int) -> Iterator[int]:
-    """Joints between a body and the world."""
-    while body:
-        first = int(model.body_jntadr[body])
-        yield from range(first, first + int(model.body_jntnum[body]))
-        body = int(model.body_parentid[body])
 
 
 def _moves(model: mujoco.MjModel, actuator: int, joint: int) -> bool:
