@@ -25,7 +25,8 @@ from orbisim.recording import Recording, bind
 from orbisim.recording.bound import Bound
 from orbisim.recording.clocks import slow
 from orbisim.recording.degrees import MOST, suspected
-from orbisim.recording.initial import Velocities, starts
+from orbisim.recording.initial import Starts, Velocities, starts
+from orbisim.recording.joints import joints
 from orbisim.recording.recording import common_map
 from orbisim.recording.windows import cut
 from orbisim.registry import make_backend
@@ -169,12 +170,27 @@ def prepare(bound: Bound, window: float, velocities: Velocities = "recorded") ->
     if not windows:
         raise RecordingError(
             bound.recording.source,
-            "no window can start: at no sample are all joint positions known",
+            f"no window can start: {_unknown(bound, states)}",
             remedy="missing samples are bridged over up to 256 sampling intervals",
         )
     late = len(set(cut(bound.time, window)) - set(windows))
     notes = [f"{late} windows start later or are left out, as the state is not known before"]
     return Prepared(bound, states, tuple(windows), tuple(notes if late else ()))
+
+
+def _unknown(bound: Bound, states: Starts) -> str:
+    """Why no sample is a whole state."""
+    never = [
+        joint.label
+        for joint in joints(bound.model)
+        if not (
+            np.isfinite(states.qpos[:, joint.q]).all(axis=1)
+            & np.isfinite(states.qvel[:, joint.v]).all(axis=1)
+        ).any()
+    ]
+    if not never:
+        return "at no sample are all joint positions known"
+    return f"at no sample are position and velocity of {', '.join(map(repr, never))} known"
 
 
 def _check_interval(bound: Bound, window: float) -> None:

@@ -407,7 +407,11 @@ def test_wrong_arguments(scene, recording):
     pieces = {n: np.array(v) for n, v in recording.signals.items()}
     pieces["qpos/elbow"][:600] = np.nan
     pieces["qpos/shoulder"][400:] = np.nan
-    with pytest.raises(RecordingError, match="no window can start"):
+    with pytest.raises(RecordingError, match="no window can start: at no sample are all joint"):
+        orbisim.replay(scene, recording.replace(signals=pieces))
+    pieces["qpos/shoulder"][1:] = np.nan
+    del pieces["qvel/shoulder"]  # one position says nothing about the velocity
+    with pytest.raises(RecordingError, match="position and velocity of 'shoulder' known"):
         orbisim.replay(scene, recording.replace(signals=pieces))
 
 

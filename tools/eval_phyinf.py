@@ -35,6 +35,7 @@ from scipy.spatial.transform import Rotation
 
 from orbisim import make_backend
 from orbisim.cli.common import quiet_engine
+from orbisim.errors import RecordingError
 from orbisim.identification import identify
 from orbisim.identification.parameters import free_bodies, parameters, patched
 from orbisim.identification.windows import grid
@@ -55,7 +56,7 @@ _MOVES = 0.02
 """m, that a cube must move for its density, and the friction under it, to show."""
 _FEWEST = 22
 """Frames that a window of the fit and what is smoothed about it need; a film with fewer from where
-all is seen on is left out."""
+all is seen on counts as failed."""
 _WINDOW = 1.0
 """Of the free runs that are fitted, s."""
 
@@ -74,10 +75,10 @@ def main() -> None:
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     end = time.time() + options.seconds
-    jobs: list[tuple[Any, ...]] = [
+    jobs: list[tuple[Any, ...]] = [  # by turns, so that a run that is ended has both
         (options.data, i, source, options.checkpoint, options.dynamics, options.out, end)
-        for source in options.source or ("true", "video")
         for i in range(options.episodes)
+        for source in options.source or ("true", "video")
     ]
     with quiet_engine():
         for _ in pool.run(one, jobs, options.workers):
@@ -97,6 +98,22 @@ def one(
     torch.set_num_threads(1)
     warnings.simplefilter("ignore")
     begun = time.time()
+    line: dict[str, Any] = {"episode": number, "source": source}
+    try:
+        measure(data, line, checkpoint, dynamics)
+    except RecordingError as error:  # what the frames do not show cannot be fitted
+        line["failed"] = str(error)
+    line["seconds"] = round(time.time() - begun, 1)
+    path.write_text(json.dumps(line) + "\n")
+
+
+def measure(data: Path, line: dict[str, Any], checkpoint: Path, dynamics: str) -> None:
+    """Fits and runs the episode and source that `line` names; adds what came out to it.
+
+    Raises:
+      RecordingError: the source does not have what a fit needs.
+    """
+    number = line["episode"]
     with EpisodeFile(data) as file:
         task, known = make(file.task, **file.config), file.attributes(number)
         arrays = file.episode(number, ["qpos", "ctrl", "frames/side"])
@@ -107,7 +124,7 @@ def one(
     qpos, ctrl = arrays["qpos"][rows], arrays["ctrl"][rows.start : rows.stop - 1]
     way = [float(np.linalg.norm(np.diff(qpos[:, a : a + 2], axis=0), axis=1).sum()) for a in cubes]
     moving = [name for name, far in zip(bodies, way, strict=True) if far > _MOVES]
-    line: dict[str, Any] = {"episode": number, "source": source, "moving": len(moving)}
+    line["moving"] = len(moving)
     if moving:
         names = ["friction:table", *(f"density:{name}" for name in moving)]
         truth = parameters(scene, names)
@@ -118,7 +135,7 @@ def one(
             for p in truth
         ]
         declared = patched(scene, dict(zip(truth, middle, strict=True)))
-        if source == "true":
+        if line["source"] == "true":
             time_ = np.arange(len(qpos)) * np.float64(STEP)
             held = np.concatenate([ctrl, ctrl[-1:]])
             recording = Recording(time_, {"qpos": qpos, "ctrl": held}, source=f"episode {number}")
@@ -128,12 +145,14 @@ def one(
             qpos = qpos[first:]
             line["frames"] = len(qpos)
             if len(qpos) < _FEWEST:
-                path.write_text(json.dumps({**line, "moving": 0}) + "\n")
-                return
+                raise RecordingError(
+                    recording.source,
+                    f"{len(qpos)} frames are left from the first one in which all objects are seen",
+                    remedy=f"{_FEWEST} are needed",
+                )
         found = identify(
             declared, [recording], names, backend=dynamics, window=_WINDOW, check=False
         )
-        line["seconds"] = round(time.time() - begun, 1)
         line["parameters"] = [
             {"name": p.name, "true": t.declared, "declared": m, "found": v, "ci95": [a, b]}
             for p, t, m, v, a, b in zip(
@@ -142,7 +161,6 @@ def one(
         ]
         for name, some in (("declared", declared), ("found", found.augmented), ("true", scene)):
             line[f"rollout_{name}"] = rollout(some, recording, qpos, cubes, dynamics)
-    path.write_text(json.dumps(line) + "\n")
 
 
 def from_where_all_is_seen(recording: Recording) -> tuple[Recording, int]:
@@ -219,12 +237,14 @@ def _turned(scene: Scene, number: int, found: Floats, true: Floats) -> Floats:
 
 
 def summary(out: Path) -> dict[str, Any]:
-    """Over all episodes in which a cube moves."""
+    """Over all episodes in which a cube moves, and which could not be fitted, with the reason."""
     found: dict[str, Any] = {}
     for source in ("true", "video"):
         lines = [json.loads(p.read_text()) for p in sorted(out.glob(f"{source}_*.json"))]
-        lines = [line for line in lines if line["moving"]]
-        part: dict[str, Any] = {"episodes": len(lines)}
+        moving = [line for line in lines if line["moving"]]
+        lines = [line for line in moving if "failed" not in line]
+        failed = {line["episode"]: line["failed"] for line in moving if "failed" in line}
+        part: dict[str, Any] = {"episodes": len(moving), "fitted": len(lines), "failed": failed}
         for name in ("friction", "density"):
             some = [p for line in lines for p in line["parameters"] if p["name"] == name]
             for which in ("declared", "found"):

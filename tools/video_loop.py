@@ -137,7 +137,7 @@ def see(seed: int, different: bool, out: Path, pixels: int, end: float) -> None:
         whole = np.isfinite(apart).all(1)
         errors.append(apart[whole])
         seen.append(float(whole.mean()))
-        noise.append(found.metadata["noise"])
+        noise.append(np.min(found.metadata["noise"]["xpos/block"]))  # along the table
     off = 1e3 * np.linalg.norm(np.concatenate(errors), axis=1)
     white = [np.diff(e, axis=0).std(0) / math.sqrt(2.0) for e in errors if len(e) > 2]
     line = {
@@ -152,7 +152,7 @@ def see(seed: int, different: bool, out: Path, pixels: int, end: float) -> None:
             "p90": round(float(np.quantile(off, 0.9)), 2),
             "worst": round(float(off.max()), 2),
             "from_frame_to_frame": round(1e3 * float(np.mean(white)), 2),
-            "stated_noise": round(1e3 * float(np.mean([n["xpos/block"] for n in noise])), 2),
+            "stated_noise": round(1e3 * float(np.mean(noise)), 2),
         },
     }
     (folder / "seen.json").write_text(json.dumps(line) + "\n")
@@ -206,6 +206,10 @@ def summary(out: Path) -> dict[str, Any]:
             part["sliding_friction_among"] = sum("sliding_friction" in n for n in names)
             off = [abs(_value(some[i]) / some[i]["friction"] - 1.0) for i in right]
             part["friction_off_percent_median"] = _median(100 * np.array(off))
+            meant = [(line["friction"], _meant(line)) for line in some if line["effects"]]
+            off = [abs(found / true - 1.0) for true, found in meant if found is not None]
+            part["friction_is_meant"] = len(off)
+            part["meant_off_percent_median"] = _median(100 * np.array(off))
         before = np.array([line["error"]["held_out"]["before"] for line in some], float)
         after = np.array([line["error"]["held_out"]["after"] for line in some], float)
         part["held_out_before_median"], part["held_out_after_median"] = (
@@ -220,6 +224,27 @@ def _value(line: dict[str, Any]) -> float:
     """The friction that was found: the first parameter's value."""
     parameters = line["effects"][0]["parameters"]
     return float(next(iter(parameters.values()))["value"])
+
+
+def _meant(line: dict[str, Any]) -> float | None:
+    """The friction under the block's own weight that would slow it down as what was named does.
+
+    None if something else than friction and load was named.
+    """
+    model = load_scene(SCENE.format(friction=DECLARED)).model
+    weight = float(model.body("block").mass[0] * -model.opt.gravity[2])
+    friction, load = DECLARED, weight
+    for effect in line["effects"]:
+        values = {name: float(p["value"]) for name, p in effect["parameters"].items()}
+        if effect["effect"] == "sliding_friction":
+            friction = values["coefficient"]
+        elif effect["effect"] == "constant_force":
+            load -= values["z"]
+        elif effect["effect"] == "buoyancy":
+            load += values["displaced_mass"] * float(model.opt.gravity[2])
+        else:
+            return None
+    return friction * load / weight
 
 
 def _counts(names: list[str]) -> dict[str, int]:

@@ -70,7 +70,8 @@ class Pose(NamedTuple):
 
     Attributes:
       qpos: [7] of its free joint. seen: whether the frame shows it. explained: share of the
-        improvement that a perfect match would be. std: [6] of position, m, and turn, rad.
+        improvement that a perfect match would be. std: [6] of position, m, and turn about the
+        world's axes, rad.
       jitter: [6] the part of `std` that changes from frame to frame.
       rests: whether it lies on a surface.
     """
@@ -399,6 +400,8 @@ class Refiner:
         pose = chosen.qpos[row, body.qpos : body.qpos + 7]
         bias, wander = (self.outline(body, pose[:3], part) for part in (_BIAS, _WANDER))
         std, jitter = np.hypot(spread, bias), np.hypot(spread, wander)
+        if k == 3:  # height and tilt are assumed: a body that moves rocks, and no frame was asked
+            jitter[2:5] = std[2:5]
         return Pose(pose, seen, explained, std, jitter, k == 3)
 
     def apart(self, body: Body, one: Floats, other: Floats) -> float:

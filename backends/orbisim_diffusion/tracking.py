@@ -88,8 +88,9 @@ def recording_of(
 ) -> Recording:
     """What frames show, as signals; joints and objects have NaN where they are not seen.
 
-    `metadata` has `noise`, the median standard deviation of each signal from frame to frame,
-    `offset`, that of what all frames may be off together, and `not_seen`, the stretches in which
+    `metadata` has `noise`, the median standard deviation of each signal from frame to frame (of a
+    body by axes: the world's for its position, its own for its orientation), `offset`, that of what
+    all frames may be off together, and `not_seen`, the stretches in which
     the joints or an object are not seen. With `looks` (one of `orbisim_diffusion.looks.Look` for
     each free body) it has them, too, by the bodies' names; standard deviations of what was not seen
     are null.
@@ -97,7 +98,7 @@ def recording_of(
     model = scene.model
     qpos = np.stack([one.qpos for one in found])
     signals: dict[str, Floats] = {}
-    noise: dict[str, float] = {}
+    noise: dict[str, float | list[float]] = {}
     offset: dict[str, float] = {}
     hidden: list[dict[str, Any]] = []
     stds = np.stack([one.joints_std for one in found])
@@ -121,8 +122,9 @@ def recording_of(
         spread = np.stack([pose.std for pose in poses])[seen]
         if len(spread):
             common = np.sqrt(np.maximum(spread**2 - jitter**2, 0.0))
+            jitter[:, 3:] = _about_own(turn[seen], jitter[:, 3:])
             for signal, axes in (("xpos", slice(0, 3)), ("xquat", slice(3, 6))):
-                noise[f"{signal}/{name}"] = float(np.median(jitter[:, axes].max(1)))
+                noise[f"{signal}/{name}"] = np.median(jitter[:, axes], axis=0).tolist()
                 offset[f"{signal}/{name}"] = float(np.median(common[:, axes].max(1)))
         hidden += [{"body": name, **stretch} for stretch in _stretches(times, ~seen)]
     metadata: dict[str, Any] = {"noise": noise, "offset": offset, "not_seen": hidden}
@@ -130,6 +132,13 @@ def recording_of(
         names = [str(name).split("/")[1] for name in signals if name.startswith("xpos/")]
         metadata["looks"] = {n: _as_json(look) for n, look in zip(names, looks, strict=True)}
     return Recording(times, signals, metadata=metadata, source=f"{scene.name} seen")
+
+
+def _about_own(quats: Floats, stds: Floats) -> Floats:
+    """Standard deviations [T, 3] about the world's axes as they are about a body's."""
+    turns = Rotation.from_quat(np.roll(quats, -1, axis=1)).as_matrix()
+    found: Floats = np.sqrt(np.einsum("tij,ti->tj", turns**2, stds**2))
+    return found
 
 
 def _as_json(look: Any) -> dict[str, list[float | None]]:

@@ -132,6 +132,8 @@ def command(
         recording = infer(loaded, frames, times, point, model)
     recording = with_controls(recording, loaded.model)
     recording.save(out)
+    noise = recording.metadata["noise"]
+    largest = {name: max(v) if isinstance(v, list) else v for name, v in noise.items()}
     result = {
         "schema": "orbisim.infer/1",
         "scene": scene,
@@ -139,7 +141,7 @@ def command(
         "frames": len(frames),
         "signals": sorted(recording.signals),
         "refined": refine,
-        "noise" if refine else "errors_on_test_frames": recording.metadata["noise"],
+        "noise" if refine else "errors_on_test_frames": largest,
         "not_seen": recording.metadata.get("not_seen", []),
         "looks": recording.metadata.get("looks", {}),
         "notes": list(recording.notes),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Collection, Mapping
 
 import numpy as np
@@ -41,24 +40,33 @@ class SmoothedRotation:
     jumps: Bools
 
 
-def stated_noise(bound: Bound, joint: Joint) -> tuple[float, float]:
-    """Noise of a joint's position and orientation, m or rad, as its recording states it; else 0.
+def stated_noise(bound: Bound, joint: Joint) -> tuple[Floats, Floats]:
+    """Noise of a joint's position and orientation, each [3], m or rad, as its recording states it.
 
     `metadata["noise"]` holds standard deviations by the names of signals (as `orbisim infer` writes
-    them): a fit to images errs alike from frame to frame, and where nothing moves it repeats
-    itself, so that the samples alone look better than they are.
+    them), one for all components of a position or turns about all axes of the body, or one for
+    each: a fit to images errs alike from frame to frame, and where nothing moves it repeats itself,
+    so that the samples alone look better than they are. 0 where nothing is stated.
     """
     given = bound.recording.metadata.get("noise")
     if not isinstance(given, Mapping):
-        return 0.0, 0.0
+        return np.zeros(3), np.zeros(3)
     body = bound.model.body(joint.body).name
 
-    def largest(*names: str) -> float:
+    def largest(*names: str) -> Floats:
         known = [given.get(name) for name in names if name in bound.recording.signals]
-        numbers = [float(v) for v in known if isinstance(v, (int, float))]
-        return max((v for v in numbers if math.isfinite(v)), default=0.0)
+        return np.asarray(np.max([np.zeros(3), *(_each_axis(stated) for stated in known)], axis=0))
 
     return largest(f"qpos/{joint.name}", f"xpos/{body}"), largest(f"xquat/{body}")
+
+
+def _each_axis(stated: object) -> Floats:
+    """[3] of what a recording's metadata say; 0 where that is no number."""
+    try:
+        numbers = np.broadcast_to(np.asarray(stated, np.float64), 3)
+    except (TypeError, ValueError):
+        return np.zeros(3)
+    return np.where(np.isfinite(numbers), numbers, 0.0)
 
 
 def rotation_noise(time: Floats, quats: Floats) -> float:
@@ -151,7 +159,8 @@ def estimate_motion(bound: Bound, only: Collection[int] | None = None) -> Motion
         found = smoothed(bound.time, bound.qpos[:, plan.columns], plan.noise())
         _fill_straight(motion, plan, found)
         for joint, place, noise in plan.turning:
-            _fill_turning(motion, joint, _rotation(_part(found, place), noise))
+            _fill_turning(motion, joint, _rotation(_part(found, place), float(noise.min())))
+            motion.noise_std[joint.angular] = noise
     for joint in plan.unseen:
         assert joint.quat is not None
         motion.qpos[:, joint.quat] = bound.qpos[:, joint.quat]
@@ -164,7 +173,8 @@ class _Plan:
 
     Attributes:
       columns: of qpos. straight_v: columns of qvel that belong to the first of them.
-      turning: joints with quaternions, where these stand among them, and their noise, rad.
+      turning: joints with quaternions, where these stand among them, and their noise about each
+        axis, [3] rad.
       unseen: free joints whose orientation does not matter.
     """
 
@@ -177,14 +187,14 @@ class _Plan:
             width = 3 if joint.kind == Kind.FREE else 1 if joint.scalar else 0
             self.columns += range(joint.q.start, joint.q.start + width)
             self.straight_v += range(joint.v.start, joint.v.start + width)
-            stated += [stated_noise(bound, joint)[0]] * width
+            stated += stated_noise(bound, joint)[0][:width].tolist()
         self.stated = np.array(stated)
-        self.turning: list[tuple[Joint, slice, float]] = []
+        self.turning: list[tuple[Joint, slice, Floats]] = []
         self.unseen = [j for j in wanted if j.id in bound.unseen_turns]
         for joint in wanted:
             if joint.quat is not None and joint not in self.unseen:
-                noise = rotation_noise(bound.time, bound.qpos[:, joint.quat])
-                noise = np.fmax(noise, stated_noise(bound, joint)[1])
+                about = stated_noise(bound, joint)[1]
+                noise = np.fmax(rotation_noise(bound.time, bound.qpos[:, joint.quat]), about)
                 place = slice(len(self.columns), len(self.columns) + 4)
                 self.turning.append((joint, place, noise))
                 self.columns += range(joint.quat.start, joint.quat.stop)
@@ -194,7 +204,8 @@ class _Plan:
         straight = self.columns[: len(self.straight_v)]
         each = noise_std(self.bound.time, self.bound.qpos[:, straight])
         each = np.fmax(each, self.stated)
-        return np.concatenate([each, *([n / 2.0] * 4 for _, _, n in self.turning)])
+        # components mix the axes: what is known best about one of them is not smoothed away
+        return np.concatenate([each, *([n.min() / 2.0] * 4 for _, _, n in self.turning)])
 
 
 def _part(found: Smoothed, place: slice) -> Smoothed:

@@ -106,5 +106,11 @@ def test_noise_that_a_recording_states_is_a_floor() -> None:
     said = still.replace(metadata={"noise": {"xpos/cube": 1e-3, "xquat/cube": 0.04}})
     found = estimate_motion(bind(said, scene)).noise_std
     np.testing.assert_allclose(found, [1e-3] * 3 + [0.04] * 3, rtol=1e-6)
+    each = still.replace(metadata={"noise": {"xpos/cube": [1e-3, 2e-3, 3e-3], "xquat/cube": 0.04}})
+    found = estimate_motion(bind(each, scene)).noise_std
+    np.testing.assert_allclose(found, [1e-3, 2e-3, 3e-3, 0.04, 0.04, 0.04], rtol=1e-6)
+    each = still.replace(metadata={"noise": {"xquat/cube": [0.01, 0.02, 0.03]}})
+    found = estimate_motion(bind(each, scene)).noise_std
+    np.testing.assert_allclose(found[3:], [0.01, 0.02, 0.03], rtol=1e-6)
     odd = still.replace(metadata={"noise": {"xpos/cube": "much", "xquat/cube": float("inf")}})
     assert estimate_motion(bind(odd, scene)).noise_std.max() < 1e-6
