@@ -7,11 +7,14 @@ Vertex error: distance of each vertex from where backend A has it, after so many
 change of an edge's length over its length at rest. With --hold N, episodes go on for N control
 steps, and so far has each vertex moved in them. All as median, 90 % and greatest over vertices
 (edges), episodes and scenes; vertex error at each step, penetration and strain over all steps.
+Speed: control steps in a processor second of the rollouts, all threads counted, median over scenes;
+each engine has stepped once before, and other processes on the machine hardly matter.
 """
 
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Sequence
 
 import numpy as np
@@ -29,20 +32,26 @@ EVERY = 5
 
 def courses(
     task: Drape, subtask: str, seed: int, episodes: int, backends: Sequence[str], hold: int
-) -> Floats:
-    """[backends, episodes, T + 1 + hold, V, 3]: vertices of one scene, m."""
+) -> tuple[Floats, list[float]]:
+    """Vertices of one scene and each backend's control steps in a processor second.
+
+    Vertices are [backends, episodes, T + 1 + hold, V, 3], m.
+    """
     setup = task.trials(episodes, seed, subtask)
-    model, found = setup.scene.model, []
+    model, found, speeds = setup.scene.model, [], []
     steps = AT[-1] + hold
     controls = setup.controls(steps * task.control_timestep, task.control_timestep, seed)
     for name in backends:
         engine = make_backend(name, setup.scene, nworld=episodes)
         nstep = round(task.control_timestep / engine.timestep)
+        engine.rollout(setup.initial, controls[:, :1], nstep=nstep)  # some compile first
+        began = time.process_time()
         rolled = engine.rollout(setup.initial, controls, nstep=nstep)
+        speeds.append(episodes * steps / (time.process_time() - began))
         start = np.asarray(setup.initial.qpos)[:, None]
         qpos = np.asarray(rolled.qpos, np.float64)[:, :steps]
         found.append(vertices(model, np.concatenate([start, qpos], axis=1)))
-    return np.stack(found)
+    return np.stack(found), speeds
 
 
 def words(values: Floats, unit: float) -> str:
@@ -67,9 +76,13 @@ def main() -> None:
     depths: list[list[Floats]] = [[], []]
     strains: list[list[Floats]] = [[], []]
     creeps: list[list[Floats]] = [[], []]
+    speeds: list[list[float]] = []
     for seed in range(options.seed, options.seed + options.scenes):
         scene = task.scene(options.subtask, seed)
-        every = courses(task, options.subtask, seed, options.episodes, backends, options.hold)
+        every, rates = courses(
+            task, options.subtask, seed, options.episodes, backends, options.hold
+        )
+        speeds.append(rates)
         for k, one in enumerate(every):
             creeps[k].append(np.linalg.norm(one[:, -1] - one[:, AT[-1]], axis=-1))
         every = every[:, :, : AT[-1] + 1]
@@ -88,6 +101,8 @@ def main() -> None:
     for name, depth, strain in zip(backends, depths, strains, strict=True):
         print(f"{name}: penetration, mm: {words(np.concatenate(depth), 1e-3)}")
         print(f"{name}: edge strain, %: {words(np.concatenate(strain), 1e-2)}")
+    for name, rates in zip(backends, zip(*speeds, strict=True), strict=True):
+        print(f"{name}: control steps in a processor second: {np.median(rates):.3g}")
 
 
 if __name__ == "__main__":

@@ -115,14 +115,17 @@ def main() -> int:
         for name in PARTS[part][0]
         if chosen is None or name in chosen
     ]
+    jobs = [job for job in jobs if not _kept(job, options)]
+    bodies = list(dict.fromkeys(name for part, name, _ in jobs if part == "bodies"))
     context = multiprocessing.get_context("spawn")
     with concurrent.futures.ProcessPoolExecutor(options.workers, mp_context=context) as pool:
-        running = {
-            pool.submit(measured, *job, options): job for job in jobs if not _kept(job, options)
-        }
-        for future in concurrent.futures.as_completed(running):
-            part, name, column = running[future]
-            print(json.dumps({part: {name: {column: future.result()}}}), flush=True)
+        first = [pool.submit(measured, *job, options) for job in jobs if job[0] != "bodies"]
+        # one process collects a body's episodes, which several then read
+        list(pool.map(prepared, bodies, [options] * len(bodies)))
+        rest = [pool.submit(measured, *job, options) for job in jobs if job[0] == "bodies"]
+        for future in concurrent.futures.as_completed(first + rest):
+            part, name, column, row = future.result()
+            print(json.dumps({part: {name: {column: row}}}), flush=True)
     found = {part: rows(part, options) for part in options.only.split(",")}
     if options.json:
         options.json.write_text(json.dumps(found, indent=1))
@@ -130,13 +133,13 @@ def main() -> int:
     return 0
 
 
-def measured(part: str, name: str, column: str, options: Any) -> Any:
-    """One column of a row, which is kept."""
+def measured(part: str, name: str, column: str, options: Any) -> tuple[str, str, str, Any]:
+    """One column of a row, which is kept, behind its names."""
     warnings.simplefilter("ignore")
     torch.set_num_threads(1)
     found = PARTS[part][1](name, column, options)
     _kept_at((part, name, column), options).write_text(json.dumps(found))
-    return found
+    return part, name, column, found
 
 
 def rows(part: str, options: Any) -> dict[str, Any]:
@@ -226,12 +229,12 @@ def unlearned(model: Any) -> Any:
 # -- bodies --------------------------------------------------------------------------------------
 
 
-def body(name: str, column: str, options: Any) -> Any:
-    """Errors of one of the models on a body that the one model was not trained on."""
-    from orbisim_world_model.checkpoint import load_for
-    from orbisim_world_model.packing import read_data, with_limbs
+def prepared(name: str, options: Any) -> tuple[Path, dict[str, Path], float, float]:
+    """A body's scene and episodes, made where they lack; and durations of its model's step and of a
+    control step, s."""
     from orbisim_world_model.reading_articulation import natural_step
 
+    warnings.simplefilter("ignore")
     text, control = BODIES[name]()
     scene = options.work / f"{name}.xml"
     if not scene.exists():
@@ -239,6 +242,15 @@ def body(name: str, column: str, options: Any) -> Any:
     step = natural_step(mujoco.MjModel.from_xml_path(str(scene)))
     sets = (("train", options.episodes, TRAIN_SEED), ("test", TESTS, TEST_SEED))
     files = {kind: _episodes(scene, kind, count, seed, step) for kind, count, seed in sets}
+    return scene, files, step, control
+
+
+def body(name: str, column: str, options: Any) -> Any:
+    """Errors of one of the models on a body that the one model was not trained on."""
+    from orbisim_world_model.checkpoint import load_for
+    from orbisim_world_model.packing import read_data, with_limbs
+
+    scene, files, step, control = prepared(name, options)
     packs = {kind: read_data([path], scene=str(scene)) for kind, path in files.items()}
     marks = [round(control / step) * mark for mark in MARKS]
     marks = [mark for mark in marks if mark <= int(packs["test"].length.max())]

@@ -3,9 +3,9 @@
     python tools/shrink_zoo.py --zoo ZOO --data DATA --out OUT [--only push,ball] [--bits 8]
 
 DATA has some of what tools/collect_all.py collects for training; a twenty-fifth is enough
-(`--scale 0.04`). Without, and for vision always, weights are rounded to the nearest. Whether
-nothing is lost, tools/eval_dynamics.py --tails says of both folders, and of vision `orbisim eval
-vision` or tools/bench_vision.py.
+(`--scale 0.04`). Without, and for cloth and vision always, weights are rounded to the nearest.
+Whether nothing is lost, tools/eval_dynamics.py --tails says of both folders, of cloth
+tools/drape_metrics.py, and of vision `orbisim eval vision` or tools/bench_vision.py.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def main() -> int:
     from orbisim_diffusion.checkpoint import SCHEMA as VISION
     from orbisim_diffusion.shrinking import shrink
     from orbisim_world_model.families import is_cloth
-    from orbisim_world_model.shrinking import save_in_few_bits
+    from orbisim_world_model.shrinking import save_cloth_in_few_bits, save_in_few_bits
 
     from orbisim.files.reading import read_json
 
@@ -45,7 +45,9 @@ def main() -> int:
         shutil.copytree(source, target, dirs_exist_ok=True)
         if read_json(source / "manifest.json").get("schema") == VISION:
             shrink(source, target, options.bits)
-        elif not is_cloth(source):  # 60 kB stay as they are
+        elif is_cloth(source):
+            save_cloth_in_few_bits(source, target, options.bits)
+        else:
             parts = tuple(f"{part}_train" for part in train_all.JOBS[name].data)
             packs = train_all.read_named(options.data, parts) if options.data else None
             save_in_few_bits(source, target, packs, options.bits)

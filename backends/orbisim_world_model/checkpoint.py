@@ -160,7 +160,7 @@ def load_checkpoint(
     layout = layout or Layout.from_dict(manifest["layout"], f"{path}: layout")
     try:
         shapes = _shapes(layout, config, manifest)
-        tensors = _weights(Path(folder) / WEIGHTS, variant, shapes)
+        tensors = stored_weights(Path(folder) / WEIGHTS, variant, shapes)
         model = _built(layout, config, manifest)
         model.load_state_dict({name: tensor.float() for name, tensor in tensors.items()})
     except InputError:
@@ -190,7 +190,7 @@ def _shapes(layout: Layout, config: ModelConfig, manifest: dict[str, Any]) -> di
     return shapes
 
 
-def _weights(path: Path, variant: int, expected: dict[str, Any]) -> dict[str, Tensor]:
+def stored_weights(path: Path, variant: int, expected: dict[str, Any]) -> dict[str, Tensor]:
     """The weights of one robot's model, if they are those that are expected.
 
     Raises:

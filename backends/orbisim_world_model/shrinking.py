@@ -7,11 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
 from torch import nn
 
 from orbisim.errors import InputError
+from orbisim.files.writing import make_folder
 from orbisim_world_model.calibration import calibrated
-from orbisim_world_model.checkpoint import load_checkpoint, save_checkpoint
+from orbisim_world_model.checkpoint import WEIGHTS, load_checkpoint, save_checkpoint, write_parts
+from orbisim_world_model.cloth.manifest import read_cloth_manifest
 from orbisim_world_model.dynamics import Dynamics
 from orbisim_world_model.manifest import read_manifest, variants
 from orbisim_world_model.network.coupling import Block
@@ -61,6 +65,29 @@ def save_in_few_bits(
         matrices = calibrated(networks, runs, bits)
     named = [{f"network.{name}": m for name, m in each.items()} for each in matrices]
     save_checkpoint(Path(target), models, manifest, named)
+
+
+def save_cloth_in_few_bits(source: str | Path, target: str | Path, bits: int) -> None:
+    """Writes a cloth's checkpoint again with its network's matrices rounded to the nearest.
+
+    Raises:
+      InputError: a file is missing or damaged, or has few bits already.
+    """
+    manifest = read_cloth_manifest(source)
+    try:
+        stored = load_file(str(Path(source) / WEIGHTS))
+    except (OSError, SafetensorError) as error:
+        raise InputError(f"{source}: a damaged checkpoint of a cloth ({error})") from None
+    if any(tensor.dtype == torch.uint8 for tensor in stored.values()):
+        raise InputError(f"{source}: has few bits a weight already; start from half precision")
+    tensors: dict[str, torch.Tensor] = {}
+    for name, tensor in stored.items():
+        if name.startswith("network.") and tensor.dim() == 2:
+            tensors |= quantized(tensor, bits).tensors(name)
+        else:
+            tensors[name] = tensor
+    make_folder(Path(target))
+    write_parts(Path(target), tensors, manifest)
 
 
 @torch.no_grad()  # type: ignore[untyped-decorator]

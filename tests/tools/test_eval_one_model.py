@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import concurrent.futures
 import json
 import sys
+import time
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -72,6 +75,37 @@ def test_what_is_kept_is_not_measured_again(tmp_path: Path) -> None:
     table = eval_one_model.tables({"domains": {"walker": row}})
     assert table[0] == "| domains | separate | one | ratio |"
     assert table[2] == "| walker | 0.2, 0.2, 0.2 | 0.1, 0.1, 0.1 | 0.5, 0.5, 0.5 |"
+
+
+def test_a_bodys_episodes_are_collected_once_for_all_columns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[str] = []
+
+    def collect(scene: str, path: Path, **settings: Any) -> None:
+        made.append(path.name)
+        time.sleep(0.02)  # in which another one would find no file yet
+        path.touch()
+
+    def row(name: str, column: str, options: Any) -> list[list[float]]:
+        assert all(path.exists() for path in eval_one_model.prepared(name, options)[1].values())
+        return [[float(len(column)), 0.0, 0.0]]
+
+    bodies, columns = ("three_links", "arm"), ("constant velocity", "known", "separate")
+    threads = concurrent.futures.ThreadPoolExecutor
+    monkeypatch.setattr(
+        concurrent.futures, "ProcessPoolExecutor", lambda workers, mp_context: threads(workers)
+    )
+    monkeypatch.setattr("orbisim.tasks.collect.collect", collect)
+    monkeypatch.setattr(eval_one_model.torch, "set_num_threads", lambda number: None)
+    monkeypatch.setitem(eval_one_model.PARTS, "bodies", (bodies, row))
+    words = ["--work", tmp_path, "--only", "bodies", "--workers", "8"]
+    words += ["--columns", ",".join(columns), "--json", tmp_path / "all.json"]
+    monkeypatch.setattr(sys, "argv", ["eval_one_model.py", *map(str, words)])
+    assert eval_one_model.main() == 0
+    assert sorted(made) == sorted(f"{b}_{kind}.h5" for b in bodies for kind in ("train", "test"))
+    found = json.loads((tmp_path / "all.json").read_text())["bodies"]
+    assert found["arm"]["known"] == [[5.0, 0.0, 0.0]] and found["arm"].keys() == set(columns)
 
 
 def test_a_training_ends_by_processor_time() -> None:

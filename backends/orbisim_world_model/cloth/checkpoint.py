@@ -1,4 +1,5 @@
-"""Checkpoints of learned cloth: weights in safetensors, half precision, with a JSON manifest."""
+"""Checkpoints of learned cloth: weights in safetensors, half precision or few bits, with a JSON
+manifest."""
 
 from __future__ import annotations
 
@@ -8,12 +9,10 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file
 
 from orbisim.errors import InputError
-from orbisim.files.reading import size_of
 from orbisim.files.writing import make_folder
-from orbisim_world_model.checkpoint import WEIGHTS, write_parts
+from orbisim_world_model.checkpoint import WEIGHTS, stored_weights, write_parts
 from orbisim_world_model.cloth.config import ClothModel
 from orbisim_world_model.cloth.dynamics import ClothDynamics
 from orbisim_world_model.cloth.manifest import CLOTH_SCHEMA, cloth_model, read_cloth_manifest
@@ -66,18 +65,11 @@ def load_cloth(folder: str | Path, mesh: Mesh) -> ClothCheckpoint:
     manifest = read_cloth_manifest(folder)
     config = cloth_model(manifest, str(folder))
     try:
-        size_of(Path(folder) / WEIGHTS)
-        tensors = load_file(str(Path(folder) / WEIGHTS))
-        expected = _shapes(config, mesh)
-        found = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
-        if found != expected:
-            odd = sorted(k for k in found.keys() | expected.keys()
-                         if found.get(k) != expected.get(k))  # fmt: skip
-            raise ValueError(f"{odd[0]} is {found.get(odd[0])}; expected {expected.get(odd[0])}")
-        if not all(torch.isfinite(tensor).all() for tensor in tensors.values()):
-            raise ValueError("its weights are not all finite")
+        tensors = stored_weights(Path(folder) / WEIGHTS, 0, _shapes(config, mesh))
         model = ClothDynamics(config, mesh)
         model.load_state_dict({name: tensor.float() for name, tensor in tensors.items()})
+    except InputError:
+        raise
     except (OSError, SafetensorError, LookupError, ValueError, TypeError, RuntimeError) as error:
         reason = " ".join(str(error).split())[:200]
         raise InputError(f"{folder}: a damaged checkpoint of a cloth ({reason})") from None

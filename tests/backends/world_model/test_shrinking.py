@@ -8,12 +8,21 @@ import pytest
 import torch
 from orbisim_world_model import shrinking, zoo
 from orbisim_world_model.checkpoint import load_checkpoint
+from orbisim_world_model.cloth.checkpoint import load_cloth
+from orbisim_world_model.cloth.run import train_cloth
 from orbisim_world_model.dynamics import Dynamics
 from orbisim_world_model.packing import read_data
-from orbisim_world_model.shrinking import remove_unused, save_in_few_bits
+from orbisim_world_model.run import Run
+from orbisim_world_model.shrinking import (
+    remove_unused,
+    save_cloth_in_few_bits,
+    save_in_few_bits,
+)
 
 from orbisim.errors import InputError
+from orbisim.files.reading import read_json
 from orbisim.tasks.collect import collect
+from tests.backends.world_model.cloth.falls import falls, toy_cloth
 
 ZOO = Path(zoo.__file__).parent / "zoo"
 TASKS = {"point_mass": "suite:point_mass-easy", "ball": "ball"}
@@ -66,6 +75,22 @@ def test_nearest_in_many_bits_changes_less_than_half_precision(tmp_path: Path) -
         name = "network.f_cp.blocks.0.mix.0.weight"
         off = (before[name] - after[name]).abs().max()
         assert 0 < off < 2.0**-13 * before[name].abs().max()
+
+
+def test_a_cloth_in_few_bits_steps_nearly_as_before(tmp_path: Path) -> None:
+    toy, small = tmp_path / "toy", tmp_path / "small"
+    data = falls()
+    train_cloth(data, toy_cloth(), Run(out=toy, steps=2))
+    save_cloth_in_few_bits(toy, small, 10)
+    assert read_json(small / "manifest.json") == read_json(toy / "manifest.json")
+    before, after = (load_cloth(folder, data.mesh).model for folder in (toy, small))
+    for (name, old), new in zip(
+        before.state_dict().items(), after.state_dict().values(), strict=True
+    ):
+        off = (new - old).abs().max() / old.abs().max().clamp_min(1e-9)
+        assert off <= (2.0**-9 if name.startswith("network.") and old.dim() == 2 else 0.0), name
+    with pytest.raises(InputError, match="has few bits a weight already"):
+        save_cloth_in_few_bits(small, tmp_path / "smaller", 8)
 
 
 def test_what_is_refused(tmp_path: Path) -> None:
