@@ -419,7 +419,7 @@ class Problem:
         information = np.einsum("wdp,wdq->wpq", weighted, weighted)
         score = np.einsum("wdp,wd->wp", weighted, left)
         gram = information.sum(axis=0) + np.diag(self.precision)
-        square = float(here.cost.sum())
+        trust, square = self.trust(here.cost), float(here.cost.sum())
         fitted = len(values) + free.shape[2] * len(residual)
         count = max(self.shooter.count - fitted, 1)
         covariance = np.linalg.pinv(gram, rcond=1e-12) if len(values) else np.zeros((0, 0))
@@ -428,7 +428,7 @@ class Problem:
             start=xi,
             square=square,
             count=count,
-            covariance=covariance * max(square / count, 1.0),
+            covariance=covariance * max(float(trust @ here.cost) / count, float(trust.mean())),
             residual=residual,
             per_window=self.window_costs(residual),
             information=information,

@@ -11,10 +11,12 @@ from orbisim.effects import EffectInstance
 from orbisim.effects.measurement import Measurement
 from orbisim.errors import SceneError
 from orbisim.motion.samples import prepare_all
+from orbisim.recording import Recording
 from orbisim.shooting.bench import make_bench
 from orbisim.shooting.fits import Hints, Unknown
 from orbisim.shooting.gauss_newton import Problem, gauss_newton
 from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.judge import Judge
 from orbisim.shooting.shooter import Variant
 from orbisim.testing import inject_effect
 
@@ -74,3 +76,21 @@ def test_a_step_to_an_impossible_scene_is_shortened(arm: orbisim.Scene) -> None:
     found = gauss_newton(bench.shooter(bench.fit), build, [start], iterations=8)
     assert len(refused) == 1
     assert found.values[0] == pytest.approx(0.1, rel=0.05)
+
+
+def test_a_window_that_nothing_explains_does_not_widen_intervals(arm: orbisim.Scene) -> None:
+    """A sensor that jumps in one window of a dozen."""
+    friction = EffectInstance("coulomb_friction", "elbow", {"torque": 0.1})
+    runs = inject_effect(arm, friction, duration=3.0, episodes=2, noise=1e-3, seed=1)
+    noise, name = np.full(2, 1e-3), "qpos/elbow"
+    broken = runs[0][name].copy()
+    broken[20:40] += 1.0
+    wrong = runs[0].replace(signals={**runs[0].signals, name: broken})
+
+    def deviation(recordings: list[Recording]) -> float:
+        bench = make_bench(arm, prepare_all(recordings, arm), 0.5).whole((noise, 10 * noise))
+        found = Judge(bench, bench.intervals, heavy=True).judge(Hypothesis((friction,)))
+        assert found is not None
+        return float(np.sqrt(found.fit.covariance[0, 0]))
+
+    assert deviation([wrong, runs[1]]) < 2 * deviation(runs)
