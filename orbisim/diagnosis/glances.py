@@ -117,11 +117,12 @@ _LEAST = 8
 
 
 def usual(context: Context, possible: Sequence[EffectInstance]) -> list[Suspect]:
-    """Effects on bodies at usual sizes, whatever a regression says: payloads and forces in
-    proportion to masses; and what does the same as a suspect, and more."""
-    bodies = {(e.effect, e.target) for e in possible if find(e.effect).kind == "body"}
+    """Effects on bodies and at contacts at usual sizes, whatever a regression says: payloads and
+    forces in proportion to masses, friction less and more than declared; and what does the same as
+    a suspect, and more."""
+    places = {(e.effect, e.target) for e in possible if find(e.effect).kind in ("body", "geom")}
     scene, made = context.bench.scene, []
-    for name, target in sorted(bodies):
+    for name, target in sorted(places):
         every = find(name).trials(scene.model, target)
         made += [EffectInstance(name, target, dict(values)) for values in every]
     first = {(e.effect, e.target): e for e in reversed(possible)}
@@ -144,9 +145,13 @@ def generalizations(context: Context, special: EffectInstance) -> list[EffectIns
 
 
 def _scaled(scene: Scene, one: EffectInstance, size: float) -> EffectInstance | None:
-    """An effect so many times as large; None if that cannot be."""
-    values = find(one.effect).scaled(one.values, size)
-    return bounded_instance(scene, dataclasses.replace(one, values=dict(values)))
+    """An effect that changes so many times as much; None if that cannot be."""
+    effect = find(one.effect)
+    neutral = {p.name: p.neutral for p in effect.parameters(scene.model, one.target)}
+    away = {name: value - neutral.get(name, 0.0) for name, value in one.values.items()}
+    further = effect.scaled(away, size)
+    values = {name: value + neutral.get(name, 0.0) for name, value in further.items()}
+    return bounded_instance(scene, dataclasses.replace(one, values=values))
 
 
 def varied(found: Sequence[Suspect], most: int) -> list[Suspect]:

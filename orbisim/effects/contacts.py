@@ -38,9 +38,9 @@ class _Coefficient(ContactEffect):
         return (Parameter("coefficient", self.unit, 0.0, 100.0, self.scale, declared),)
 
     def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
-        declared = float(model.geom_friction[index_of(model, "geom", target), self.index])
+        declared = _prevailing(model, target, self.index, self.condim)
         levels = {self.scale * f for f in (0.2, 0.6, 1.5, 4.0)} | {0.7 * declared, 1.4 * declared}
-        return [{"coefficient": level} for level in sorted(levels)]
+        return [{"coefficient": level} for level in sorted(levels - {0.0})]
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         geom = spec_element(spec, "geom", instance.target)
@@ -95,7 +95,7 @@ class AnisotropicFriction(ContactEffect):
         )
 
     def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
-        declared = float(model.geom_friction[index_of(model, "geom", target), 0])
+        declared = _prevailing(model, target, 0, 3)
         return [{"ratio": ratio, "coefficient": declared} for ratio in (0.3, 0.6, 1.6, 3.0)]
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import orbisim
+from orbisim.diagnosis.glances import _scaled
 from orbisim.effects import EffectInstance, add_effects, find
 
 HAMMER = """
@@ -58,3 +59,18 @@ def test_a_payload_can_begin_at_an_offset_of_the_centre_of_mass(hammer: orbisim.
     (back,) = find("com_offset").generalized(hammer.model, heavy)
     assert back == pytest.approx(offset.values, rel=1e-3)
     assert find("com_offset").generalized(hammer.model, BIAS) == []
+
+
+def test_an_effect_is_scaled_by_what_it_changes(hammer: orbisim.Scene) -> None:
+    """Twice as much more friction than declared, not twice the friction; a load is more mass."""
+    declared = find("sliding_friction").parameters(hammer.model, "head")[0].neutral
+    slippery = EffectInstance("sliding_friction", "head", {"coefficient": declared - 0.2})
+    twice = _scaled(hammer, slippery, 2.0)
+    assert twice is not None
+    assert twice.values["coefficient"] == pytest.approx(declared - 0.4)
+    (load,) = [
+        EffectInstance("payload", "head", dict(v))
+        for v in find("payload").trials(hammer.model, "head")[:1]
+    ]
+    heavier = _scaled(hammer, load, 2.0)
+    assert heavier is not None and heavier.values["mass"] == pytest.approx(2 * load.values["mass"])

@@ -157,3 +157,16 @@ def test_trials_of_adhesion_are_parts_of_the_weight() -> None:
     forces = [trial["force"] for trial in find("adhesion").trials(model, "box")]
     weight = np.hypot(3, 9)
     np.testing.assert_allclose(forces, [0.1 * weight, 0.4 * weight, 1.5 * weight])
+
+
+def test_trials_of_friction_are_less_and_more_than_what_acts() -> None:
+    """Where the floor has the say, its friction is what a trial differs from."""
+    ruled = SLOPE.replace('name="floor"', 'name="floor" priority="1" friction="0.3"')
+    model = load_scene(ruled).model
+    (parameter,) = find("sliding_friction").parameters(model, "box")
+    levels = [trial["coefficient"] for trial in find("sliding_friction").trials(model, "box")]
+    assert parameter.neutral == pytest.approx(0.3)
+    assert 0.21 in np.round(levels, 9) and 0.42 in np.round(levels, 9)
+    assert {
+        trial["coefficient"] for trial in find("anisotropic_friction").trials(model, "box")
+    } == {0.3}
