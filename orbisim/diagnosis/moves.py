@@ -124,10 +124,20 @@ def _added(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judg
             yield judged
     yield from _generalized(context, current, own)
     yield from _refined(context, current, own, screening)
-    for judged in best_few(context, current, own):
-        closer = context.judge.closer(judged)
-        if closer is not judged:
-            yield closer
+    few = [context.judge.closer(judged) for judged in best_few(context, current, own)]
+    yield from few
+    yield from _fairly(context, current, few)
+
+
+def _fairly(context: Context, current: Judged, few: Sequence[Judged]) -> Iterator[Judged]:
+    """The others of a few, fitted again from where the best of them has windows start: a start that
+    was not found is no reason against an effect."""
+    ranked = best_few(context, current, few)
+    for other in ranked[1:]:
+        begin = context.judge.begin(ranked[0])
+        again = context.judge.judge(other.hypothesis, begin=begin, anew=True)
+        if again is not None and again.loss < other.loss:
+            yield again
 
 
 def _generalized(context: Context, current: Judged, fitted: Sequence[Judged]) -> Iterator[Judged]:

@@ -133,6 +133,8 @@ class Hypothesis:
             step = max(step, effect.resolution(model, name))
             if effect.stepwise(e, name):
                 step = max(step, _COARSE * abs(value))
+            elif effect.kind == "geom":
+                step = max(step, _IMPACTS * abs(value))
             found.append(Unknown(f"{e.effect}({e.target}).{name}", value, low, high, step))
         found += [
             Unknown(str(one), factor, 1 - REACH, 1 + REACH, 1e-4, 1.0, 1 / SPREAD**2)
@@ -143,6 +145,9 @@ class Hypothesis:
 
 _COARSE = 0.03
 """Relative step of differences by parameters that act in steps."""
+_IMPACTS = 0.1
+"""The same by numbers of contacts: through impacts the cost is rugged, and the slope over a smaller
+step holds no further than that."""
 
 
 def _with(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -160,7 +160,9 @@ class Judge:
         start[fitted], start[~fitted] = parts
         return self._beginning(judged.hypothesis, start, start)
 
-    def _beginning(self, hypothesis: Hypothesis, start: Floats, check_start: Floats) -> Beginning:
+    def _beginning(
+        self, hypothesis: Hypothesis, start: Floats, check_start: Floats | None
+    ) -> Beginning:
         """Starts of as many windows as there are, with what they do where bodies touch."""
         found, declared = self.cold, self.bench.scene
         variant, contacts = hypothesis.variant(declared), self.bench.contacts
@@ -177,7 +179,7 @@ class Judge:
                 )
         if self.check is self.fitted:
             return dataclasses.replace(found, check_start=found.start, check_free=found.free)
-        if len(check_start) == len(self.check):
+        if check_start is not None and len(check_start) == len(self.check):
             found = dataclasses.replace(found, check_start=check_start)
             if contacts:
                 free = start_derivatives(self.check, variant, check_start)
@@ -190,21 +192,29 @@ class Judge:
         iterations: int = 5,
         polish: bool = True,
         begin: Beginning | None = None,
+        anew: bool = False,
     ) -> Judged | None:
         """Fits the hypothesis' free parameters; None if it cannot be simulated.
 
         Args:
           polish: whether parameters that act in steps are searched, which takes long.
           begin: where the windows start at first; at the references if None.
+          anew: whether a fit through impacts is begun anew where starts alone do better, which
+            takes long.
         """
         begin = begin or self.cold
         try:
             fitted, fit = self._fitted(hypothesis, iterations, begin)
+            if anew and self.bench.contacts and not is_structural(hypothesis):
+                fitted, fit = self._begun_anew(fitted, fit, iterations)
             if polish:
                 fitted, fit = self._polish(fitted, fit, begin)
             checked = fit
             if self.check is not self.fitted:
-                checked = self._scored(fitted, self.check, begin.check_start, begin.check_free)
+                start, free = begin.check_start, begin.check_free
+                checked = self._scored(fitted, self.check, start, free)
+                if anew and self.bench.contacts and start is not None:
+                    checked = _by_window(checked, self._scored(fitted, self.check, None, None))
         except (OrbiSimError, np.linalg.LinAlgError):
             return None
         means = mean_squares(self.check, checked)
@@ -266,7 +276,7 @@ class Judge:
                 begin = self._chained(linearize(self.bench.flow(best.hypothesis)))
             elif not self.bench.contacts:
                 begin = dataclasses.replace(begin, free=None, check_free=None)
-            again = self.judge(best.hypothesis, iterations, begin=begin)
+            again = self.judge(best.hypothesis, iterations, begin=begin, anew=True)
             alike = own and again is not None and abs(again.loss - best.loss) < _ALIKE
             if again is not None and again.loss < best.loss:
                 best = again
@@ -398,6 +408,44 @@ class Judge:
             robust=self.robust,
         )
 
+    def _begun_anew(
+        self, hypothesis: Hypothesis, fit: Fit, iterations: int
+    ) -> tuple[Hypothesis, Fit]:
+        """Fitted again from where windows start if nothing but starts is fitted, wherever that is
+        better, as long as it brings something; numbers of contacts are searched around where they
+        are, too: through impacts the cost is rugged, and a fit of everything ends where the starts
+        of some windows are poor."""
+        declared = self.bench.scene
+        for _ in range(_BEGUN if hypothesis.free(declared) else 0):
+            best, alone = hypothesis, self._alone(hypothesis, fit.start)
+            for other in self._around(hypothesis, fit.values):
+                tried = self._alone(other, alone.start)
+                if tried.square < alone.square:
+                    best, alone = other, tried
+            begin = self._beginning(best, alone.start, None)
+            found, again = self._fitted(best, iterations, begin)
+            if not again.square < fit.square:
+                break
+            little = again.square > _LITTLE * fit.square
+            hypothesis, fit = found, again
+            if little:
+                break
+        return hypothesis, fit
+
+    def _alone(self, hypothesis: Hypothesis, start: Floats) -> Fit:
+        """Starts alone fitted, from where they are and from the references."""
+        near = self._scored(hypothesis, self.fitted, start, None)
+        return _by_window(near, self._scored(hypothesis, self.fitted, None, None))
+
+    def _around(self, hypothesis: Hypothesis, values: Floats) -> Iterator[Hypothesis]:
+        """The same with each number of a contact a little less and more."""
+        for k, (number, _) in enumerate(hypothesis.free(self.bench.scene)):
+            if find(hypothesis.effects[number].effect).kind == "geom":
+                for share in _AROUND:
+                    moved = values.copy()
+                    moved[k] *= share
+                    yield hypothesis.at(self.bench.scene, moved)
+
     def _undetermined(self, fitted: Hypothesis, fit: Fit) -> list[tuple[int, str]]:
         """Parameters of effects that hardly change the data, compared with the others, or have run
         off to a bound that only says how far numbers go."""
@@ -484,6 +532,19 @@ class Judge:
         return here
 
 
+def _by_window(one: Fit, other: Fit) -> Fit:
+    """Window by window the better of two fits of starts alone."""
+    better = other.per_window < one.per_window
+    each = better[:, None]
+    return dataclasses.replace(
+        one,
+        start=np.where(each, other.start, one.start),
+        square=one.square + float((other.per_window - one.per_window)[better].sum()),
+        residual=np.where(each, other.residual, one.residual),
+        per_window=np.where(better, other.per_window, one.per_window),
+    )
+
+
 def is_structural(hypothesis: Hypothesis) -> bool:
     """Whether joints are added, whose state at a window's start nothing reads."""
     kinds = [find(e.effect) for e in hypothesis.effects]
@@ -506,6 +567,12 @@ _REACHED = 1.05
 """Residual over noise below which a fit is not made better."""
 _ALIKE = 1e-3
 """Difference of the losses of two fits that end alike: the share of the cost that ends a fit."""
+_BEGUN = 3
+"""Times that a fit through impacts is begun anew at most."""
+_AROUND = (0.92, 0.97, 1.03, 1.08)
+"""Values of a contact's number that are tried then, over what it is."""
+_LITTLE = 0.99
+"""Share of what a fit leaves that is hardly less."""
 _GRID_STEPS = 12
 """Steps along a grid at most, each a fit."""
 _FINER = (0.12, 0.03, 0.008)
