@@ -220,6 +220,7 @@ SEEN_THROUGH = {
 """Modules and packages without a test of their name: what reaches them (below tests/), and why."""
 
 CROSS_CUTTING = {
+    "effects/test_elsewhere.py": "what effects of several modules say of other places",
     "conformance": "what every plug-in keeps to",
     "docs": "what the documents say",
     "tools": "what lies in tools/",
