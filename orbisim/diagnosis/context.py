@@ -18,7 +18,7 @@ from orbisim.evidence import NEAR
 from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.linear import Intervals, linearize, missing_force
 from orbisim.motion.regressors import MotionView
-from orbisim.shooting.along import along, tame
+from orbisim.shooting.along import along, cut_at_growth
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.chance import Chance, chance_of
 from orbisim.shooting.hypothesis import Hypothesis
@@ -133,11 +133,11 @@ class Context:
             fitted = along(self.bench, hypothesis, judged.windows, judged.fit.start)
         if fitted is None:
             return screen(self.bench, hypothesis, self.intervals, only, self.columns)
-        bench, numbers = tame(fitted[0]), fitted[1]
+        bench, numbers = cut_at_growth(fitted[0]), fitted[1]
         columns = None if self.columns is None else factor_columns(bench, self.tunables)
         force = missing_force(self.intervals)[numbers]
         own = screen(bench, hypothesis, bench.intervals, only, columns, force)
-        seen = tame(dataclasses.replace(self.bench, intervals=self.intervals))
+        seen = cut_at_growth(dataclasses.replace(self.bench, intervals=self.intervals))
         return merged(own, screen(seen, hypothesis, self.intervals, only, self.columns))
 
 

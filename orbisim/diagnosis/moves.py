@@ -124,18 +124,22 @@ def _added(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judg
             yield judged
     yield from _generalized(context, current, own)
     yield from _refined(context, current, own, screening)
-    few = [context.judge.closer(judged) for judged in best_few(context, current, own)]
-    yield from few
-    yield from _fairly(context, current, few)
+    few = []
+    for judged in best_few(context, current, own):
+        few.append(context.judge.closer(judged))
+        if few[-1] is not judged:
+            yield few[-1]
+    if contacts:
+        yield from _from_same_starts(context, current, few)
 
 
-def _fairly(context: Context, current: Judged, few: Sequence[Judged]) -> Iterator[Judged]:
+def _from_same_starts(context: Context, current: Judged, few: Sequence[Judged]) -> Iterator[Judged]:
     """The others of a few, fitted again from where the best of them has windows start: a start that
     was not found is no reason against an effect."""
     ranked = best_few(context, current, few)
     for other in ranked[1:]:
         begin = context.judge.begin(ranked[0])
-        again = context.judge.judge(other.hypothesis, begin=begin, anew=True)
+        again = context.judge.judge(other.hypothesis, begin=begin, restart=True)
         if again is not None and again.loss < other.loss:
             yield again
 

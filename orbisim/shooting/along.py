@@ -83,11 +83,12 @@ _SHORTEST = 4
 """Intervals of a free run that can be screened."""
 
 
-def tame(bench: Bench) -> Bench:
+def cut_at_growth(bench: Bench) -> Bench:
     """The windows as far as the linear system along them says something.
 
     Where bodies touch, products of derivatives can grow without limit, and a few windows would
-    drown all others; a window ends where a start's error has grown by a factor of 100.
+    drown all others; a window ends where a start's error has grown by a factor of 100. All windows
+    stay as they are where none of those that are fitted would be left.
     """
     windows, intervals = bench.windows, bench.intervals
     step = float(np.median(np.concatenate([np.diff(one.time) for one in bench.samples])))
@@ -101,7 +102,7 @@ def tame(bench: Bench) -> Bench:
         alive &= grown[:, : len(size) // 2].max(axis=1) < _GROWTH
         reach[alive] = k + 1
     keep = reach >= _SHORTEST
-    if not keep.any():
+    if not keep[bench.fit].any():
         return bench
     inside = windows.length if windows.horizon is None else windows.horizon
     horizon = np.minimum(inside, reach[:, None])

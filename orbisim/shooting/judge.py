@@ -192,28 +192,28 @@ class Judge:
         iterations: int = 5,
         polish: bool = True,
         begin: Beginning | None = None,
-        anew: bool = False,
+        restart: bool = False,
     ) -> Judged | None:
         """Fits the hypothesis' free parameters; None if it cannot be simulated.
 
         Args:
           polish: whether parameters that act in steps are searched, which takes long.
           begin: where the windows start at first; at the references if None.
-          anew: whether a fit through impacts is begun anew where starts alone do better, which
-            takes long.
+          restart: whether a fit through impacts is restarted where starts alone do better, which
+            takes some thirty times as long.
         """
         begin = begin or self.cold
         try:
             fitted, fit = self._fitted(hypothesis, iterations, begin)
-            if anew and self.bench.contacts and not is_structural(hypothesis):
-                fitted, fit = self._begun_anew(fitted, fit, iterations)
+            if restart and self.bench.contacts and not is_structural(hypothesis):
+                fitted, fit = self._restarted(fitted, fit, iterations)
             if polish:
                 fitted, fit = self._polish(fitted, fit, begin)
             checked = fit
             if self.check is not self.fitted:
                 start, free = begin.check_start, begin.check_free
                 checked = self._scored(fitted, self.check, start, free)
-                if anew and self.bench.contacts and start is not None:
+                if restart and self.bench.contacts and start is not None:
                     checked = _by_window(checked, self._scored(fitted, self.check, None, None))
         except (OrbiSimError, np.linalg.LinAlgError):
             return None
@@ -276,7 +276,7 @@ class Judge:
                 begin = self._chained(linearize(self.bench.flow(best.hypothesis)))
             elif not self.bench.contacts:
                 begin = dataclasses.replace(begin, free=None, check_free=None)
-            again = self.judge(best.hypothesis, iterations, begin=begin, anew=True)
+            again = self.judge(best.hypothesis, iterations, begin=begin, restart=True)
             alike = own and again is not None and abs(again.loss - best.loss) < _ALIKE
             if again is not None and again.loss < best.loss:
                 best = again
@@ -408,7 +408,7 @@ class Judge:
             robust=self.robust,
         )
 
-    def _begun_anew(
+    def _restarted(
         self, hypothesis: Hypothesis, fit: Fit, iterations: int
     ) -> tuple[Hypothesis, Fit]:
         """Fitted again from where windows start if nothing but starts is fitted, wherever that is
@@ -416,7 +416,7 @@ class Judge:
         are, too: through impacts the cost is rugged, and a fit of everything ends where the starts
         of some windows are poor."""
         declared = self.bench.scene
-        for _ in range(_BEGUN if hypothesis.free(declared) else 0):
+        for _ in range(_RESTARTS if hypothesis.free(declared) else 0):
             best, alone = hypothesis, self._alone(hypothesis, fit.start)
             for other in self._around(hypothesis, fit.values):
                 tried = self._alone(other, alone.start)
@@ -567,10 +567,10 @@ _REACHED = 1.05
 """Residual over noise below which a fit is not made better."""
 _ALIKE = 1e-3
 """Difference of the losses of two fits that end alike: the share of the cost that ends a fit."""
-_BEGUN = 3
-"""Times that a fit through impacts is begun anew at most."""
+_RESTARTS = 3
+"""Restarts of a fit through impacts, at most."""
 _AROUND = (0.92, 0.97, 1.03, 1.08)
-"""Values of a contact's number that are tried then, over what it is."""
+"""Values of a contact's number that a restart tries, over what it is."""
 _LITTLE = 0.99
 """Share of what a fit leaves that is hardly less."""
 _GRID_STEPS = 12

@@ -5,8 +5,14 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.glances import _scaled
+from orbisim.diagnosis import Settings
+from orbisim.diagnosis.context import begun
+from orbisim.diagnosis.glances import _scaled, shortlist
 from orbisim.effects import EffectInstance, add_effects, find
+from orbisim.motion.samples import prepare_all
+from orbisim.recording import Recording
+from orbisim.shooting.bench import make_bench
+from orbisim.shooting.hypothesis import Hypothesis
 
 HAMMER = """
 <mujoco model="hammer">
@@ -74,3 +80,51 @@ def test_an_effect_is_scaled_by_what_it_changes(hammer: orbisim.Scene) -> None:
     ]
     heavier = _scaled(hammer, load, 2.0)
     assert heavier is not None and heavier.values["mass"] == pytest.approx(2 * load.values["mass"])
+
+
+TABLE = """
+<mujoco model="slide">
+  <option timestep="0.002" integrator="implicitfast" cone="elliptic"/>
+  <worldbody>
+    <geom name="table" type="plane" size="2 2 0.1" priority="1" friction="{friction}"/>
+    <body name="block" pos="0 0 0.02">
+      <freejoint name="block"/>
+      <geom name="block" type="box" size="0.04 0.03 0.02" density="500"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def slides(friction: float) -> list[Recording]:
+    """A block that is set going over a table four times, with 0.1 mm and 0.4 mrad of noise."""
+    model = mujoco.MjModel.from_xml_string(TABLE.format(friction=friction))
+    rng, found = np.random.default_rng(0), []
+    for speed in (0.8, 1.2, 1.6, 1.0):
+        data, heading = mujoco.MjData(model), rng.uniform(-np.pi, np.pi)
+        mujoco.mj_step(model, data, 200)  # it settles
+        data.qvel[:2] = speed * np.cos(heading), speed * np.sin(heading)
+        rows = []
+        for _ in range(30):
+            rows.append(data.qpos + rng.normal(0.0, [1e-4] * 3 + [2e-4] * 4))
+            mujoco.mj_step(model, data, 5)
+        found.append(Recording(np.arange(30) * 0.01, {"qpos/block": np.array(rows)}))
+    return found
+
+
+@pytest.mark.parametrize(("true", "low", "high"), [(0.2, 0.15, 0.3), (0.6, 0.42, 0.8)])
+def test_friction_is_suspected_on_its_side_of_the_declared(
+    true: float, low: float, high: float
+) -> None:
+    declared = orbisim.load_scene(TABLE.format(friction=0.35))
+    bench = make_bench(declared, prepare_all(slides(true), declared), 0.25)
+    context = begun(bench, Settings(), lambda _: None)
+    nothing = context.judge.judge(Hypothesis())
+    assert nothing is not None
+    listed = shortlist(context, nothing, context.screen(nothing).suspects)
+    levels = [
+        one.instance.values["coefficient"]
+        for one in listed
+        if one.instance.effect == "sliding_friction"
+    ]
+    assert levels and all(low < level < high for level in levels)

@@ -16,7 +16,7 @@ from orbisim.errors import SceneError
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
-from orbisim.shooting.judge import Judge, Judged
+from orbisim.shooting.judge import Judge, Judged, _by_window
 from orbisim.shooting.retune import Tunable, retuned
 from orbisim.testing import inject_effect
 
@@ -45,7 +45,7 @@ def hammer() -> orbisim.Scene:
 
 
 def struck(
-    hammer: orbisim.Scene, true: orbisim.Scene, effects: list[EffectInstance]
+    hammer: orbisim.Scene, true: orbisim.Scene, effects: list[EffectInstance], most: int = 24
 ) -> tuple[Bench, Judge, Judged]:
     """Recordings of a scene with effects, for the declared one; and what that leaves."""
     rng = np.random.default_rng(3)
@@ -55,7 +55,7 @@ def struck(
     )
     bench = make_bench(hammer, prepare_all(runs, hammer), 0.4)
     assert bench.contacts
-    judge = Judge(bench, bench.intervals, most=24)
+    judge = Judge(bench, bench.intervals, most=most)
     nothing = judge.judge(Hypothesis())
     assert nothing is not None and nothing.ratio > 3
     return bench, judge, nothing
@@ -154,3 +154,53 @@ def test_starts_of_fitted_and_checked_windows_are_put_together(arm: orbisim.Scen
     assert begin is few.cold  # most windows are left out: a start from nothing
     again = few.judge(Hypothesis(), begin=begin)
     assert again is not None and len(again.windows) == 3
+
+
+SOFT = {"stiffness": 1500.0, "damping_ratio": 0.4}
+
+
+@pytest.fixture(scope="module")
+def softened(hammer: orbisim.Scene) -> tuple[Judge, Judged]:
+    """Recordings of a softer head, and what the declared scene leaves of them."""
+    soft = EffectInstance("contact_compliance", "head", SOFT)
+    _, judge, nothing = struck(hammer, hammer, [soft], most=8)
+    return judge, nothing
+
+
+def test_a_restart_finds_what_a_fit_through_impacts_missed(
+    softened: tuple[Judge, Judged],
+) -> None:
+    """From a head four times as stiff, some windows' starts stay poor without one."""
+    judge, nothing = softened
+    far = EffectInstance("contact_compliance", "head", {"stiffness": 6000.0, "damping_ratio": 1.0})
+    plain, restarted = (
+        judge.judge(Hypothesis((far,)), begin=judge.begin(nothing), restart=restart)
+        for restart in (False, True)
+    )
+    assert plain is not None and restarted is not None
+    assert restarted.fit.square < 0.9 * plain.fit.square
+    assert plain.hypothesis.effects[0].values != pytest.approx(SOFT, rel=2e-3)
+    assert restarted.hypothesis.effects[0].values == pytest.approx(SOFT, rel=2e-3)
+
+
+def test_starts_alone_are_the_better_of_two_in_each_window(
+    softened: tuple[Judge, Judged],
+) -> None:
+    judge, nothing = softened
+    one = judge.score(nothing.hypothesis, judge.begin(nothing), 1)
+    other = judge.score(nothing.hypothesis, judge.cold, 1)
+    both = _by_window(one, other)
+    np.testing.assert_allclose(both.per_window, np.minimum(one.per_window, other.per_window))
+    assert both.square == pytest.approx(both.per_window.sum())
+    assert both.square < min(one.square, other.square)  # neither is the better in all
+    for w in range(len(both.per_window)):
+        of = one if one.per_window[w] <= other.per_window[w] else other
+        np.testing.assert_array_equal(both.start[w], of.start[w])
+
+
+def test_slopes_by_numbers_of_contacts_are_taken_over_a_tenth(hammer: orbisim.Scene) -> None:
+    soft = EffectInstance("contact_compliance", "head", SOFT)
+    for unknown in Hypothesis((soft,)).unknowns(hammer):
+        assert unknown.step >= 0.1 * unknown.start
+    for unknown in Hypothesis((BIAS,)).unknowns(hammer):
+        assert unknown.step < 0.1 * unknown.start
