@@ -9,9 +9,9 @@ counts as many data as the autocorrelation of what is left allows.
 
 What is left of a real machine is structure that returns in every window, so that windows are not
 independent either. What effects that are not in an explanation explain of its rest says how many
-data there are (an empirical null; Efron, J. Am. Stat. Assoc. 99, 2004): of n independent ones, any
-column explains a share of about 1/n. Where these are fewer, the likelihood counts by a power below
-1 (Miller and Dunson, J. Am. Stat. Assoc. 114, 2019).
+data there are (an empirical null; Efron, J. Am. Stat. Assoc. 99, 2004): of n independent ones, r
+directions explain a share of r/n together. Where these are fewer, the likelihood counts by a power
+below 1 (Miller and Dunson, J. Am. Stat. Assoc. 114, 2019).
 
 Two explanations are compared by the difference of their log predictive scores, with its standard
 error over the blocks, plus the logarithm of their prior odds. The error is that of the blocks that
@@ -173,6 +173,12 @@ def independent_by_chance(
 ) -> float:
     """How many data count as independent, by what columns explain that were not fitted to them.
 
+    Of n independent data, r orthogonal directions explain a share of r / n by chance: n times it is
+    distributed as chi squared with r degrees of freedom. What is returned has its median where that
+    has, so that it is as often too large as too small, and off by a factor of 1 + sqrt(2 / r). The
+    directions are those that normalised columns span: columns are much alike, and a mean, or a
+    median, of what each explains would be one of a handful.
+
     Args:
       columns: [W, R, C] what effects would give; few of them say nothing (infinite).
       left: [W, R] what is left. weight: [W] by which windows count.
@@ -188,18 +194,26 @@ def independent_by_chance(
         flat, rest = flat - basis @ (basis.T @ flat), rest - basis @ (basis.T @ rest)
     size, norm = np.linalg.norm(flat, axis=0), float(np.linalg.norm(rest))
     felt = (size > _NEW * whole) & (whole > 0)
-    if felt.sum() < _FEWEST or not norm > 0:
+    if not felt.any() or not norm > 0:
         return float("inf")
-    shares = (rest @ flat[:, felt] / (size[felt] * norm)) ** 2
-    return float(_MEDIAN / max(float(np.median(shares)), 1e-300))
+    unit = flat[:, felt] / size[felt]
+    strength, turn = np.linalg.eigh(unit.T @ unit)
+    apart = strength > _APART**2 * strength[-1]
+    r = int(apart.sum())
+    if r < _FEWEST:
+        return float("inf")
+    explained = (turn[:, apart].T @ (unit.T @ rest)) ** 2 / strength[apart]
+    median = r * (1 - 2 / (9 * r)) ** 3  # of chi squared (Wilson and Hilferty, PNAS 17, 1931)
+    return float(median / max(float(explained.sum()) / norm**2, 1e-300))
 
 
 _NEW = 1e-4
 """Share of a column that what was fitted must leave."""
-_FEWEST = 8
-"""Columns of which a median says something."""
-_MEDIAN = 0.455
-"""Median of the square of a standard normal variable."""
+_APART = 0.1
+"""Strength of a direction, over that of the strongest, from which on it is one: columns along a
+measured motion are not better known than to a tenth, and weaker ones are what that leaves."""
+_FEWEST = 4
+"""Directions of which a sum says something: with four, it is known to a factor of two."""
 
 
 def probabilities(log_odds: Floats) -> Floats:

@@ -67,4 +67,4 @@ def chance_of(intervals: Intervals, found: Sequence[Candidate]) -> Chance | None
 _FORM = 4
 """Columns of an effect: mass and first moments of a body."""
 _MOST = 60
-"""Columns, whose median is known to a tenth or so."""
+"""Columns: they span some ten to thirty directions."""

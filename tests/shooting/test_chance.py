@@ -2,6 +2,7 @@
 
 import mujoco
 import numpy as np
+import pytest
 
 import orbisim
 from orbisim.diagnosis.context import begun
@@ -18,29 +19,89 @@ BALL = """
 """
 
 
+EVEN = np.ones(40)
+
+
 def _random(*shape: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).standard_normal(shape)
 
 
+def _course(*shape: int, memory: float, seed: int = 0) -> np.ndarray:
+    """Of a first-order process along the second axis."""
+    found = _random(*shape, seed=seed)
+    for k in range(1, shape[1]):
+        found[:, k] += memory * found[:, k - 1]
+    return found
+
+
+def _alike(seed: int) -> np.ndarray:
+    """Sixty columns of twelve directions."""
+    return _random(40, 100, 12, seed=seed) @ _random(12, 60, seed=seed + 1)
+
+
+def _middle(numbers: list[float]) -> float:
+    return float(np.median(numbers))
+
+
 def test_of_independent_data_all_count() -> None:
-    columns, left = _random(40, 100, 60), _random(40, 100, seed=1)
-    found = independent_by_chance(columns, left, np.ones(40))
-    assert 1500 < found < 12000  # of 4000; the median of 60 shares is known to a factor
+    found = [
+        independent_by_chance(_random(40, 100, 60, seed=s), _random(40, 100, seed=99 + s), EVEN)
+        for s in range(9)
+    ]
+    assert 3200 < _middle(found) < 5000  # of 4000
+    assert max(found) < 2 * min(found)
+
+
+def test_columns_that_are_alike_count_as_the_directions_that_they_span() -> None:
+    found = [
+        independent_by_chance(_alike(s), _random(40, 100, seed=99 + s), EVEN) for s in range(25)
+    ]
+    assert 3000 < _middle(found) < 5300
+    assert np.std(np.log(found)) < 0.6  # sqrt(2 / 12) and a little; of one direction it is 1.6
+
+
+def test_a_column_many_times_over_counts_once() -> None:
+    columns, left = _random(40, 100, 12), _random(40, 100, seed=1)
+    again = np.concatenate([columns, *(columns[..., :1] for _ in range(48))], axis=2)
+    once = independent_by_chance(columns, left, EVEN)
+    assert np.isclose(independent_by_chance(again, left, EVEN), once, rtol=0.1)
+
+
+def test_of_a_process_with_memory_as_many_count_as_its_columns_see() -> None:
+    """Of two first-order processes, products have the variance of (1 - a b) / (1 + a b) as many."""
+    found = [
+        independent_by_chance(
+            _course(40, 100, 20, memory=0.9, seed=s), _course(40, 100, memory=0.9, seed=99 + s),
+            EVEN,
+        )
+        for s in range(15)
+    ]  # fmt: skip
+    assert _middle(found) == pytest.approx(4000 * (1 - 0.81) / (1 + 0.81), rel=0.3)
 
 
 def test_structure_that_returns_in_every_window_counts_once() -> None:
-    shape = np.sin(np.arange(100) / 15)
-    left = np.repeat(shape[None], 40, axis=0)
-    columns = np.repeat(np.cumsum(_random(1, 100, 60), axis=1), 40, axis=0)
-    assert independent_by_chance(columns, left, np.ones(40)) < 40
+    columns = [np.repeat(_alike(s)[:1], 40, axis=0) for s in range(25)]
+    left = [np.repeat(_random(1, 100, seed=99 + s), 40, axis=0) for s in range(25)]
+    found = [independent_by_chance(c, x, EVEN) for c, x in zip(columns, left, strict=True)]
+    assert 70 < _middle(found) < 140  # of 4000: a window has 100
+
+
+def test_what_is_left_of_nearly_the_same_explanations_counts_nearly_the_same() -> None:
+    """Explanations that differ by a tenth of what they leave."""
+    columns, left = _alike(0), _course(40, 100, memory=0.9, seed=7)
+    found = [
+        independent_by_chance(columns, left + 0.1 * left.std() * other, EVEN)
+        for other in _random(20, 40, 100, seed=8)
+    ]
+    assert max(found) < 1.3 * min(found)
 
 
 def test_what_was_fitted_is_no_chance() -> None:
     own, other = _random(40, 100, 12), _random(40, 100, 12, seed=1)
     left = _random(40, 100, seed=2)
     columns = own + 1e-3 * other
-    beside = independent_by_chance(columns, left, np.ones(40), own)
-    assert np.isclose(beside, independent_by_chance(other, left, np.ones(40), own), rtol=1e-3)
+    beside = independent_by_chance(columns, left, EVEN, own)
+    assert np.isclose(beside, independent_by_chance(other, left, EVEN, own), rtol=1e-3)
 
 
 def test_few_columns_say_nothing() -> None:
