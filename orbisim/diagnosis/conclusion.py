@@ -120,7 +120,7 @@ def concluded(found: Found, deadline: Deadline) -> Attribution:
     else:
         for one in _best_first(found):
             after = _finally(found, context, one, one.hypothesis.in_parts()) or one
-            after = _resized(context, after)
+            after = _resized(context, context.judge.fair(after, [before]))
             after, gains, doubted = _sure(context, before, after)
             rejected += doubted
             if after.hypothesis.effects or after.hypothesis.factors:
@@ -162,7 +162,7 @@ def _finally(
         cold = judge.judge(anew, 8)
         if cold is not None and cold.ratio <= NEAR:
             return cold
-    begin = judge.begin_joined(known, found.context.bench.fit)
+    begin = judge.begin_joined(known, found.context.judge)
     warm = judge.judge(anew, 8, begin=begin)  # from nothing may be no good: a stop
     return min((one for one in (cold, warm) if one), key=lambda one: one.loss, default=None)
 
@@ -172,15 +172,17 @@ def _sure(context: Context, before: Judged, after: Judged) -> Sure:
     judge = context.judge
 
     def refit(less: Hypothesis, now: Judged) -> Judged | None:
-        return judge.judge(less, 3, begin=judge.begin(now))
+        fewer = judge.judge(less, 3, begin=judge.begin(now))
+        return None if fewer is None else judge.fair(fewer, [now])
 
-    sure = only_sure(context, after, refit, before)
+    bare = judge.fair(before, [after])
+    sure = only_sure(context, after, refit, bare)
     while vague := _vague(context, sure.judged):
         less = refit(sure.judged.hypothesis.without(vague[0]), sure.judged)
         if less is None:
             break
         gone = sure.judged.hypothesis.effects[vague[0]]
-        again = only_sure(context, less, refit, before)
+        again = only_sure(context, less, refit, bare)
         rejected = (*sure.rejected, (gone, _VAGUE), *again.rejected)
         sure = again._replace(rejected=rejected)
     hypothesis = sure.judged.hypothesis

@@ -24,7 +24,6 @@ from orbisim.shooting.shooter import Shooter, Variant
 from orbisim.shooting.windows import Windows, evenly
 
 Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -62,7 +61,7 @@ class Judged:
     def loss(self) -> float:
         """How badly windows are predicted, bad ones by their logarithm: of two fits of the same
         hypothesis, the one with less is better."""
-        return float(np.log1p(np.concatenate([self.fitted, self.checked])).mean())
+        return _loss(np.concatenate([self.fitted, self.checked]))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -146,18 +145,22 @@ class Judge:
         """Where an explanation has windows start, with what that does: a first guess for others."""
         return self._beginning(judged.hypothesis, judged.fit.start, judged.check_fit.start)
 
-    def begin_joined(self, judged: Judged, fitted: Bools) -> Beginning:
-        """The same where all windows are fitted, and the explanation was fitted to some of them and
-        checked on the others; from nothing if some were left out for speed.
+    def begin_joined(self, judged: Judged, other: Judge) -> Beginning:
+        """The same of an explanation that was judged on other windows, some to be fitted and some
+        to be checked: windows that are among them start where they did, the others at the
+        references. From nothing where bodies touch and there are others.
 
         Args:
-          fitted: [windows] which it was fitted to.
+          other: what judged it.
         """
-        parts = judged.fit.start, judged.check_fit.start
-        if fitted.sum() != len(parts[0]) or len(fitted) != len(self.fitted):
+        known: dict[int, Floats] = {}
+        for part, fit in (other.check, judged.check_fit), (other.fitted, judged.fit):
+            known |= dict(zip(part.windows.first.tolist(), fit.start, strict=True))
+        own = self.fitted.windows.first.tolist()
+        if self.bench.contacts and not known.keys() >= set(own):
             return self.cold
-        start = np.zeros((len(fitted), parts[0].shape[1]))
-        start[fitted], start[~fitted] = parts
+        nothing = np.zeros(judged.fit.start.shape[1])
+        start = np.array([known.get(first, nothing) for first in own])
         return self._beginning(judged.hypothesis, start, start)
 
     def _beginning(
@@ -284,6 +287,30 @@ class Judge:
                 break
         return best
 
+    def fair(self, judged: Judged, others: Sequence[Judged]) -> Judged:
+        """The same explanation with each window started as others start it, too, wherever that is
+        better, and fitted once more from there: of two explanations, the one that happens to have
+        the better starts must not win by them. Starts alone are fitted, as differences show what
+        they do. It is the same where nothing but noise is left, and where not all windows are
+        fitted; where bodies touch, restarts do as much.
+
+        Args:
+          others: judged on the same windows, with as many numbers in a start.
+        """
+        if judged.ratio < _REACHED or self.bench.contacts or self.check is not self.fitted:
+            return judged
+        shape, best = judged.fit.start.shape, judged.fit
+        for one in (other.fit.start for other in others if other.fit.start.shape == shape):
+            there = self._scored(judged.hypothesis, self.fitted, one, self.cold.free, 0)
+            best = _by_window(best, there)
+        tried = self._scored(judged.hypothesis, self.fitted, best.start, None)
+        best = _by_window(best, tried)
+        if not _loss(mean_squares(self.fitted, best)) < judged.loss - _ALIKE:
+            return judged
+        begin = dataclasses.replace(self.cold, start=best.start, check_start=best.start)
+        again = self.judge(judged.hypothesis, _FURTHER, begin=begin)
+        return again if again is not None and again.loss < judged.loss else judged
+
     def glance(self, hypothesis: Hypothesis, begin: Beginning, every: bool = False) -> float:
         """As `sized_glance`, without the size."""
         return self.sized_glance(hypothesis, begin, every)[0]
@@ -333,7 +360,7 @@ class Judge:
         if self.check is not self.fitted:
             fit = self._scored(hypothesis, self.check, begin.check_start, begin.check_free, 2)
             means.append(mean_squares(self.check, fit))
-        return float(np.log1p(np.concatenate(means)).mean())
+        return _loss(np.concatenate(means))
 
     def score(
         self, hypothesis: Hypothesis, begin: Beginning | None = None, iterations: int = 4
@@ -556,6 +583,11 @@ def _stepwise(hypothesis: Hypothesis, number: int, name: str) -> bool:
     return find(effect.effect).stepwise(effect, name)
 
 
+def _loss(means: Floats) -> float:
+    """See `Judged.loss`, of mean squares of windows."""
+    return float(np.log1p(means).mean())
+
+
 def mean_squares(shooter: Shooter, fit: Fit) -> Floats:
     """[W]: mean squared weighted residual of each window, its start's numbers counted."""
     return np.asarray(fit.per_window / np.maximum(shooter.data - 2 * shooter.nv, 1))
@@ -567,6 +599,8 @@ _REACHED = 1.05
 """Residual over noise below which a fit is not made better."""
 _ALIKE = 1e-3
 """Difference of the losses of two fits that end alike: the share of the cost that ends a fit."""
+_FURTHER = 3
+"""Iterations of a fit that goes on from better starts."""
 _RESTARTS = 3
 """Restarts of a fit through impacts, at most."""
 _AROUND = (0.92, 0.97, 1.03, 1.08)

@@ -143,17 +143,31 @@ def test_starts_of_fitted_and_checked_windows_are_put_together(arm: orbisim.Scen
     damping = EffectInstance("viscous_damping", "elbow", {"coefficient": 0.05})
     runs = inject_effect(arm, damping, duration=3.0, episodes=2, noise=1e-4, seed=4)
     bench = make_bench(arm, prepare_all(runs, arm), 0.5)
-    apart = Judge(bench, bench.intervals).judge(Hypothesis())
+    search = Judge(bench, bench.intervals)
+    apart = search.judge(Hypothesis())
     judge = Judge(bench.whole(), bench.intervals)
     assert apart is not None and judge.check is judge.fitted
-    begin = judge.begin_joined(apart, bench.fit)
+    begin = judge.begin_joined(apart, search)
     together = judge.score(Hypothesis(), begin, 0)
     assert together.square == pytest.approx(apart.fit.square + apart.check_fit.square, rel=1e-9)
-    few = Judge(bench.whole(), bench.intervals, most=3)
-    begin = few.begin_joined(apart, bench.fit)
-    assert begin is few.cold  # most windows are left out: a start from nothing
-    again = few.judge(Hypothesis(), begin=begin)
-    assert again is not None and len(again.windows) == 3
+
+
+def test_windows_that_were_left_out_start_at_the_references(arm: orbisim.Scene) -> None:
+    damping = EffectInstance("viscous_damping", "elbow", {"coefficient": 0.05})
+    runs = inject_effect(arm, damping, duration=3.0, episodes=2, noise=1e-4, seed=4)
+    bench = make_bench(arm, prepare_all(runs, arm), 0.5)
+    search = Judge(bench, bench.intervals, most=3)
+    few = search.judge(Hypothesis())
+    judge = Judge(bench.whole(), bench.intervals)
+    assert few is not None
+    begin = judge.begin_joined(few, search)
+    own = judge.fitted.windows.first
+    known = np.isin(own, few.windows.first)
+    assert known.sum() == 3 and begin.start is not None
+    np.testing.assert_array_equal(begin.start[known], few.fit.start)
+    checked = np.isin(own, search.check.windows.first)
+    np.testing.assert_array_equal(begin.start[checked & ~known], few.check_fit.start)
+    assert not begin.start[~known & ~checked].any()
 
 
 SOFT = {"stiffness": 1500.0, "damping_ratio": 0.4}
