@@ -25,7 +25,7 @@ from orbisim.diagnosis.explanations import (
 from orbisim.diagnosis.force_search import attribute_forces, common_forces
 from orbisim.diagnosis.glances import generalizations
 from orbisim.diagnosis.proposals import additions, begin, pairs
-from orbisim.diagnosis.simplification import only_sure
+from orbisim.diagnosis.simplification import Sure, ever_surer
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.together import propose
 from orbisim.diagnosis.worth import gains, worth
@@ -250,7 +250,18 @@ def _together(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[J
         judged = judge.judge(together, _ITERATIONS) if effects else None
         possible = None if judged is None else possible_of(bench, judge, judged, _ITERATIONS)
         if possible is not None:
-            yield only_sure(context, possible, refit).judged
+            yield from _last(ever_surer(context, possible, refit))
+
+
+def _last(every: Iterator[Sure]) -> Iterator[Judged]:
+    """The last; that which they had come to when the time was up, where it was."""
+    last: Sure | None = None
+    try:
+        for last in every:  # noqa: B007
+            pass
+    finally:
+        if last is not None:
+            yield last.judged
 
 
 def _usual(context: Context) -> tuple[EffectInstance, ...]:

@@ -243,9 +243,11 @@ def select(data: Data, groups: Sequence[Group], most: int = 40) -> Selected:
         nearer = best is None or best.worth(search) > 0
         best = search if nearer else best
     assert best is not None
-    if data.deadline.passed:
+    try:
+        return best.result()
+    except TimeIsUpError:
         best.close()
-    return best.result()
+        return best.result()
 
 
 def predicted(data: Data, chosen: Sequence[Group]) -> Floats:

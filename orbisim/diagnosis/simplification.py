@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -131,18 +131,27 @@ def _held(fit: Fit, own: Sequence[int], neutral: Sequence[float], gone: Sequence
 
 
 def only_sure(context: Context, judged: Judged, refit: Refit, bare: Judged | None = None) -> Sure:
-    """With those effects only that are surely worth it beside the others; what is least so goes
-    first. What the best of nested explanations (see `plain`) does not have goes before. Of the
-    others, those that are the least apart from nothing are fitted without first: of a dozen, most
-    are plainly there.
+    """The last of `ever_surer`."""
+    return list(ever_surer(context, judged, refit, bare))[-1]
+
+
+def ever_surer(
+    context: Context, judged: Judged, refit: Refit, bare: Judged | None = None
+) -> Iterator[Sure]:
+    """With fewer and fewer effects, in the end with those only that are surely worth it beside the
+    others; what is least so goes first. What the best of nested explanations (see `plain`) does not
+    have goes before. Of the others, those that are the least apart from nothing are fitted without
+    first: of a dozen, most are plainly there.
 
     Args:
       bare: without any effect, if it may come to that; else one effect stays.
     """
+    yield Sure(judged)
     before = judged.hypothesis.effects
     judged = plain(context, judged, refit)
     there = {(one.effect, one.target) for one in judged.hypothesis.effects}
     rejected = [(one, _NO_BETTER) for one in before if (one.effect, one.target) not in there]
+    yield Sure(judged, (), tuple(rejected))
     while len(judged.hypothesis.effects) > (1 if bare is None else 0):
         doubt: dict[int, tuple[Gain, Judged]] = {}
         for part in _least_apart(context, judged):
@@ -160,7 +169,8 @@ def only_sure(context: Context, judged: Judged, refit: Refit, bare: Judged | Non
         gain, simpler = doubt[least]
         if gain.sure > 0:
             every = tuple(doubt[index][0] for index in sorted(doubt))
-            return Sure(judged, every, tuple(rejected))
+            yield Sure(judged, every, tuple(rejected))
+            break
         effect = judged.hypothesis.effects[least]
         reason = (
             f"beside the others it is worth {gain.total:.3g} +- {gain.error:.2g} in the logarithm "
@@ -168,7 +178,7 @@ def only_sure(context: Context, judged: Judged, refit: Refit, bare: Judged | Non
         )
         rejected.append((effect, reason))
         judged = simpler
-    return Sure(judged, (), tuple(rejected))
+        yield Sure(judged, (), tuple(rejected))
 
 
 _NO_BETTER = "an explanation without it, and without what is less sure than it, is worth more"

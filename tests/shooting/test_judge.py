@@ -170,6 +170,25 @@ def test_windows_that_were_left_out_start_at_the_references(arm: orbisim.Scene) 
     assert not begin.start[~known & ~checked].any()
 
 
+def test_an_explanation_has_the_starts_of_others_too(
+    arm: orbisim.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One step of a fit, and a whole one: what the latter has found is no merit of it."""
+    damping = EffectInstance("viscous_damping", "elbow", {"coefficient": 0.3})
+    runs = inject_effect(arm, damping, duration=3.0, episodes=2, noise=1e-4, seed=4)
+    bench = make_bench(arm, prepare_all(runs, arm), 0.5)
+    judge = Judge(bench.whole(), bench.intervals, heavy=True)
+    good, poor = judge.judge(Hypothesis(), 8), judge.judge(Hypothesis(), 0)
+    assert good is not None and poor is not None and good.loss < poor.loss - 0.05
+    assert judge.fair(poor, [good]).loss < good.loss + 1e-3
+    with monkeypatch.context() as patch:
+        patch.setattr(judge, "_scored", lambda *_: poor.fit)  # nothing better is found
+        assert judge.fair(poor, [good]) is poor
+    some = Judge(bench, bench.intervals, heavy=True)
+    apart = some.judge(Hypothesis(), 0)
+    assert apart is not None and some.fair(apart, []) is apart
+
+
 SOFT = {"stiffness": 1500.0, "damping_ratio": 0.4}
 
 
