@@ -349,6 +349,7 @@ class Judge:
         start: Floats | None,
         free: Floats | None,
         iterations: int = 4,
+        quick: bool = False,
     ) -> Fit:
         variant = hypothesis.variant(self.bench.scene)
         return gauss_newton(
@@ -356,7 +357,7 @@ class Judge:
             lambda _: variant,
             [],
             start=start,
-            hints=self._hints(free),
+            hints=self._hints(free, quick=quick),
             iterations=2 * iterations if is_structural(hypothesis) else iterations,
             robust=self.robust,
         )
@@ -414,28 +415,38 @@ class Judge:
         """Fitted again from where windows start if nothing but starts is fitted, wherever that is
         better, as long as it brings something; numbers of contacts are searched around where they
         are, too: through impacts the cost is rugged, and a fit of everything ends where the starts
-        of some windows are poor."""
-        declared = self.bench.scene
-        for _ in range(_RESTARTS if hypothesis.free(declared) else 0):
-            best, alone = hypothesis, self._alone(hypothesis, fit.start)
-            for other in self._around(hypothesis, fit.values):
-                tried = self._alone(other, alone.start)
-                if tried.square < alone.square:
-                    best, alone = other, tried
-            begin = self._beginning(best, alone.start, None)
+        of some windows are poor. Starts are looked for from the references once."""
+        free = hypothesis.free(self.bench.scene)
+        cold = self._scored(hypothesis, self.fitted, None, None) if free else fit
+        for _ in range(_RESTARTS if free else 0):
+            alone = _by_window(self._scored(hypothesis, self.fitted, fit.start, None), cold)
+            best, begin = self._moved(hypothesis, alone, fit.values)
             found, again = self._fitted(best, iterations, begin)
             if not again.square < fit.square:
                 break
             little = again.square > _LITTLE * fit.square
-            hypothesis, fit = found, again
+            hypothesis, fit, cold = found, again, again
             if little:
                 break
         return hypothesis, fit
 
-    def _alone(self, hypothesis: Hypothesis, start: Floats) -> Fit:
-        """Starts alone fitted, from where they are and from the references."""
-        near = self._scored(hypothesis, self.fitted, start, None)
-        return _by_window(near, self._scored(hypothesis, self.fitted, None, None))
+    def _moved(
+        self, hypothesis: Hypothesis, alone: Fit, values: Floats
+    ) -> tuple[Hypothesis, Beginning]:
+        """With one number of a contact a little less or more, if its starts alone leave less then:
+        one step of each tells which.
+
+        Args:
+          alone: starts alone fitted. values: of the hypothesis.
+        """
+        begin = self._beginning(hypothesis, alone.start, None)
+        best = hypothesis, alone
+        for other in self._around(hypothesis, values):
+            tried = self._scored(other, self.fitted, alone.start, begin.free, 1, quick=True)
+            best = min(best, (other, tried), key=lambda one: one[1].square)
+        if best[0] is hypothesis:
+            return hypothesis, begin
+        return best[0], self._beginning(best[0], best[1].start, None)
 
     def _around(self, hypothesis: Hypothesis, values: Floats) -> Iterator[Hypothesis]:
         """The same with each number of a contact a little less and more."""
