@@ -489,8 +489,10 @@ class Judge:
         """Searches parameters that act in steps (delays) on their grid, or on ever finer ones."""
         declared = self.bench.scene
         for index, (number, name) in enumerate(hypothesis.free(declared)):
+            tried: dict[int, tuple[Hypothesis, Fit]] = {}
+            grid = 0.0
             for grid in self._grids(hypothesis, number, name, float(fit.values[index])):
-                tried: dict[int, tuple[Hypothesis, Fit]] = {}
+                tried = {}
                 here = self._descend(hypothesis, fit, (number, name), index, grid, begin, tried)
                 if here not in tried or not tried[here][1].square < fit.square:
                     continue
@@ -499,6 +501,8 @@ class Judge:
                 hypothesis = dataclasses.replace(held, frozen=held.frozen - {(number, name)})
                 values = hypothesis.values(declared)
                 fit = dataclasses.replace(other, values=values, **_padded(other, index))
+            beside = {k * grid - fit.values[index]: one for k, (_, one) in tried.items()}
+            fit = _profiled(fit, beside, index, grid)
         return hypothesis, fit
 
     def _grids(self, hypothesis: Hypothesis, number: int, name: str, value: float) -> list[float]:
@@ -586,6 +590,8 @@ _LITTLE = 0.99
 """Share of what a fit leaves that is hardly less."""
 _GRID_STEPS = 12
 """Steps along a grid at most, each a fit."""
+_FLAT = 1e-6
+"""Rise of a sum of squares over a step of a grid that is none."""
 _FINER = (0.12, 0.03, 0.008)
 """Grids for what acts in steps, of its value."""
 _GRID_STEPS_IN_CONTACT = 2
@@ -606,3 +612,27 @@ def _padded(fit: Fit, index: int) -> dict[str, Any]:
         "information": np.insert(np.insert(fit.information, index, 0, 1), index, 0, 2),
         "score": np.insert(fit.score, index, 0, 1),
     }
+
+
+def _profiled(fit: Fit, beside: Mapping[float, Fit], index: int, grid: float) -> Fit:
+    """A fit of which one number was searched on a grid: it is no surer than the cost rises beside
+    it with the others fitted there, too (profile likelihood), nor than to half a step, whatever a
+    derivative says.
+
+    Args:
+      beside: fits of the others with the number held, by how much it is more there.
+    """
+    near = {away: one for away, one in beside.items() if grid / 2 <= abs(away) < 2 * grid}
+    if not near:
+        return fit
+    rises = [(one.square - fit.square) / away**2 for away, one in near.items()]
+    known = float(fit.covariance[index, index])
+    variance = max(fit.square / fit.count, 1.0) / max(min(rises), _FLAT / grid**2)
+    more = max(variance, (grid / 2 / 1.96) ** 2) - known
+    if more <= 0:
+        return fit
+    covariance, information = fit.covariance.copy(), fit.information.copy()
+    covariance[index, index] += more
+    if not known:  # held: resamples have to feel it
+        information[:, index, index] = 1 / more / len(information)
+    return dataclasses.replace(fit, covariance=covariance, information=information)
