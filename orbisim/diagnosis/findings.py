@@ -235,7 +235,8 @@ def _propagated(
     name: str,
     intervals: dict[str, tuple[float, float]],
 ) -> tuple[float, float]:
-    """The interval of a parameter that follows from the free ones, to first order."""
+    """The interval of a parameter that follows from the free ones, to first order; not a number
+    where it follows from none: what was not fitted has no interval."""
     value = float(hypothesis.effects[number].values[name])
     values, variance = hypothesis.values(scene), 0.0
     for index, (i, free) in enumerate(hypothesis.free(scene)):
@@ -247,7 +248,7 @@ def _propagated(
         moved[index] += half
         other = hypothesis.at(scene, moved).effects[number].values[name]
         variance += (float(other) - value) ** 2
-    half = float(np.sqrt(variance))
+    half = float(np.sqrt(variance)) or np.nan
     return value - half, value + half
 
 

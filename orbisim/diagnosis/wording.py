@@ -125,8 +125,9 @@ def described(effect: FoundEffect) -> str:
     """'the elbow lacks Coulomb friction of 0.35 +- 0.01 N*m'."""
     first = next(iter(effect.parameters.values()))
     low, high = first.ci95
-    half = max(first.value - low, high - first.value, 0.0)
-    amount = f"{number(first.value)} ± {number(half, 2)} {first.unit}".strip()
+    half = max(first.value - low, high - first.value)
+    sure = f" ± {number(half, 2)}" if np.isfinite(half) else ""
+    amount = f"{number(first.value)}{sure} {first.unit}".strip()
     amount = amount.removesuffix(" 1")
     phrase = find(effect.effect).phrase
     where = {"world": "the world", "recording": "the recordings' clock"}.get(
@@ -163,6 +164,8 @@ def number(value: float | None, digits: int = 3) -> str:
 
 def interval(low: float, high: float) -> str:
     """Both ends, with digits enough to tell them apart."""
+    if not np.isfinite([low, high]).all():
+        return "not determined"
     size, width = max(abs(low), abs(high)), high - low
     digits = 3 if not width > 0 else int(np.clip(np.ceil(np.log10(size / width)) + 2, 3, 9))
     return f"{number(low, digits)} to {number(high, digits)}"

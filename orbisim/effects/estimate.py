@@ -8,7 +8,8 @@ from collections.abc import Mapping
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """A parameter. value: SI. unit: its unit. ci95: its 95 % interval."""
+    """A parameter. value: SI. unit: its unit. ci95: its 95 % interval; not a number (None in
+    reports) where it was not fitted: the data do not determine it."""
 
     value: float
     unit: str

@@ -376,6 +376,7 @@ class Judge:
         start: Floats | None,
         free: Floats | None,
         iterations: int = 4,
+        quick: bool = False,
     ) -> Fit:
         variant = hypothesis.variant(self.bench.scene)
         return gauss_newton(
@@ -383,7 +384,7 @@ class Judge:
             lambda _: variant,
             [],
             start=start,
-            hints=self._hints(free),
+            hints=self._hints(free, quick=quick),
             iterations=2 * iterations if is_structural(hypothesis) else iterations,
             robust=self.robust,
         )
@@ -441,28 +442,38 @@ class Judge:
         """Fitted again from where windows start if nothing but starts is fitted, wherever that is
         better, as long as it brings something; numbers of contacts are searched around where they
         are, too: through impacts the cost is rugged, and a fit of everything ends where the starts
-        of some windows are poor."""
-        declared = self.bench.scene
-        for _ in range(_RESTARTS if hypothesis.free(declared) else 0):
-            best, alone = hypothesis, self._alone(hypothesis, fit.start)
-            for other in self._around(hypothesis, fit.values):
-                tried = self._alone(other, alone.start)
-                if tried.square < alone.square:
-                    best, alone = other, tried
-            begin = self._beginning(best, alone.start, None)
+        of some windows are poor. Starts are looked for from the references once."""
+        free = hypothesis.free(self.bench.scene)
+        cold = self._scored(hypothesis, self.fitted, None, None) if free else fit
+        for _ in range(_RESTARTS if free else 0):
+            alone = _by_window(self._scored(hypothesis, self.fitted, fit.start, None), cold)
+            best, begin = self._moved(hypothesis, alone, fit.values)
             found, again = self._fitted(best, iterations, begin)
             if not again.square < fit.square:
                 break
             little = again.square > _LITTLE * fit.square
-            hypothesis, fit = found, again
+            hypothesis, fit, cold = found, again, again
             if little:
                 break
         return hypothesis, fit
 
-    def _alone(self, hypothesis: Hypothesis, start: Floats) -> Fit:
-        """Starts alone fitted, from where they are and from the references."""
-        near = self._scored(hypothesis, self.fitted, start, None)
-        return _by_window(near, self._scored(hypothesis, self.fitted, None, None))
+    def _moved(
+        self, hypothesis: Hypothesis, alone: Fit, values: Floats
+    ) -> tuple[Hypothesis, Beginning]:
+        """With one number of a contact a little less or more, if its starts alone leave less then:
+        one step of each tells which.
+
+        Args:
+          alone: starts alone fitted. values: of the hypothesis.
+        """
+        begin = self._beginning(hypothesis, alone.start, None)
+        best = hypothesis, alone
+        for other in self._around(hypothesis, values):
+            tried = self._scored(other, self.fitted, alone.start, begin.free, 1, quick=True)
+            best = min(best, (other, tried), key=lambda one: one[1].square)
+        if best[0] is hypothesis:
+            return hypothesis, begin
+        return best[0], self._beginning(best[0], best[1].start, None)
 
     def _around(self, hypothesis: Hypothesis, values: Floats) -> Iterator[Hypothesis]:
         """The same with each number of a contact a little less and more."""
@@ -505,8 +516,10 @@ class Judge:
         """Searches parameters that act in steps (delays) on their grid, or on ever finer ones."""
         declared = self.bench.scene
         for index, (number, name) in enumerate(hypothesis.free(declared)):
+            tried: dict[int, tuple[Hypothesis, Fit]] = {}
+            grid = 0.0
             for grid in self._grids(hypothesis, number, name, float(fit.values[index])):
-                tried: dict[int, tuple[Hypothesis, Fit]] = {}
+                tried = {}
                 here = self._descend(hypothesis, fit, (number, name), index, grid, begin, tried)
                 if here not in tried or not tried[here][1].square < fit.square:
                     continue
@@ -515,6 +528,8 @@ class Judge:
                 hypothesis = dataclasses.replace(held, frozen=held.frozen - {(number, name)})
                 values = hypothesis.values(declared)
                 fit = dataclasses.replace(other, values=values, **_padded(other, index))
+            beside = {k * grid - fit.values[index]: one for k, (_, one) in tried.items()}
+            fit = _profiled(fit, beside, index, grid)
         return hypothesis, fit
 
     def _grids(self, hypothesis: Hypothesis, number: int, name: str, value: float) -> list[float]:
@@ -609,6 +624,8 @@ _LITTLE = 0.99
 """Share of what a fit leaves that is hardly less."""
 _GRID_STEPS = 12
 """Steps along a grid at most, each a fit."""
+_FLAT = 1e-6
+"""Rise of a sum of squares over a step of a grid that is none."""
 _FINER = (0.12, 0.03, 0.008)
 """Grids for what acts in steps, of its value."""
 _GRID_STEPS_IN_CONTACT = 2
@@ -629,3 +646,27 @@ def _padded(fit: Fit, index: int) -> dict[str, Any]:
         "information": np.insert(np.insert(fit.information, index, 0, 1), index, 0, 2),
         "score": np.insert(fit.score, index, 0, 1),
     }
+
+
+def _profiled(fit: Fit, beside: Mapping[float, Fit], index: int, grid: float) -> Fit:
+    """A fit of which one number was searched on a grid: it is no surer than the cost rises beside
+    it with the others fitted there, too (profile likelihood), nor than to half a step, whatever a
+    derivative says.
+
+    Args:
+      beside: fits of the others with the number held, by how much it is more there.
+    """
+    near = {away: one for away, one in beside.items() if grid / 2 <= abs(away) < 2 * grid}
+    if not near:
+        return fit
+    rises = [(one.square - fit.square) / away**2 for away, one in near.items()]
+    known = float(fit.covariance[index, index])
+    variance = max(fit.square / fit.count, 1.0) / max(min(rises), _FLAT / grid**2)
+    more = max(variance, (grid / 2 / 1.96) ** 2) - known
+    if more <= 0:
+        return fit
+    covariance, information = fit.covariance.copy(), fit.information.copy()
+    covariance[index, index] += more
+    if not known:  # held: resamples have to feel it
+        information[:, index, index] = 1 / more / len(information)
+    return dataclasses.replace(fit, covariance=covariance, information=information)

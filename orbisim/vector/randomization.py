@@ -164,7 +164,11 @@ def _effect(one: Any, source: str) -> tuple[EffectInstance, dict[str, tuple[floa
     try:
         parameters = one["parameters"]
         values = {name: float(p["value"]) for name, p in parameters.items()}
-        spans = {n: (float(p["ci95"][0]), float(p["ci95"][1])) for n, p in parameters.items()}
+        spans = {}
+        for name, p in parameters.items():
+            low, high = p["ci95"]
+            fitted = low is not None and high is not None  # what was not keeps its value
+            spans[name] = (float(low), float(high)) if fitted else (values[name], values[name])
         instance = EffectInstance(one["effect"], one["target"], values, one.get("options") or {})
     except (KeyError, TypeError, ValueError, IndexError, AttributeError):
         raise InputError(

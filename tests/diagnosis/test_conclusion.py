@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
+import orbisim
 from orbisim.diagnosis.conclusion import rivals_of
 from orbisim.diagnosis.explanations import Tried
+from orbisim.diagnosis.findings import effects_of
+from orbisim.diagnosis.wording import described, interval
 from orbisim.effects import EffectInstance
 from orbisim.evidence import Gain
+from orbisim.motion.samples import prepare_all
+from orbisim.shooting.bench import make_bench
 from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.judge import Judge
+from orbisim.testing import inject_effect
 
 
 def tried(name: str, gain: float, number: int, reason: str = "") -> Tried:
@@ -29,3 +38,23 @@ def test_rivals_are_behind_the_best_of_their_round() -> None:
     assert behind == pytest.approx({"cogging": 20.0, "armature": 80.0, "backlash": 0.0})
     assert [one.reason for one in found] == ["", "it explains less than cogging", ""]
     assert [one.round for one in found] == [1, 1, 2]
+
+
+PLACE = {"com_x": 0.0, "com_y": 0.0, "com_z": -0.05}
+LOAD = EffectInstance("payload", "forearm", {"mass": 0.2, **PLACE})
+
+
+def test_a_number_that_was_not_fitted_has_no_interval(arm: orbisim.Scene) -> None:
+    """It is held at its value, about which the data say nothing."""
+    runs = inject_effect(arm, [LOAD], duration=2.0, episodes=2, noise=2e-4, seed=3)
+    bench = make_bench(arm, prepare_all(runs, arm), 0.5)
+    held = Hypothesis((LOAD,), frozen=frozenset({(0, "com_z")}))
+    judged = Judge(bench, bench.intervals).judge(held)
+    assert judged is not None
+    (found,) = effects_of(arm, judged.hypothesis, judged.fit, [1.0], lambda _: 0.0, 0)
+    mass, height = found.parameters["mass"], found.parameters["com_z"]
+    assert mass.ci95[0] < mass.value < mass.ci95[1]
+    assert height.value == -0.05 and np.isnan(height.ci95).all()
+    assert interval(*height.ci95) == "not determined"
+    only = dataclasses.replace(found, parameters={"com_z": height})
+    assert "com_z -0.05 m" in described(only) and "nan" not in described(only)

@@ -15,6 +15,7 @@ from orbisim.effects import EffectInstance
 from orbisim.errors import SceneError
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
+from orbisim.shooting.confidence import confidence
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judge, Judged, _by_window
 from orbisim.shooting.retune import Tunable, retuned
@@ -137,6 +138,26 @@ def test_a_late_sensor_is_predicted_to_within_the_noise(arm: orbisim.Scene) -> N
     found = judge.judge(Hypothesis((late.replace(delay=0.03),)))
     assert found is not None
     assert found.hypothesis.effects[0].values["delay"] == pytest.approx(0.08, rel=0.01)
+
+
+def test_what_is_searched_on_a_grid_is_as_sure_as_the_cost_rises_beside_it(
+    arm: orbisim.Scene,
+) -> None:
+    """A gate's width has no derivative; its interval is that of its profile, and those of other
+    numbers are the bootstrap's still."""
+    gate = EffectInstance("deadband", "elbow", {"width": 0.5}, {"kind": "gate"})
+    damping = EffectInstance("viscous_damping", "shoulder", {"coefficient": 0.05})
+    runs = inject_effect(arm, [gate, damping], duration=4.0, episodes=3, noise=2e-4, seed=5)
+    bench = make_bench(arm, prepare_all(runs, arm), 0.5)
+    begin = gate.replace(width=0.42), damping.replace(coefficient=0.03)
+    found = Judge(bench, bench.intervals).judge(Hypothesis(begin))
+    assert found is not None and found.ratio < 1.3
+    wide, narrow = confidence(found.fit, ["width", "coefficient"]).values()
+    assert wide[0] < 0.5 < wide[1]
+    assert 1e-4 < np.ptp(wide) < 0.1
+    assert narrow[0] < 0.05 < narrow[1]
+    flat = found.fit.values[1] - 1.96 * np.sqrt(found.fit.covariance[1, 1])
+    assert narrow[0] <= flat
 
 
 def test_starts_of_fitted_and_checked_windows_are_put_together(arm: orbisim.Scene) -> None:

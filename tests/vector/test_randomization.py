@@ -88,6 +88,13 @@ def test_a_report_is_read(tmp_path: Path) -> None:
     assert 1.0 <= drawn.model.dof_damping[0] <= 3.0
 
 
+def test_a_number_that_was_not_fitted_keeps_its_value() -> None:
+    content = report(parameters={"coefficient": {"value": 2.0, "ci95": [None, None]}})
+    drawn = {intervals(content).draw(orbisim.load_scene(own.XML), seed).model.dof_damping[0]
+             for seed in range(3)}  # fmt: skip
+    assert drawn == {2.0}
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
