@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -107,6 +108,33 @@ class Writer:
         shape = [1 if axis in axes else size for axis, size in enumerate(value.shape)]
         return total.moved(total.index.reshape(shape))
 
+    def least(self, value: Value, axis: int, keep: bool) -> Value:
+        """Where along an axis the least is, the first of several."""
+        rows = value.moved(value.index.movedim(axis, -1))
+        first = rows.moved(rows.index[..., 0])
+        low, place = self.elementwise(first.shape, "{0}", [first]), self.room(first.shape)
+        self.assign(place, "0.0f", [])
+        for number in range(1, rows.shape[-1]):
+            here = rows.moved(rows.index[..., number])
+            self.assign(place, f"({{0}} < {{1}}) ? {number}.0f : {{2}}", [here, low, place])
+            self.assign(low, "({0} < {1}) ? {0} : {1}", [here, low])
+        return place.moved(place.index.unsqueeze(axis)) if keep else place
+
+    def gathered(self, value: Value, axis: int, places: Value) -> Value:
+        """`torch.gather` by numbers that are known when the code runs."""
+        value, out = self.elementwise(value.shape, "{0}", [value]), self.room(places.shape)
+        places = self.elementwise(places.shape, "{0}", [places])
+        lines = value.index.movedim(axis, -1)
+        step = int((lines[..., -1] - lines[..., 0]).flatten()[0]) // max(lines.shape[-1] - 1, 1)
+        starts = value.index.narrow(axis, 0, 1)
+        for other, size in enumerate(out.shape):
+            starts = starts.narrow(other, 0, 1 if other == axis else size)
+        table = self._table(starts.expand(out.shape).flatten().tolist())
+        first, second = (int(part.index.flatten()[0]) for part in (out, places))
+        there = f"{value.buffer}[{table}[i0] + {step} * (int){places.buffer}[{second} + i0]]"
+        self._loops((out.index.numel(),), f"{out.buffer}[{first} + i0] = {there};")
+        return out
+
     def product(self, x: Value, weight: Tensor, bias: Tensor | None) -> Value:
         """x [M, K] times a constant [K, N], plus a constant [N]."""
         rows, inner = x.shape
@@ -134,16 +162,19 @@ class Writer:
 
     def _element(self, access: Access, depth: int) -> str:
         if access.table:
-            name = f"t{len(self.tables)}"
-            numbers = ",".join(map(str, access.table))
-            self.tables.append(f"static const int {name}[] = {{{numbers}}};")
-            return f"{access.buffer}[{name}[i0]]"
+            return f"{access.buffer}[{self._table(access.table)}[i0]]"
         terms = [str(access.offset)]
         for level in range(depth):
             stride = access.strides[level]
             if stride:
                 terms.append(f"i{level}" if stride == 1 else f"i{level} * {stride}")
         return f"{access.buffer}[{' + '.join(terms)}]"
+
+    def _table(self, numbers: Sequence[int]) -> str:
+        """The name of a table of numbers."""
+        name = f"t{len(self.tables)}"
+        self.tables.append(f"static const int {name}[] = {{{','.join(map(str, numbers))}}};")
+        return name
 
     def _loops(self, sizes: tuple[int, ...], statement: str) -> None:
         heads = [
