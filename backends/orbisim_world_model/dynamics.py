@@ -339,7 +339,7 @@ class Dynamics(nn.Module):
 
     def _part_attributes(self, context: Context) -> Tensor:
         """[B, P, A]: normalised, what conditions parts or limbs."""
-        see = self.features.limbs if self.features.parts is None else self.features.parts
+        see: Any = self.features.parts or self.features.limbs
         found: Tensor = self.see_part_attributes(see.attributes(context))
         return found
 

@@ -209,7 +209,14 @@ class Writer:
         calls = "\n".join(f"  part{first}(c, w, in);" for first in firsts)
         kernels = "".join(_kernel(rows) for rows in range(1, _ROWS + 1))
         return "\n".join(
-            [HEADER, kernels, _product(), *self.tables, *parts, f"void step{takes} {{\n{calls}\n}}\n"]
+            [
+                HEADER,
+                kernels,
+                _product(),
+                *self.tables,
+                *parts,
+                f"void step{takes} {{\n{calls}\n}}\n",
+            ]
         )
 
 
@@ -217,8 +224,12 @@ def _kernel(rows: int) -> str:
     """The product of so many rows and a panel, whose sums stay in registers."""
     each = range(rows)
     begin = "".join(f"  vector a{r} = shift[0], b{r} = shift[1];\n" for r in each)
-    add = "".join(f"    a{r} += x[{r} * inner + k] * a, b{r} += x[{r} * inner + k] * b;\n" for r in each)
-    end = "".join(f"  to = (vector *)(y + {r} * across), to[0] = a{r}, to[1] = b{r};\n" for r in each)
+    add = "".join(
+        f"    a{r} += x[{r} * inner + k] * a, b{r} += x[{r} * inner + k] * b;\n" for r in each
+    )
+    end = "".join(
+        f"  to = (vector *)(y + {r} * across), to[0] = a{r}, to[1] = b{r};\n" for r in each
+    )
     return f"""
 static void panel{rows}(const float *restrict weight, const vector *restrict shift,
                    const float *restrict x, float *restrict y, int inner, int across) {{
