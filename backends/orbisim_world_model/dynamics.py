@@ -301,14 +301,14 @@ class Dynamics(nn.Module):
             known = see.limbs.known(x, control, context)
             more = {
                 "parts": self.see_parts(see.limbs.seen_of(x, known, context)),
-                "part_attributes": self.see_part_attributes(see.limbs.attributes(context)),
+                "part_attributes": self._part_attributes(context),
                 "part_mask": context.part_mask,
                 "known": known,
             }
         if see.parts is not None:
             more = {
                 "parts": self.see_parts(see.parts.features(x, control, context)),
-                "part_attributes": self.see_part_attributes(see.parts.attributes(context)),
+                "part_attributes": self._part_attributes(context),
                 "part_mask": context.part_mask,
             }
         return Inputs(
@@ -325,12 +325,23 @@ class Dynamics(nn.Module):
         )
 
     def described(self, context: Context) -> Context:
-        """The same with what the network makes of descriptors alone, for steps that share them."""
-        if not hasattr(self.network, "scales"):
+        """The same with what the network makes of descriptors alone, for steps that share them.
+
+        Of networks that make it apart from states (`describes`).
+        """
+        if not getattr(self.network, "describes", False):
             return context
+        seen = [self.see_attributes(context.attributes), self.see_world(context.world)]
+        if self.see_parts is not None:
+            seen.append(self._part_attributes(context))
         dtype = self.network.start.dtype
-        seen = self.see_attributes(context.attributes), self.see_world(context.world)
         return context._replace(scales=self.network.scales(*(part.to(dtype) for part in seen)))
+
+    def _part_attributes(self, context: Context) -> Tensor:
+        """[B, P, A]: normalised, what conditions parts or limbs."""
+        see: Any = self.features.parts or self.features.limbs
+        found: Tensor = self.see_part_attributes(see.attributes(context))
+        return found
 
     def _geometry(self, x: Entities, context: Context) -> Geometry | None:
         if self.contacts is None or not self.config.boxes:

@@ -104,8 +104,7 @@ class Engine(Stepping):
         """
         from orbisim_world_model.native import NativeStep
 
-        # limbs' steps have gathers and eliminations, which are not written as C
-        if self.device.type == "cpu" and not self.layout.articulated:
+        if self.device.type == "cpu":
             context = Context(self._attributes, self._settings, None, self._parts)
             self.native = NativeStep(self.stepper.model, context)
 

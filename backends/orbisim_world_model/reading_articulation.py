@@ -124,7 +124,7 @@ def _refuse(model: mujoco.MjModel, source: str) -> None:
         "equality constraints": bool(model.eq_active0.any()) if model.neq else False,
         "mocap bodies": model.nmocap > 0,
         "flexes": model.nflex > 0,
-        "a medium (density, viscosity or wind)": bool(
+        "medium (density, viscosity or wind)": bool(
             option.density or option.viscosity or np.any(option.wind)
         ),
         "gravity compensation": bool(np.any(model.body_gravcomp)),

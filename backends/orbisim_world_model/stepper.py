@@ -94,6 +94,7 @@ class Stepper:
         self._kernels = self._with_kernels(model) if self.on_gpu else None
         self._compiler = self.speedups.compiled
         self._graphs: dict[tuple[int, bool], Slot] = {}
+        self._described: tuple[Context, Context] | None = None
 
     def _made(self, model: Dynamics, folded: bool) -> Dynamics:
         made = copy.deepcopy(model).to(self.device).eval()
@@ -131,13 +132,19 @@ class Stepper:
         """One step; the result's tensors belong to the caller."""
         with torch.no_grad():
             if not self.on_gpu:
-                step = self.model(x, memory, control, context)
+                step = self.model(x, memory, control, self._once(context))
                 return step.state, step.memory
             with torch.cuda.device(self.device):
                 slot = self.prepared(x, memory, control, context)
                 slot.load(x, memory, control, context)
                 state, h = slot.run()
                 return Entities(*(field.clone() for field in state)), h.clone()
+
+    def _once(self, context: Context) -> Context:
+        """`_described`, kept for the steps of a rollout, which hand over the same one."""
+        if self._described is None or self._described[0] is not context:
+            self._described = context, _described(self.model, context)
+        return self._described[1]
 
     def completed(self, x: Entities) -> Entities:
         """The state with the hand that follows from the joints."""
@@ -191,15 +198,16 @@ class Stepper:
 
 def _shared(context: Context) -> bool:
     """Whether all worlds have the same descriptors, by how they lie in memory."""
-    fields = context.attributes, context.world
-    return all(len(field) > 1 and field.stride(0) == 0 for field in fields)
+    fields = (context.attributes, context.world, context.parts)
+    return all(len(field) > 1 and field.stride(0) == 0 for field in fields if field is not None)
 
 
 def _described(model: Dynamics, context: Context) -> Context:
     """See `Dynamics.described`; of descriptors that all worlds share, once."""
     if not _shared(context):
         return model.described(context)
-    one = context._replace(attributes=context.attributes[:1], world=context.world[:1])
+    parts = None if context.parts is None else context.parts[:1]
+    one = Context(context.attributes[:1], context.world[:1], None, parts)
     return context._replace(scales=model.described(one).scales)
 
 

@@ -40,11 +40,13 @@ def located(checkpoint: str | Path) -> Path:
 def find(scene: Scene, baseline: str = "none") -> tuple[Path, AnyFit]:
     """The checkpoint that fits a scene best, and how it fits.
 
-    One whose training data include the scene's task comes first, then one of the scene's own robot,
-    then the one with the fewest concerns, then the one that was trained on the fewest tasks.
+    One whose training data include the scene's task comes first, then one of the scene's own robot
+    before one of any robot, then the one with the fewest concerns, then the one that was trained on
+    the fewest tasks.
 
     Raises:
-      UnsupportedSceneError: none fits.
+      UnsupportedSceneError: none fits; with what keeps those from it that were trained on its task,
+        or know any robot.
     """
     fits: list[tuple[tuple[bool, bool, int, int, str], Path, AnyFit]] = []
     known: list[str] = []
@@ -53,14 +55,14 @@ def find(scene: Scene, baseline: str = "none") -> tuple[Path, AnyFit]:
         if manifest["model"].get("baseline", "none") != baseline:
             continue
         known.append(name)
+        of_all = bool(manifest["model"].get("articulated"))
         tasks = {source.get("task") for source in manifest["data"].get("sources", [])}
         try:
             found = fit_any(manifest, scene)
         except UnsupportedSceneError as error:
-            if scene.source in tasks:  # why others do not fit is no news
+            if of_all or scene.source in tasks:  # why those of other robots do not fit is no news
                 reasons[name] = error.problem
             continue
-        of_all = bool(manifest["model"].get("articulated"))
         rank = (scene.source not in tasks, of_all, len(found.concerns), len(tasks), name)
         fits.append((rank, FOLDER / name, found))
     if not fits:

@@ -16,6 +16,8 @@ from orbisim_world_model.native.compiler import compiled
 from orbisim_world_model.native.translate import Translator
 
 Floats = npt.NDArray[np.float32]
+_LINE = 16
+"""Numbers in a line of a cache."""
 _Pointer = ctypes.POINTER(ctypes.c_float)
 
 
@@ -42,8 +44,8 @@ class NativeStep:
         writer = translator.writer
         results = [writer.elementwise(out.shape, "{0}", [out]) for out in outputs]
         self._function = compiled(writer.source(), careful=model.contacts is not None)
-        self._constants = np.ascontiguousarray(torch.cat(writer.constants).numpy())
-        self._workspace = np.zeros(max(writer.workspace, 1), np.float32)
+        self._constants = _aligned(torch.cat(writer.constants).numpy())
+        self._workspace = _aligned(np.zeros(max(writer.workspace, 1), np.float32))
         self._inputs = [np.zeros(tuple(t.shape), np.float32) for t in (*example, memory)]
         pointers = [array.ctypes.data_as(_Pointer) for array in self._inputs]
         self._arguments: tuple[Any, ...] = (
@@ -80,6 +82,15 @@ def _traced(model: Dynamics, context: Context, example: list[Tensor]) -> Any:
         traced = make_fx(step, decomposition_table=core_aten_decompositions())(*example)
     traced.graph.eliminate_dead_code()
     return traced
+
+
+def _aligned(values: Floats) -> Floats:
+    """A copy that begins at a multiple of 64 bytes, so that no vector lies across two lines of a
+    cache: products of three rows are 1.5 times as fast."""
+    room = np.empty(len(values) + _LINE, np.float32)
+    first = -(room.ctypes.data // room.itemsize) % _LINE
+    room[first : first + len(values)] = values
+    return room[first : first + len(values)]
 
 
 def _span(index: Tensor) -> slice:

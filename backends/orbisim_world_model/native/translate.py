@@ -20,7 +20,7 @@ _MOVES = {
     *(aten.slice.Tensor, aten.select.int, aten.squeeze.dims, aten.squeeze.dim),
     *(aten.expand.default, aten.index_select.default, aten.index.Tensor, aten.clone.default),
     *(aten.split_with_sizes.default, aten.alias.default, aten.flip.default, aten.t.default),
-    *(aten.transpose.int, aten._to_copy.default, aten.detach.default),
+    *(aten.transpose.int, aten._to_copy.default, aten.detach.default, aten.diagonal.default),
 }
 _UNARY = {
     aten.sigmoid.default: "sigmoid({0})",
@@ -32,6 +32,7 @@ _UNARY = {
     aten.sqrt.default: "sqrtf({0})",
     aten.rsqrt.default: "1.0f / sqrtf({0})",
     aten.reciprocal.default: "1.0f / {0}",
+    aten.log.default: "logf({0})",
     aten.log1p.default: "log1pf({0})",
     aten.neg.default: "-{0}",
     aten.abs.default: "fabsf({0})",
@@ -48,6 +49,7 @@ _BINARY = {
     aten.gt.Scalar: "({0} > {1}) ? 1.0f : 0.0f",
     aten.bitwise_and.Tensor: "{0} * {1}",
     aten.maximum.default: "({0} > {1}) ? {0} : {1}",
+    aten.minimum.default: "({0} < {1}) ? {0} : {1}",
 }
 
 
@@ -150,6 +152,28 @@ class Translator:
         total = self.writer.summed(x, list(axes), keep)
         count = x.index.numel() // max(total.index.numel(), 1)
         return self.writer.elementwise(total.shape, f"{{0}} * {1.0 / count!r}f", [total])
+
+    def _op_bmm(self, shape: Any, a: Any, b: Any) -> Value:
+        a, b = self._written(a), self._written(b)
+        many, rows, inner = a.shape
+        each = (many, rows, inner, b.shape[2])
+        left = a.moved(a.index[..., None].expand(each))
+        right = b.moved(b.index[:, None].expand(each))
+        terms = self.writer.elementwise(each, "{0} * {1}", [left, right])
+        return self.writer.summed(terms, [2], False)
+
+    def _op_div(self, shape: Any, a: Any, b: float, rounding_mode: str) -> Value:
+        if rounding_mode != "floor":
+            raise UntranslatableError(f"a quotient that is rounded by {rounding_mode!r}")
+        return self._binary("floorf({0} / {1})", shape, (a, b), {})
+
+    def _op_gather(self, shape: Any, x: Any, axis: int, index: Any) -> Value:
+        if isinstance(x, Value) and isinstance(index, Tensor):
+            return x.moved(x.index.gather(axis, index))
+        return self.writer.gathered(self._written(x), axis % len(shape), index)
+
+    def _op_argmin(self, shape: Any, x: Value, axis: int, keep: bool = False) -> Value:
+        return self.writer.least(x, axis % len(x.shape), keep)
 
     def _op__softmax(self, shape: Any, x: Value, axis: int, half: bool) -> Value:
         above = self._largest(x, axis % len(shape))

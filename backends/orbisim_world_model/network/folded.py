@@ -3,7 +3,8 @@
 - Keys and values of pairs are never formed. Since a pair's key is P_k p_ij, its score is
   (P_k^T q_i) . p_ij, and P_k^T joins the products that give q, k and v; likewise P_v joins the
   output's.
-- The scales and shifts of all AdaLN depend on the condition alone: one product for all layers.
+- The scales and shifts of all AdaLN depend on the condition alone: one product for all layers; and
+  where no token is a robot's, which is conditioned on its control, once for many steps (`scales`).
 - A model without memory always sees the same one, which becomes a bias of the encoder.
 """
 
@@ -49,6 +50,7 @@ class FoldedNetwork(TokenNetwork):
         self.transition = layers if self.remembers else transition_of(layers, self.skip)
         self.robot_condition = network.robot_condition
         self.object_condition = network.object_condition
+        self.describes = not self.robot_token
 
     def encode(self, inputs: Inputs, memory: Tensor) -> Tensor:
         """z_t = f_enc(h_t, x_t)."""
@@ -70,7 +72,10 @@ class FoldedNetwork(TokenNetwork):
             mask = token_mask(inputs.mask, bool(self.robot_token), inputs.part_mask)
         z = self.encode(inputs, memory)
         pairs = None if self.edge is None else self.edge(inputs.edges)
-        scales = self.modulation(self.condition(inputs)).chunk(4 * len(self.blocks), dim=-1)
+        found = inputs.scales
+        if found is None:
+            found = self.modulation(self.condition(inputs))
+        scales = found.chunk(4 * len(self.blocks), dim=-1)
         for number, block in enumerate(self.blocks):
             z = block(z, scales[4 * number : 4 * number + 4], pairs, mask)
         e = self.norm(z)
@@ -84,6 +89,19 @@ class FoldedNetwork(TokenNetwork):
         wanted = None if self.f_imp is None else self.f_imp(latent, pairs)
         moves = self.f_dec.part_numbers(latent)
         return Outputs(robot, objects, h, latent, latent.new_zeros(()), wanted, moves)
+
+    def scales(
+        self, attributes: Tensor, world: Tensor, part_attributes: Tensor | None = None
+    ) -> Tensor:
+        """Scales and shifts of all AdaLN, [B, K, layers * 4 * width], of a network without robot.
+
+        Args:
+          attributes: [B, N, D]. world: [B, W]. part_attributes: [B, P, A]. All normalised.
+        """
+        found: Tensor = self.modulation(
+            torch.cat(self.described(attributes, world, part_attributes), dim=1)
+        )
+        return found
 
 
 class FoldedBlock(nn.Module):
@@ -132,6 +150,8 @@ class FoldedBlock(nn.Module):
         q, k, v, asks = projected.split((width, width, width, heads * self.pair), dim=-1)
         split = (heads, width // heads)
         q, k, v = q.unflatten(-1, split), k.unflatten(-1, split), v.unflatten(-1, split)
+        if pairs is None and not projected.is_cuda:
+            return _attended(q, k, v, mask)
         products = q[:, :, None] * k[:, None]  # [B, K, K, heads, D]
         seen = v[:, None]
         if pairs is not None:
@@ -146,6 +166,17 @@ class FoldedBlock(nn.Module):
         if mask is not None:
             score = score.masked_fill(mask[:, None, :, None] == 0, -1e4)
         return (score.softmax(dim=2)[..., None] * seen).sum(2).flatten(-2)
+
+
+def _attended(q: Tensor, k: Tensor, v: Tensor, mask: Tensor | None) -> Tensor:
+    """[B, K, heads * D] of tokens [B, K, heads, D] without pairs, by products of matrices.
+
+    On a GPU a world's are too small to be worth a kernel each.
+    """
+    score = q.transpose(1, 2) @ k.permute(0, 2, 3, 1)  # [B, heads, K, K]
+    if mask is not None:
+        score = score.masked_fill(mask[:, None, None] == 0, -1e4)
+    return (score.softmax(dim=-1) @ v.transpose(1, 2)).transpose(1, 2).flatten(-2)
 
 
 def _linear(weight: Tensor, bias: Tensor) -> nn.Linear:

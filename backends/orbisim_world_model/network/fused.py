@@ -66,7 +66,7 @@ class FusedNetwork(TokenNetwork):
         self.robot_token, self.count, self.parts = network.robot_token, network.count, 0
         self.start = nn.Parameter(network.start.detach().clone())
         self.robot_condition, self.object_condition = None, None  # in the kernels
-        self.part_condition = None
+        self.part_condition, self.describes = None, True
         blocks = [block for block in network.f_cp.blocks if isinstance(block, Block)]
         self.tile = tile
         weights, biases = _Packed(), _Packed()
@@ -111,11 +111,13 @@ class FusedNetwork(TokenNetwork):
         none = robot.new_zeros(())
         return Outputs(robot, objects, memory, none, none)
 
-    def scales(self, attributes: Tensor, world: Tensor) -> Tensor:
+    def scales(
+        self, attributes: Tensor, world: Tensor, part_attributes: Tensor | None = None
+    ) -> Tensor:
         """Scales and shifts of all AdaLN of objects, [B, N, layers * 4 * width].
 
         Args:
-          attributes: [B, N, D]. world: [B, W], both normalised.
+          attributes: [B, N, D]. world: [B, W], both normalised. part_attributes: of none.
         """
         tile = self._tile(len(attributes))
         described = (attributes.contiguous(), world.contiguous())

@@ -16,6 +16,8 @@ class TokenNetwork(nn.Module):
       start: [2 or 3, width], memory of the robot's, of an object's and of a part's token.
       robot_condition, object_condition, part_condition: from what conditions a token to
         [..., width].
+      describes: whether it has `scales` of AdaLN that descriptors alone decide, to be made once for
+        many steps.
     """
 
     robot_token: int
@@ -25,6 +27,7 @@ class TokenNetwork(nn.Module):
     robot_condition: nn.Module
     object_condition: nn.Module
     part_condition: nn.Module | None
+    describes: bool = False
 
     def initial_memory(self, batch: int) -> Tensor:
         """[B, K, width]: learned, one for robots, one for objects and one for parts."""
@@ -36,13 +39,22 @@ class TokenNetwork(nn.Module):
 
     def condition(self, inputs: Inputs) -> Tensor:
         """c [B, K, width] of AdaLN."""
-        world, parts = inputs.world, []
+        parts = self.described(inputs.attributes, inputs.world, inputs.part_attributes)
         if self.robot_token:
-            parts.append(self.robot_condition(torch.cat([inputs.control, world], -1))[:, None])
-        if self.count:
-            spread = world[:, None].expand(-1, inputs.attributes.shape[1], -1)
-            parts.append(self.object_condition(torch.cat([inputs.attributes, spread], -1)))
-        if self.part_condition is not None and inputs.part_attributes is not None:
-            spread = world[:, None].expand(-1, inputs.part_attributes.shape[1], -1)
-            parts.append(self.part_condition(torch.cat([inputs.part_attributes, spread], -1)))
+            moved = torch.cat([inputs.control, inputs.world], dim=-1)
+            parts.insert(0, self.robot_condition(moved)[:, None])
         return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
+
+    def described(
+        self, attributes: Tensor, world: Tensor, part_attributes: Tensor | None
+    ) -> list[Tensor]:
+        """c of objects and of parts, which descriptors alone decide."""
+        kinds = (
+            (self.object_condition, attributes if self.count else None),
+            (self.part_condition, part_attributes),
+        )
+        return [
+            condition(torch.cat([seen, world[:, None].expand(-1, seen.shape[1], -1)], dim=-1))
+            for condition, seen in kinds
+            if condition is not None and seen is not None
+        ]

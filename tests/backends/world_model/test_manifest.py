@@ -22,7 +22,7 @@ from safetensors.torch import load_file, save_file
 from torch import nn
 
 from orbisim import load_scene, make_backend
-from orbisim.errors import InputError
+from orbisim.errors import InputError, UnsupportedSceneError
 from orbisim.tasks.collect import collect
 from tests.clock import Stopwatch
 
@@ -186,7 +186,7 @@ def test_figures_of_a_shipped_checkpoint_are_recomputed(tmp_path: Path) -> None:
             assert found[quantity][level] == pytest.approx(said[quantity][level], rel=0.1)
 
 
-@pytest.mark.parametrize("name", ["acrobot", "cubes"])
+@pytest.mark.parametrize("name", ["cartpole", "cubes"])
 def test_the_number_of_parameters_is_that_of_the_network(name: str) -> None:
     manifest = read_manifest(ZOO / name)
     models = [
@@ -218,3 +218,23 @@ def test_of_those_that_know_a_task_the_one_of_fewest_tasks_is_taken(
     monkeypatch.setattr(zoo, "FOLDER", tmp_path)
     found, _ = zoo.find(load_scene("task:push"))
     assert found.name == "second"
+
+
+def test_one_of_any_robot_stands_in_for_a_robots_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("cartpole", "suite_one", "walker"):
+        (tmp_path / name).symlink_to(ZOO / name)
+    monkeypatch.setattr(zoo, "FOLDER", tmp_path)
+    for task in ("pendulum-swingup", "reacher-easy", "hopper-stand"):
+        found, fit = zoo.find(load_scene(f"suite:{task}"))
+        assert found.name == "suite_one" and not fit.concerns
+    assert zoo.find(load_scene("suite:cartpole-balance"))[0].name == "cartpole"  # its own robot's
+    for task, reason in (
+        ("humanoid-run", "neither hinges nor slides"),
+        ("ball_in_cup-catch", "no tendons with springs"),
+    ):
+        with pytest.raises(UnsupportedSceneError) as refused:
+            zoo.find(load_scene(f"suite:{task}"))
+        assert "suite_one: a model of limbs knows" in str(refused.value)
+        assert reason in str(refused.value) and "walker:" not in str(refused.value)

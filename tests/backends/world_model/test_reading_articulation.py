@@ -71,7 +71,7 @@ def test_the_step_is_a_multiple_of_the_scenes() -> None:
             '<adhesion body="tail" ctrlrange="0 1"',
             "acts on 0 joints",
         ),
-        ("<option ", '<option density="1.2" ', "a medium"),
+        ("<option ", '<option density="1.2" ', "no medium"),
         ('damping="0.2"', 'damping="0.2 0.1"', "springs and dampers that are not linear"),
         ('stiffness="2"', 'stiffness="2 1"', "springs and dampers that are not linear"),
         ('gear="3"', 'gear="3" damping="1"', "damping, armature or delay of actuators"),

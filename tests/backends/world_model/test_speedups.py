@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import warnings
 
+import mujoco
 import pytest
 import torch
 from orbisim_world_model.dynamics import Dynamics, example
@@ -14,6 +15,7 @@ from orbisim_world_model.stepper import Speedups, Stepper, cause, compiled_step,
 from orbisim_world_model.trainer import new_model
 
 from tests.backends.world_model.conftest import toy
+from tests.backends.world_model.robots import CRAWLER, of_limbs
 from tests.backends.world_model.synthetic import BOX, PENDULUM, TABLE, simulate
 
 CPU = torch.device("cpu")
@@ -68,8 +70,9 @@ def test_combined_weights_give_the_same_step(xml: str, name: str) -> None:
     assert torch.equal(folded.initial_memory(3), plain.initial_memory(3))
 
 
-def test_combined_weights_respect_the_mask() -> None:
-    model = _trained_looking(TABLE)
+@pytest.mark.parametrize("name", ["default", "no_relative"])
+def test_combined_weights_respect_the_mask(name: str) -> None:
+    model = _trained_looking(TABLE, name)
     x, memory, control, context = _inputs(model, 4)
     context = context._replace(mask=torch.tensor([[1.0, 0.0]]).expand(4, 2))
     folded = Stepper(model, CPU, Speedups()).model
@@ -77,6 +80,43 @@ def test_combined_weights_respect_the_mask() -> None:
     found = plain_step(folded)(x, memory, control, context)[0]
     torch.testing.assert_close(found.pos, expected.pos, rtol=1e-4, atol=1e-5)
     torch.testing.assert_close(found.v, expected.v, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_what_descriptors_alone_decide_is_computed_once(shared: bool) -> None:
+    """Scales and shifts of limbs: for all steps, and for all worlds that have the same robot."""
+    exact, x, context = of_limbs(mujoco.MjModel.from_xml_string(CRAWLER), 3)
+    model, x = exact.float().eval(), x.to(torch.float32)
+    assert context.parts is not None
+    rows, world = (field[:1].float() for field in (context.parts, context.world))
+    generator = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter += 0.05 * torch.randn(parameter.shape, generator=generator)
+    same = Context(torch.zeros(1, 0, 0), world, None, rows)
+    given = Context(*(None if f is None else f.expand(3, *f.shape[1:]) for f in same))
+    if not shared:
+        several = rows.repeat(3, 1, 1)
+        several[..., model.layout.part_columns.index("damping")] *= torch.arange(3.0)[:, None]
+        given = given._replace(parts=several)
+    stepper = Stepper(model, CPU, Speedups(compiled=None, graphed=False))
+    shapes: list[tuple[int, ...]] = []
+    stepper.model.network.modulation.register_forward_hook(
+        lambda module, inputs, output: shapes.append(tuple(output.shape[:2]))
+    )
+    memory, control = model.initial_memory(3), torch.full((3, model.layout.nu), 0.4)
+    expected, found = x, x
+    for _ in range(3):
+        expected = model(expected, memory, control, given).state
+        found, _ = stepper(found, memory, control, given)
+        assert torch.allclose(found.v, expected.v, atol=1e-4)
+    slot = stepper.prepared(found, memory, control, given)  # as on a GPU
+    for _ in range(2):
+        slot.load(found, memory, control, given)
+        state, _ = slot.run()
+        assert torch.allclose(state.v, model(expected, memory, control, given).state.v, atol=1e-4)
+    # for three steps, for what the graph is made of, and for two steps of it
+    assert shapes == 3 * [(1 if shared else 3, len(model.layout.parts))]
 
 
 def test_networks_without_tokens_are_left_as_they_are() -> None:
