@@ -212,8 +212,9 @@ _NEW = 1e-4
 _APART = 0.1
 """Strength of a direction, over that of the strongest, from which on it is one: columns along a
 measured motion are not better known than to a tenth, and weaker ones are what that leaves."""
-_FEWEST = 4
-"""Directions of which a sum says something: with four, it is known to a factor of two."""
+_FEWEST = 8
+"""Directions that say something: of fewer, an effect that is missing is too large a part of what
+they explain together."""
 
 
 def probabilities(log_odds: Floats) -> Floats:
