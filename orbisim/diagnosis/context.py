@@ -127,17 +127,17 @@ class Context:
     def screen(self, judged: Judged) -> Screening:
         """Ranks the effects that may be missing on top of a hypothesis; with contacts, along the
         recordings and along its own free runs."""
-        only, hypothesis = self.settings.effects, judged.hypothesis
-        fitted = None
-        if self.bench.contacts and not is_structural(hypothesis):
-            fitted = along(self.bench, hypothesis, judged.windows, judged.fit.start)
+        only, hypothesis, seen, fitted = self.settings.effects, judged.hypothesis, self.bench, None
+        if self.bench.contacts:
+            seen = cut_at_growth(dataclasses.replace(self.bench, intervals=self.intervals))
+            if not is_structural(hypothesis):
+                fitted = along(self.bench, hypothesis, judged.windows, judged.fit.start)
         if fitted is None:
-            return screen(self.bench, hypothesis, self.intervals, only, self.columns)
+            return screen(seen, hypothesis, self.intervals, only, self.columns)
         bench, numbers = cut_at_growth(fitted[0]), fitted[1]
         columns = None if self.columns is None else factor_columns(bench, self.tunables)
         force = missing_force(self.intervals)[numbers]
         own = screen(bench, hypothesis, bench.intervals, only, columns, force)
-        seen = cut_at_growth(dataclasses.replace(self.bench, intervals=self.intervals))
         return merged(own, screen(seen, hypothesis, self.intervals, only, self.columns))
 
 

@@ -135,13 +135,22 @@ def _added(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judg
 
 def _from_same_starts(context: Context, current: Judged, few: Sequence[Judged]) -> Iterator[Judged]:
     """The others of a few, fitted again from where the best of them has windows start: a start that
-    was not found is no reason against an effect."""
+    was not found is no reason against an effect. Then the best of all to the end."""
     ranked = best_few(context, current, few)
     for other in ranked[1:]:
         begin = context.judge.begin(ranked[0])
-        again = context.judge.judge(other.hypothesis, begin=begin, restart=True)
+        again = context.judge.judge(other.hypothesis, begin=begin, restarts=1)
         if again is not None and again.loss < other.loss:
+            ranked.append(again)
             yield again
+    for best in best_few(context, current, ranked)[:1]:
+        closer = context.judge.closer(best, restarts=_TO_THE_END)
+        if closer is not best:
+            yield closer
+
+
+_TO_THE_END = 2
+"""Restarts of the best of a few through impacts, beside the one that each of them has."""
 
 
 def _generalized(context: Context, current: Judged, fitted: Sequence[Judged]) -> Iterator[Judged]:

@@ -23,7 +23,7 @@ from orbisim.shooting.cutting import (
     without_lost,
 )
 from orbisim.shooting.hypothesis import Hypothesis
-from orbisim.shooting.noise import estimate_noise
+from orbisim.shooting.noise import calm, estimate_noise
 from orbisim.shooting.shooter import Shooter
 from orbisim.shooting.windows import Windows
 
@@ -90,9 +90,11 @@ class Bench:
 
     def with_noise_of(self, hypothesis: Hypothesis, intervals: Intervals) -> Bench:
         """The same bench with the noise estimated along a better scene."""
-        found = estimate_noise(
-            self.samples, intervals, self.windows.some(self.fit), self.known_signal(hypothesis)
-        )
+        windows = self.windows.some(self.fit)
+        if self.contacts:
+            windows = calm(self.samples, intervals, windows)
+        known = self.known_signal(hypothesis)
+        found = estimate_noise(self.samples, intervals, windows, known)
         return dataclasses.replace(self, noise=_lower(found, self.samples))
 
 
@@ -133,9 +135,10 @@ def make_bench(
     if not len(windows):
         raise InputError(TOO_SHORT)
     if contacts:
-        first = noise or _lower(estimate_noise(samples, intervals, windows), samples)
+        between = calm(samples, intervals, windows)
+        noise = noise or _lower(estimate_noise(samples, intervals, between), samples)
         windows = without_lost(
-            predictable_windows(scene, samples, intervals, first, windows.length), intervals
+            predictable_windows(scene, samples, intervals, noise, windows.length), intervals
         )
     held = every_third(windows, len(samples), check)
     noise = noise or _lower(estimate_noise(samples, intervals, windows.some(~held)), samples)

@@ -80,7 +80,7 @@ def spread_windows(
     """Windows, and for each recording the rows of their intervals; windows spread evenly."""
     recording = np.concatenate([np.full(len(r), i) for i, r in enumerate(rows)])
     row = np.concatenate([np.asarray(r) for r in rows]).astype(np.int64)
-    near = np.concatenate([_near_jump(samples[i])[r] for i, r in enumerate(rows)])
+    near = np.concatenate([near_jump(samples[i])[r] for i, r in enumerate(rows)])
     length = _fitting(recording, row, length)
     windows = cut_windows(recording, row, length, near)
     while not len(windows) and length > 4:
@@ -109,7 +109,7 @@ def _fitting(recording: Ints, row: Ints, length: int) -> int:
     return max(choices, key=lambda k: (round(float((runs // k * k).sum()) / runs.sum(), 2), k))
 
 
-def _near_jump(one: Samples) -> Bools:
+def near_jump(one: Samples) -> Bools:
     """[T]: whether an impact is so close that the reference is not to be trusted as a start."""
     jump = np.append(one.jumps.any(axis=1), False)
     near = jump.copy()

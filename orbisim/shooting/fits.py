@@ -80,6 +80,7 @@ class Hints:
       rough: whether `free` holds only at first (contacts).
       quick: whether to do without starting badly fitting windows anew (contacts), and without
         information, score and covariance.
+      near: whether windows begin where they are told to, and other starts are not tried (contacts).
       lenient: mean square of a window beyond which it counts less and less for the unknowns, in
         units of what is typical of windows, at least the noise (contacts); 0 if all count alike.
     """
@@ -89,4 +90,5 @@ class Hints:
     exact: bool = False
     rough: bool = False
     quick: bool = False
+    near: bool = False
     lenient: float = 0.0

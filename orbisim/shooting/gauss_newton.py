@@ -44,23 +44,20 @@ def gauss_newton(
     hints = hints or Hints()
     if hints.exact and start is None:
         values = np.array([u.start for u in unknowns])
-        start = _approached(shooter, build(values), robust, None)
+        start = _approached(shooter, build(values), robust)
     problem = Problem(shooter, build, unknowns, hints, robust)
     return problem.solve(start, iterations, tolerance)
 
 
-def _approached(
-    shooter: Shooter, variant: Variant, robust: float | None, only: Bools | None
-) -> Floats:
+def _approached(shooter: Shooter, variant: Variant, robust: float | None) -> Floats:
     """Window starts from ever longer parts of the windows: the errors of a long window with impacts
     have many minima."""
     start = None
     for samples in _APPROACH:
         if samples < shooter.windows.length:
-            problem = Problem(
-                shooter.first(samples), lambda _: variant, [], Hints(exact=True), robust
-            )
-            start = problem.solve(start, 4, 1e-2, only).start
+            hints = Hints(exact=True, quick=True)
+            problem = Problem(shooter.first(samples), lambda _: variant, [], hints, robust)
+            start = problem.solve(start, 4, 1e-2).start
     return np.zeros((len(shooter), 2 * shooter.nv)) if start is None else start
 
 
@@ -94,28 +91,17 @@ class Problem:
         self.led = False
         self.scale = hints.lenient
 
-    def solve(
-        self,
-        start: Floats | None,
-        iterations: int,
-        tolerance: float,
-        only: Bools | None = None,
-    ) -> Fit:
+    def solve(self, start: Floats | None, iterations: int, tolerance: float) -> Fit:
         """Goes downhill until steps bring little.
 
         Args:
           start: [W, 2 nv] window starts, zero if None. tolerance: share of the cost that is little.
-          only: [W] windows whose starts may move; all if None.
         """
         shooter = self.shooter
         values = np.clip(self.begin, self.low, self.high)
         xi = self.widened(values, start)
         here = self.trial(values, xi)
-        others = [] if start is None or not xi.any() else [np.zeros_like(xi)]
-        if self.hints.rough or self.hints.exact:
-            others.append(self._measured(xi))
-            others += self._read(values, [xi, *others])
-        for other in [*others, *self._ends(values, xi)]:
+        for other in [] if self.hints.near else self._others(values, xi, start is not None):
             here = self._better(here, self.trial(values, other))
         self.scale = self.hints.lenient * max(1.0, float(np.median(self._mean(here.cost))))
         damping, brakes = 1e-4, np.full(len(shooter), 1e-9)
@@ -124,9 +110,9 @@ class Problem:
         hinted = free is not None and free.shape[2] == xi.shape[1] and not self.led
         if free is None or not hinted:
             free = self.start_jacobian(here)
-        active = np.ones(len(shooter), bool) if only is None else only.copy()
+        active = np.ones(len(shooter), bool)
         hints, iteration = self.hints, 0
-        again = only is None and (hints.exact or hints.rough) and not hints.quick
+        again = (hints.exact or hints.rough) and not hints.quick
         known: Floats | None = None
         while True:
             if iteration >= iterations:
@@ -179,9 +165,23 @@ class Problem:
         hidden = here.xi.shape[1] != 2 * self.shooter.nv
         if hidden or not bad.any() or float(np.median(means)) > _BAD:
             return None
-        xi = _approached(self.shooter, self.build(here.values), self.robust, bad)
+        part = self.shooter.some(np.flatnonzero(bad))
+        xi = here.xi.copy()
+        xi[bad] = _approached(part, self.build(here.values), self.robust)
         found = self._better(self.trial(here.values, xi, bad, here), here)
         return found if self.total(found) < 0.99 * self.total(here) else None
+
+    def _others(self, values: Floats, xi: Floats, known: bool) -> list[Floats]:
+        """Other starts that may be better.
+
+        Args:
+          known: whether `xi` was given.
+        """
+        others = [np.zeros_like(xi)] if known and xi.any() else []
+        if self.hints.rough or self.hints.exact:
+            others.append(self._measured(xi))
+            others += self._read(values, [xi, *others])
+        return [*others, *self._ends(values, xi)]
 
     def _measured(self, xi: Floats) -> Floats:
         """Starts at the first sample as it was measured: smoothing blurs impacts."""

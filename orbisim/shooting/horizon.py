@@ -16,10 +16,11 @@ import numpy.typing as npt
 from orbisim.errors import InputError
 from orbisim.motion.samples import prepare_all
 from orbisim.recording import Recording
-from orbisim.recording.split import bounded
+from orbisim.recording.split import bounded, some_of
 from orbisim.recording.thinning import thinned, usual_window
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench, Noise, make_bench
+from orbisim.shooting.cutting import windows_enough
 from orbisim.shooting.regress import normal_equations
 
 Floats = npt.NDArray[np.float64]
@@ -33,6 +34,7 @@ def telling_window(scene: Scene, recordings: Sequence[Recording]) -> float:
     longest = max((float(one.time[-1] - one.time[0]) for one in recordings), default=0.0)
     if 2 * window > longest / _PARTS:
         return window
+    recordings = some_of(recordings, window, windows_enough(scene, recordings, window), [])
     bench = _bench(scene, recordings, window, None)
     if bench is None or bench.contacts:
         return window

@@ -195,28 +195,28 @@ class Judge:
         iterations: int = 5,
         polish: bool = True,
         begin: Beginning | None = None,
-        restart: bool = False,
+        restarts: int = 0,
     ) -> Judged | None:
         """Fits the hypothesis' free parameters; None if it cannot be simulated.
 
         Args:
           polish: whether parameters that act in steps are searched, which takes long.
           begin: where the windows start at first; at the references if None.
-          restart: whether a fit through impacts is restarted where starts alone do better, which
-            takes some thirty times as long.
+          restarts: how often at most a fit through impacts is restarted where starts alone do
+            better; each takes several times as long as the fit.
         """
         begin = begin or self.cold
         try:
             fitted, fit = self._fitted(hypothesis, iterations, begin)
-            if restart and self.bench.contacts and not is_structural(hypothesis):
-                fitted, fit = self._restarted(fitted, fit, iterations)
+            if restarts and self.bench.contacts and not is_structural(hypothesis):
+                fitted, fit = self._restarted(fitted, fit, iterations, restarts)
             if polish:
                 fitted, fit = self._polish(fitted, fit, begin)
             checked = fit
             if self.check is not self.fitted:
                 start, free = begin.check_start, begin.check_free
                 checked = self._scored(fitted, self.check, start, free)
-                if restart and self.bench.contacts and start is not None:
+                if restarts and self.bench.contacts and start is not None:
                     checked = _by_window(checked, self._scored(fitted, self.check, None, None))
         except (OrbiSimError, np.linalg.LinAlgError):
             return None
@@ -264,7 +264,7 @@ class Judge:
         kept = np.delete(means, worst_first[: round(_TRIMMED * len(means))])
         return float(kept.mean())
 
-    def closer(self, judged: Judged, iterations: int = 5) -> Judged:
+    def closer(self, judged: Judged, iterations: int = 5, restarts: int = 1) -> Judged:
         """The hypothesis fitted again, if that is better: with what a window's start does along its
         own scene, then as differences show. Along the declared scene it may be quite another thing;
         where it is not, and both fits end alike, differences will show no more. Where bodies touch,
@@ -279,7 +279,7 @@ class Judge:
                 begin = self._chained(linearize(self.bench.flow(best.hypothesis)))
             elif not self.bench.contacts:
                 begin = dataclasses.replace(begin, free=None, check_free=None)
-            again = self.judge(best.hypothesis, iterations, begin=begin, restart=True)
+            again = self.judge(best.hypothesis, iterations, begin=begin, restarts=restarts)
             alike = own and again is not None and abs(again.loss - best.loss) < _ALIKE
             if again is not None and again.loss < best.loss:
                 best = again
@@ -376,7 +376,7 @@ class Judge:
         start: Floats | None,
         free: Floats | None,
         iterations: int = 4,
-        quick: bool = False,
+        near: bool = False,
     ) -> Fit:
         variant = hypothesis.variant(self.bench.scene)
         return gauss_newton(
@@ -384,7 +384,7 @@ class Judge:
             lambda _: variant,
             [],
             start=start,
-            hints=self._hints(free, quick=quick),
+            hints=dataclasses.replace(self._hints(free, quick=near), near=near),
             iterations=2 * iterations if is_structural(hypothesis) else iterations,
             robust=self.robust,
         )
@@ -437,7 +437,7 @@ class Judge:
         )
 
     def _restarted(
-        self, hypothesis: Hypothesis, fit: Fit, iterations: int
+        self, hypothesis: Hypothesis, fit: Fit, iterations: int, restarts: int
     ) -> tuple[Hypothesis, Fit]:
         """Fitted again from where windows start if nothing but starts is fitted, wherever that is
         better, as long as it brings something; numbers of contacts are searched around where they
@@ -445,7 +445,7 @@ class Judge:
         of some windows are poor. Starts are looked for from the references once."""
         free = hypothesis.free(self.bench.scene)
         cold = self._scored(hypothesis, self.fitted, None, None) if free else fit
-        for _ in range(_RESTARTS if free else 0):
+        for _ in range(restarts if free else 0):
             alone = _by_window(self._scored(hypothesis, self.fitted, fit.start, None), cold)
             best, begin = self._moved(hypothesis, alone, fit.values)
             found, again = self._fitted(best, iterations, begin)
@@ -469,11 +469,9 @@ class Judge:
         begin = self._beginning(hypothesis, alone.start, None)
         best = hypothesis, alone
         for other in self._around(hypothesis, values):
-            tried = self._scored(other, self.fitted, alone.start, begin.free, 1, quick=True)
+            tried = self._scored(other, self.fitted, alone.start, begin.free, 1, near=True)
             best = min(best, (other, tried), key=lambda one: one[1].square)
-        if best[0] is hypothesis:
-            return hypothesis, begin
-        return best[0], self._beginning(best[0], best[1].start, None)
+        return best[0], dataclasses.replace(begin, start=best[1].start)
 
     def _around(self, hypothesis: Hypothesis, values: Floats) -> Iterator[Hypothesis]:
         """The same with each number of a contact a little less and more."""
@@ -616,8 +614,6 @@ _ALIKE = 1e-3
 """Difference of the losses of two fits that end alike: the share of the cost that ends a fit."""
 _FURTHER = 3
 """Iterations of a fit that goes on from better starts."""
-_RESTARTS = 3
-"""Restarts of a fit through impacts, at most."""
 _AROUND = (0.92, 0.97, 1.03, 1.08)
 """Values of a contact's number that a restart tries, over what it is."""
 _LITTLE = 0.99

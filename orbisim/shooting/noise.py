@@ -15,7 +15,8 @@ import scipy.linalg
 
 from orbisim.motion.linear import Intervals
 from orbisim.motion.samples import Samples
-from orbisim.shooting.windows import Windows, evenly, hats_at
+from orbisim.shooting.cutting import near_jump, start_size
+from orbisim.shooting.windows import Windows, cut_windows, evenly, hats_at
 
 Floats = npt.NDArray[np.float64]
 
@@ -57,6 +58,36 @@ def estimate_noise(
     found = np.full(2 * nv, np.nan)
     found[measured] = sigma
     return found[:nv], found[nv:]
+
+
+def calm(samples: Sequence[Samples], intervals: Intervals, windows: Windows) -> Windows:
+    """Windows between impacts, for `estimate_noise` where bodies touch; `windows` where there are
+    none.
+
+    A difference across the moment at which bodies begin to touch, or to slip, is that of two
+    motions over its step, and has no bound; chained, a few of them make anything of the noise.
+    Next to an impact the smoothed motion is none of the scene's.
+    """
+    one = samples[0]
+    step = float(np.median(np.concatenate([np.diff(each.time) for each in samples])))
+    size = start_size((one.q_noise, one.v_noise), step)
+    growth = np.sqrt(((intervals.A * size / size[:, None]) ** 2).sum(axis=2)).max(axis=1)
+    near = [near_jump(each) for each in samples]
+    jump = [near[i][r] for i, r in zip(intervals.recording, intervals.row, strict=True)]
+    kept = np.flatnonzero((growth < _GROWTH) & intervals.usable & ~np.array(jump, bool))
+    length = min(windows.length, _CALM)
+    found = cut_windows(intervals.recording[kept], intervals.row[kept], length)
+    if len(found) < _FEW:
+        return windows
+    return Windows(kept[found.first], length, found.recording)
+
+
+_GROWTH = 10.0
+"""Growth of an error over one sampling interval, in units of the noise, that is no motion's."""
+_CALM = 4 * _KNOT
+"""Intervals of a window between impacts: twice as many data as are fitted."""
+_FEW = 4
+"""Windows of which a median says something."""
 
 
 def _flexible(

@@ -21,6 +21,7 @@ from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.hidden import Layout, carried_along
 from orbisim.motion.linear import Intervals
 from orbisim.motion.samples import Samples, substeps
+from orbisim.recording.joints import Kind, joints
 from orbisim.scene import Scene
 from orbisim.shooting.windows import Windows, chosen
 
@@ -57,7 +58,7 @@ class Shooter:
         deadline: Deadline = NEVER,
     ) -> None:
         self.declared, self.samples, self.windows = declared, samples, windows
-        self.recording = windows.recording
+        self.recording, self.joints = windows.recording, joints(declared.model)
         self.nv, self.deadline = declared.model.nv, deadline
         self.horizon = windows.length
         rows = [
@@ -425,9 +426,13 @@ class Shooter:
         if before.shape[1] == self.nv:
             return after - before
         dq = np.zeros((len(before), self.nv))
-        for w in range(len(before)):
-            here = np.ascontiguousarray(after[w])
-            mujoco.mj_differentiatePos(self.declared.model, dq[w], 1.0, before[w], here)
+        for joint in self.joints:
+            turn, angular = joint.quat, joint.angular
+            straight = 1 if joint.scalar else 3 if joint.kind == Kind.FREE else 0
+            q, v = joint.q.start, joint.v.start
+            dq[:, v : v + straight] = (after - before)[:, q : q + straight]
+            if turn is not None and angular is not None:
+                dq[:, angular] = _turned(before[:, turn], after[:, turn])
         return dq
 
     def _hidden(self, model: mujoco.MjModel) -> tuple[Floats, Floats]:
@@ -461,6 +466,18 @@ _GAP = 1.5
 """Typical sampling intervals that are a gap."""
 _LOST = 1e6
 """Weighted residual of what has diverged: finite, so that windows can still be compared."""
+
+
+def _turned(before: Floats, after: Floats) -> Floats:
+    """Rotation vectors [N, 3] from some unit quaternions [N, 4] to others, in the frames of the
+    former, as `mujoco.mj_differentiatePos` has them: that is called for one state at a time."""
+    w, one = before[:, :1], before[:, 1:]
+    scalar = (before * after).sum(axis=1)
+    axis = w * after[:, 1:] - after[:, :1] * one - np.cross(one, after[:, 1:])
+    size = np.linalg.norm(axis, axis=1)
+    angle = 2 * np.arctan2(size, scalar)
+    angle = np.where(angle > np.pi, angle - 2 * np.pi, angle)
+    return np.asarray(axis * (angle / np.maximum(size, 1e-300))[:, None])
 
 
 def _even(time: Floats) -> bool:

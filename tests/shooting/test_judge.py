@@ -228,8 +228,8 @@ def test_a_restart_finds_what_a_fit_through_impacts_missed(
     judge, nothing = softened
     far = EffectInstance("contact_compliance", "head", {"stiffness": 6000.0, "damping_ratio": 1.0})
     plain, restarted = (
-        judge.judge(Hypothesis((far,)), begin=judge.begin(nothing), restart=restart)
-        for restart in (False, True)
+        judge.judge(Hypothesis((far,)), begin=judge.begin(nothing), restarts=restarts)
+        for restarts in (0, 3)
     )
     assert plain is not None and restarted is not None
     assert restarted.fit.square < 0.9 * plain.fit.square

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -127,3 +128,33 @@ def test_no_span_goes_beyond_a_window(bench: Bench) -> None:
     last[:2] = 3, 7
     spans = list(shooter._spans(last, one_by_one=False))
     assert spans == [(0, 3), (3, 4), (7, shooter.windows.length - 7)]
+
+
+TURNING = """
+<mujoco>
+  <worldbody>
+    <body><joint type="slide"/><geom size="0.1"/>
+      <body><joint type="ball"/><geom size="0.1" pos="0.1 0 0"/></body>
+    </body>
+    <body><freejoint/><geom size="0.1"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_differences_are_those_of_mujoco() -> None:
+    scene = orbisim.load_scene(TURNING)
+    model, rng = scene.model, np.random.default_rng(1)
+    runs = inject_effect(scene, [], duration=1.0, episodes=1, noise=1e-4, seed=1)
+    bench = make_bench(scene, prepare_all(runs, scene), 0.3)
+    shooter = bench.shooter(bench.fit)
+    before, after = rng.normal(size=(2, 40, model.nq))
+    for positions in (before, after):
+        for turn in (slice(1, 5), slice(8, 12)):
+            positions[:, turn] /= np.linalg.norm(positions[:, turn], axis=1)[:, None]
+    after[0] = before[0]
+    after[1, 1:5] = -before[1, 1:5]  # the same turn
+    expected = np.zeros((40, model.nv))
+    for row, one, other in zip(expected, before, after, strict=True):
+        mujoco.mj_differentiatePos(model, row, 1.0, one, other)
+    np.testing.assert_allclose(shooter.difference(before, after), expected, atol=1e-12)
