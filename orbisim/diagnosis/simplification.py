@@ -146,7 +146,6 @@ def ever_surer(
     Args:
       bare: without any effect, if it may come to that; else one effect stays.
     """
-    yield Sure(judged)
     before = judged.hypothesis.effects
     judged = plain(context, judged, refit)
     there = {(one.effect, one.target) for one in judged.hypothesis.effects}
