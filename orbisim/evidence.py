@@ -173,11 +173,13 @@ def independent_by_chance(
 ) -> float:
     """How many data count as independent, by what columns explain that were not fitted to them.
 
-    Of n independent data, r orthogonal directions explain a share of r / n by chance: n times it is
-    distributed as chi squared with r degrees of freedom. What is returned has its median where that
-    has, so that it is as often too large as too small, and off by a factor of 1 + sqrt(2 / r). The
-    directions are those that normalised columns span: columns are much alike, and a mean, or a
-    median, of what each explains would be one of a handful.
+    Of n independent data, a direction explains a share of 1 / n by chance. Columns are much alike:
+    a mean, or a median, of what each explains would be one of a handful, so that it is orthogonal
+    directions that are counted, which the normalised columns span. A quarter of as many columns,
+    those that explain most one after the other (orthogonal matching pursuit; Pati, Rezaiifar and
+    Krishnaprasad, Asilomar 1993), may be effects that are missing, and do not count. What the rest
+    of the r directions explains is compared with its median where there is nothing but chance, and
+    known to a factor of about 1 + sqrt(4 / r).
 
     Args:
       columns: [W, R, C] what effects would give; few of them say nothing (infinite).
@@ -202,9 +204,31 @@ def independent_by_chance(
     r = int(apart.sum())
     if r < _FEWEST:
         return float("inf")
-    explained = (turn[:, apart].T @ (unit.T @ rest)) ** 2 / strength[apart]
-    median = r * (1 - 2 / (9 * r)) ** 3  # of chi squared (Wilson and Hilferty, PNAS 17, 1931)
-    return float(median / max(float(explained.sum()) / norm**2, 1e-300))
+    basis = turn[:, apart] / np.sqrt(strength[apart])
+    there = basis.T @ (unit.T @ rest) / norm
+    chance = np.random.default_rng(0).standard_normal((_DRAWS, r))
+    left = _beside_most(np.vstack([there, chance]), basis.T @ (unit.T @ unit))
+    return float(np.median(left[1:]) / max(float(left[0]), 1e-300))
+
+
+def _beside_most(draws: Floats, columns: Floats) -> Floats:
+    """[D]: square of what a quarter as many columns as there are directions leave of each draw, one
+    after the other that which explains most.
+
+    Args:
+      draws: [D, r]. columns: [r, C] in the same directions.
+    """
+    left, rest = draws.copy(), np.repeat(columns[None], len(draws), axis=0)
+    for _ in range(draws.shape[1] // 4):
+        size = np.linalg.norm(rest, axis=1)
+        explained = np.abs(np.einsum("dr,drc->dc", left, rest)) / np.maximum(size, 1e-300)
+        explained[size < _APART] = 0.0  # others have said it
+        most = explained.argmax(axis=1)[:, None, None]
+        one = np.take_along_axis(rest, most, axis=2)[..., 0]
+        one /= np.maximum(np.linalg.norm(one, axis=1, keepdims=True), 1e-300)
+        left -= (left * one).sum(axis=1, keepdims=True) * one
+        rest -= one[..., None] * np.einsum("dr,drc->dc", one, rest)[:, None]
+    return np.asarray((left**2).sum(axis=1))
 
 
 _NEW = 1e-4
@@ -213,8 +237,9 @@ _APART = 0.1
 """Strength of a direction, over that of the strongest, from which on it is one: columns along a
 measured motion are not better known than to a tenth, and weaker ones are what that leaves."""
 _FEWEST = 8
-"""Directions that say something: of fewer, an effect that is missing is too large a part of what
-they explain together."""
+"""Directions that say something: of fewer, an effect that is missing is too large a part."""
+_DRAWS = 100
+"""Draws of chance, whose median is known to a tenth."""
 
 
 def probabilities(log_odds: Floats) -> Floats:
