@@ -98,7 +98,7 @@ def test_what_descriptors_alone_decide_is_computed_once(shared: bool) -> None:
         several = rows.repeat(3, 1, 1)
         several[..., model.layout.part_columns.index("damping")] *= torch.arange(3.0)[:, None]
         given = given._replace(parts=several)
-    stepper = Stepper(model, CPU)
+    stepper = Stepper(model, CPU, Speedups(compiled=None, graphed=False))
     shapes: list[tuple[int, ...]] = []
     stepper.model.network.modulation.register_forward_hook(
         lambda module, inputs, output: shapes.append(tuple(output.shape[:2]))
@@ -109,7 +109,13 @@ def test_what_descriptors_alone_decide_is_computed_once(shared: bool) -> None:
         expected = model(expected, memory, control, given).state
         found, _ = stepper(found, memory, control, given)
         assert torch.allclose(found.v, expected.v, atol=1e-4)
-    assert shapes == [(1 if shared else 3, len(model.layout.parts))]
+    slot = stepper.prepared(found, memory, control, given)  # as on a GPU
+    for _ in range(2):
+        slot.load(found, memory, control, given)
+        state, _ = slot.run()
+        assert torch.allclose(state.v, model(expected, memory, control, given).state.v, atol=1e-4)
+    # for three steps, for what the graph is made of, and for two steps of it
+    assert shapes == 3 * [(1 if shared else 3, len(model.layout.parts))]
 
 
 def test_networks_without_tokens_are_left_as_they_are() -> None:
