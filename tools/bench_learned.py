@@ -46,6 +46,7 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--checkpoint", type=Path)
+    parser.add_argument("--scene", help="of `cpu`; the first of the checkpoint's tasks without one")
     parser.add_argument("--data", type=Path, help="episodes or a pack: the layout without one")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--only", default="variants,batch,latency,gradient,cpu,memory")
@@ -241,7 +242,7 @@ def cpu(model: Any, options: Any) -> dict[str, float]:
     warnings.simplefilter("ignore")
     torch.set_num_threads(1)
     manifest = json.loads((options.checkpoint / "manifest.json").read_text())
-    scene = load_scene(manifest["data"]["sources"][0]["task"])
+    scene = load_scene(options.scene or manifest["data"]["sources"][0]["task"])
     learned = make_backend(f"learned:{options.checkpoint}", scene, device="cpu")
     classical = make_backend("mujoco", scene, nthread=1)
     nstep = round(learned.timestep / classical.timestep)

@@ -150,6 +150,8 @@ class FoldedBlock(nn.Module):
         q, k, v, asks = projected.split((width, width, width, heads * self.pair), dim=-1)
         split = (heads, width // heads)
         q, k, v = q.unflatten(-1, split), k.unflatten(-1, split), v.unflatten(-1, split)
+        if pairs is None and not projected.is_cuda:
+            return _attended(q, k, v, mask)
         products = q[:, :, None] * k[:, None]  # [B, K, K, heads, D]
         seen = v[:, None]
         if pairs is not None:
@@ -164,6 +166,17 @@ class FoldedBlock(nn.Module):
         if mask is not None:
             score = score.masked_fill(mask[:, None, :, None] == 0, -1e4)
         return (score.softmax(dim=2)[..., None] * seen).sum(2).flatten(-2)
+
+
+def _attended(q: Tensor, k: Tensor, v: Tensor, mask: Tensor | None) -> Tensor:
+    """[B, K, heads * D] of tokens [B, K, heads, D] without pairs, by products of matrices.
+
+    On a GPU a world's are too small to be worth a kernel each.
+    """
+    score = q.transpose(1, 2) @ k.permute(0, 2, 3, 1)  # [B, heads, K, K]
+    if mask is not None:
+        score = score.masked_fill(mask[:, None, None] == 0, -1e4)
+    return (score.softmax(dim=-1) @ v.transpose(1, 2)).transpose(1, 2).flatten(-2)
 
 
 def _linear(weight: Tensor, bias: Tensor) -> nn.Linear:

@@ -70,8 +70,9 @@ def test_combined_weights_give_the_same_step(xml: str, name: str) -> None:
     assert torch.equal(folded.initial_memory(3), plain.initial_memory(3))
 
 
-def test_combined_weights_respect_the_mask() -> None:
-    model = _trained_looking(TABLE)
+@pytest.mark.parametrize("name", ["default", "no_relative"])
+def test_combined_weights_respect_the_mask(name: str) -> None:
+    model = _trained_looking(TABLE, name)
     x, memory, control, context = _inputs(model, 4)
     context = context._replace(mask=torch.tensor([[1.0, 0.0]]).expand(4, 2))
     folded = Stepper(model, CPU, Speedups()).model
