@@ -223,10 +223,12 @@ def ceiling(options: Any) -> dict[str, Any]:
 
 
 def returns(options: Any) -> dict[str, Any]:
-    """Of the domains that the zoo has."""
+    """Of the domains that the zoo has, or all where it has the one model of them."""
     import suite_returns
 
-    chosen = {d: options.zoo / d for d in SUITE_DOMAINS if d in _checkpoints(options, d)}
+    one = "suite_one" in _checkpoints(options, "suite_one")
+    own = {d: d if d in _checkpoints(options, d) else "suite_one" * one for d in SUITE_DOMAINS}
+    chosen = {d: options.zoo / name for d, name in own.items() if name}
     return suite_returns.table(chosen, options.seeds, options.workers)
 
 
