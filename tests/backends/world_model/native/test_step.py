@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import ctypes
+import platform
 import shutil
 import warnings
 from pathlib import Path
@@ -179,7 +180,15 @@ def ran(writer: Writer, given: list[torch.Tensor]) -> np.ndarray:
 
 @needs_compiler
 @pytest.mark.parametrize("rows", [1, 2, 3, 5, 12, 13, 25])
-def test_products_of_any_number_of_rows(rows: int) -> None:
+@pytest.mark.parametrize("without", ["", "-mno-avx512f", "-mno-avx"])
+def test_products_of_any_number_of_rows(
+    rows: int, without: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By vectors as long as this processor has them, and by shorter ones."""
+    if without:
+        if platform.machine() not in ("x86_64", "AMD64"):
+            pytest.skip("vectors of another processor")
+        monkeypatch.setattr(compiler, "_CAREFUL", (*compiler._CAREFUL, without))
     generator = torch.Generator().manual_seed(rows)
     x, weight, bias = (
         torch.randn(shape, generator=generator) for shape in ((rows, 37), (37, 70), (70,))
