@@ -24,6 +24,9 @@ training make together, that no physical state reaches: contacts and gravity onl
 motors gave, and the motors are those of the training data."""
 _PAST = 0.1
 """Share of a joint's range by which its soft limits can be passed, and then some."""
+_PUSHED = 0.3
+"""The same of robots of limbs, whose data are of many robots: how far motors push joints of the
+suite past their limits in C MuJoCo at most (walker's ankles: 0.29 of their range)."""
 _BEYOND, _SLACK, _TINY = 2.0, 0.05, 1e-3
 """Times the largest speed in training, share of a range, and SI units, beyond which a state lies
 outside the training data: a density thins out, it has no edge."""
@@ -263,7 +266,10 @@ def _joint_limits(
         if model is not None and model.joint(name).limited[0]:
             low, high = model.joint(name).range
             room = _PAST * (high - low) + 10 * _TINY
-            least, most = ranges["joints"][name] if index not in layout.parts else (low, high)
+            pushed = _PUSHED * (high - low) * layout.articulated
+            least, most = low - pushed, high + pushed
+            if index not in layout.parts:
+                least, most = ranges["joints"][name]
             limits[:, index] = min(low, least) - room, max(high, most) + room
     return limits
 

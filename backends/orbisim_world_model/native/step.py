@@ -13,7 +13,7 @@ from torch import Tensor
 from orbisim_world_model.dynamics import Dynamics
 from orbisim_world_model.entities import Context
 from orbisim_world_model.native.compiler import compiled
-from orbisim_world_model.native.translate import Translator
+from orbisim_world_model.native.translate import Translator, simplified
 
 Floats = npt.NDArray[np.float32]
 _LINE = 16
@@ -39,7 +39,7 @@ class NativeStep:
         example = [torch.zeros(1, n) for n in (layout.nq, layout.nv, layout.na, layout.nu)]
         for adr in layout.object_q:
             example[0][0, adr + 3] = 1.0
-        translator = Translator(_traced(model, context, [*example, memory]))
+        translator = Translator(simplified(_traced(model, context, [*example, memory])))
         outputs = translator.run()
         writer = translator.writer
         results = [writer.elementwise(out.shape, "{0}", [out]) for out in outputs]

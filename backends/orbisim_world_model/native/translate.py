@@ -93,6 +93,9 @@ class Translator:
         if node.target in _MOVES:
             return _moved(node.target, args, node.kwargs)
         shape = _shape(node)
+        found = _without_zeros(node.target, shape, args, node.kwargs)
+        if found is not None:
+            return found
         if node.target in _UNARY:
             return self.writer.elementwise(shape, _UNARY[node.target], [args[0]])
         if node.target in _BINARY:
@@ -217,6 +220,54 @@ class Translator:
 
     def _written(self, item: Any) -> Value:
         return item if isinstance(item, Value) else self.writer.constant(item)
+
+
+def simplified(module: Any) -> Any:
+    """The module without what only makes zeros: its nodes become constants, and what nothing else
+    needs goes. Of a scene in which nothing can be touched that is the whole network.
+    """
+    first, graph = Translator(module), module.graph
+    first.run()
+    for number, node in enumerate(list(graph.nodes)):
+        value = first._values.get(node)
+        if node.op != "call_function" or not isinstance(value, Tensor):
+            continue
+        name = f"_known_{number}"
+        module.register_buffer(name, value)
+        with graph.inserting_before(node):
+            constant = graph.get_attr(name)
+        node.replace_all_uses_with(constant)
+    graph.eliminate_dead_code()
+    return module
+
+
+def _without_zeros(target: Any, shape: Any, args: Any, kwargs: Any) -> Any:
+    """What a product, sum or choice comes to where a constant decides it; None where none does.
+
+    Products with zeros are taken to be zero whatever the other factor is.
+    """
+    if target in (aten.mul.Tensor, aten.div.Tensor):
+        if _zero(args[0]) or (target == aten.mul.Tensor and _zero(args[1])):
+            return torch.zeros(shape)
+    elif target in (aten.add.Tensor, aten.sub.Tensor):
+        if _zero(args[1]):
+            return _spread(args[0], shape)
+        if _zero(args[0]) and target == aten.add.Tensor and not kwargs:
+            return _spread(args[1], shape)
+    elif target == aten.where.self and isinstance(args[0], Tensor):
+        if bool(args[0].all()):
+            return _spread(args[1], shape)
+        if not bool(args[0].any()):
+            return _spread(args[2], shape)
+    return None
+
+
+def _zero(item: Any) -> bool:
+    return isinstance(item, Tensor) and not bool(item.any())
+
+
+def _spread(item: Any, shape: Any) -> Any:
+    return item.moved(item.index.expand(shape)) if isinstance(item, Value) else item.expand(shape)
 
 
 def _moved(target: Any, args: Any, kwargs: Any) -> Any:

@@ -11,10 +11,11 @@ from torch import Tensor
 from orbisim_world_model.native.values import Access, Value, accesses, contiguous
 
 PANEL = 32
-"""Columns of a weight matrix that stand together: two vector registers of 64 bytes."""
-_ROWS = 12
-"""Rows that are multiplied at once, so that a weight is loaded once for all of them while their
-sums stay in registers: of 32 registers of AVX-512; without it 3 rows take 12 of 16 of AVX2."""
+"""Columns of a weight matrix that stand together."""
+_VECTORS = (("defined(__AVX512F__)", 16, 12), ("defined(__AVX__)", 8, 3), ("1", 4, 2))
+"""By what the processor has: numbers of a vector register, and rows that are multiplied at once, so
+that a weight is loaded once for all of them while their sums stay in 32 or 16 registers. A vector
+longer than a register is none: GCC 12 takes it apart number by number."""
 _TERMS = 16
 """Of a sum in one statement."""
 _PART = 30
@@ -23,12 +24,6 @@ _PART = 30
 
 HEADER = """
 #include <math.h>
-#ifdef __AVX512F__
-enum { MOST = 12 };
-#else
-enum { MOST = 3 };
-#endif
-typedef float vector __attribute__((vector_size(64), aligned(4), may_alias));
 static inline float clampf(float x, float low, float high) {
   return x < low ? low : x > high ? high : x;
 }
@@ -207,12 +202,10 @@ class Writer:
             for first in firsts
         ]
         calls = "\n".join(f"  part{first}(c, w, in);" for first in firsts)
-        kernels = "".join(_kernel(rows) for rows in range(1, _ROWS + 1))
         return "\n".join(
             [
                 HEADER,
-                kernels,
-                _product(),
+                _products(),
                 *self.tables,
                 *parts,
                 f"void step{takes} {{\n{calls}\n}}\n",
@@ -220,32 +213,46 @@ class Writer:
         )
 
 
-def _kernel(rows: int) -> str:
+def _products() -> str:
+    """The product for each kind of processor."""
+    heads = [
+        f"#{'elif' if number else 'if'} {kind}" for number, (kind, _, _) in enumerate(_VECTORS)
+    ]
+    parts = [
+        "".join(_kernel(rows, lanes) for rows in range(1, most + 1)) + _product(most)
+        for _, lanes, most in _VECTORS
+    ]
+    types = [
+        f"typedef float vector __attribute__((vector_size({4 * lanes}), aligned(4), may_alias));"
+        for _, lanes, _ in _VECTORS
+    ]
+    rows = (row for three in zip(heads, types, parts, strict=True) for row in three)
+    return "\n".join((*rows, "#endif"))
+
+
+def _kernel(rows: int, lanes: int) -> str:
     """The product of so many rows and a panel, whose sums stay in registers."""
-    each = range(rows)
-    begin = "".join(f"  vector a{r} = shift[0], b{r} = shift[1];\n" for r in each)
-    add = "".join(
-        f"    a{r} += x[{r} * inner + k] * a, b{r} += x[{r} * inner + k] * b;\n" for r in each
-    )
-    end = "".join(
-        f"  to = (vector *)(y + {r} * across), to[0] = a{r}, to[1] = b{r};\n" for r in each
-    )
+    many = range(PANEL // lanes)
+    sums = [(r, v) for r in range(rows) for v in many]
+    begin = "".join(f"  vector s{r}_{v} = shift[{v}];\n" for r, v in sums)
+    line = "".join(f"    const vector l{v} = line[{v}];\n" for v in many)
+    add = "".join(f"    s{r}_{v} += x[{r} * inner + k] * l{v};\n" for r, v in sums)
+    end = "".join(f"  ((vector *)(y + {r} * across))[{v}] = s{r}_{v};\n" for r, v in sums)
     return f"""
 static void panel{rows}(const float *restrict weight, const vector *restrict shift,
                    const float *restrict x, float *restrict y, int inner, int across) {{
 {begin}  for (int k = 0; k < inner; k++) {{
-    const vector *line = (const vector *)(weight + k * {PANEL}), a = line[0], b = line[1];
-{add}  }}
-  vector *to;
+    const vector *line = (const vector *)(weight + k * {PANEL});
+{line}{add}  }}
 {end}}}
 """
 
 
-def _product() -> str:
+def _product(most: int) -> str:
     """All rows and panels; rows are shared out evenly among kernels, and a panel's weights stay in
     the nearest cache from one to the next."""
     given = "(line, shift, from, to, inner, across)"
-    cases = "\n".join(f"        case {r}: panel{r}{given}; break;" for r in range(1, _ROWS + 1))
+    cases = "\n".join(f"        case {r}: panel{r}{given}; break;" for r in range(1, most + 1))
     return f"""
 static void product(const float *restrict weight, const float *restrict bias,
                     const float *restrict x, float *restrict y, int rows, int inner, int panels) {{
@@ -253,7 +260,8 @@ static void product(const float *restrict weight, const float *restrict bias,
   for (int p = 0; p < panels; p++) {{
     const float *line = weight + (long)p * inner * {PANEL};
     const vector *shift = (const vector *)(bias + p * {PANEL});
-    for (int done = 0, many, left = (rows + MOST - 1) / MOST; left > 0; left--, done += many) {{
+    int left = (rows + {most - 1}) / {most};
+    for (int done = 0, many; left > 0; left--, done += many) {{
       const float *from = x + done * inner;
       float *to = y + done * across + p * {PANEL};
       many = (rows - done + left - 1) / left;

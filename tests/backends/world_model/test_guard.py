@@ -8,7 +8,9 @@ import pytest
 import torch
 from orbisim_world_model.guard import Guard, blanked
 from orbisim_world_model.reading import read_layout
+from orbisim_world_model.reading_articulation import natural_step, read_articulated
 
+from orbisim import load_scene
 from tests.backends.world_model.synthetic import TABLE, simulate
 
 RANGES = {
@@ -95,3 +97,27 @@ def test_what_lies_outside_is_named(guard: Guard, states) -> None:  # type: igno
     assert high == "an object's z is at 0.14 (trained on 0.03 to 0.05)"
     (fast,) = guard.concerns(calm._replace(vel=calm.vel + 7.0))
     assert fast == "object speed is 7 (trained up to 3)"
+
+
+@pytest.mark.parametrize("task", ["walker-walk", "hopper-hop", "cheetah-run"])
+def test_limbs_that_motors_push_past_their_limits_are_not_lost(task: str) -> None:
+    """Data of one robot know how far its soft limits give; those of many say nothing of it."""
+    model = load_scene(f"suite:{task}").model
+    layout = read_articulated(model, natural_step(model))
+    ranges = {"joint_speed": 75.0, "object_speed": 0.0, "object_turning": 0.0}
+    guard = Guard({"ranges": {**ranges, "joints": {}, "object_position": {}}}, layout, model)
+    rng, data, rows = np.random.default_rng(0), mujoco.MjData(model), []
+    for number in range(4_000):
+        if number % 100 == 0:
+            data.ctrl[:] = rng.choice([-1.0, 1.0], model.nu)
+        mujoco.mj_step(model, data)
+        rows.append((data.qpos.copy(), data.qvel.copy()))
+    qpos, qvel = (torch.as_tensor(np.array(part)).float() for part in zip(*rows, strict=True))
+    x = layout.split(qpos, qvel, torch.zeros(len(rows), 0))
+    limited = model.jnt_limited.astype(bool)
+    low, high = model.jnt_range[limited].T
+    past = np.maximum(low - qpos.numpy()[:, limited], qpos.numpy()[:, limited] - high)
+    assert (past / (high - low)).max() > 0.1
+    assert not guard.lost(x, x.at(slice(0, 1))).any()
+    far = x._replace(q=x.q + 0.5 * float((high - low).max()) + torch.pi)
+    assert guard.lost(far, x.at(slice(0, 1))).all()

@@ -223,10 +223,10 @@ def test_of_those_that_know_a_task_the_one_of_fewest_tasks_is_taken(
 def test_one_of_any_robot_stands_in_for_a_robots_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("cartpole", "suite_one", "walker"):
+    for name in ("cartpole", "suite_one", "finger"):
         (tmp_path / name).symlink_to(ZOO / name)
     monkeypatch.setattr(zoo, "FOLDER", tmp_path)
-    for task in ("pendulum-swingup", "reacher-easy", "hopper-stand"):
+    for task in ("pendulum-swingup", "reacher-easy", "walker-run"):
         found, fit = zoo.find(load_scene(f"suite:{task}"))
         assert found.name == "suite_one" and not fit.concerns
     assert zoo.find(load_scene("suite:cartpole-balance"))[0].name == "cartpole"  # its own robot's
@@ -237,4 +237,4 @@ def test_one_of_any_robot_stands_in_for_a_robots_own(
         with pytest.raises(UnsupportedSceneError) as refused:
             zoo.find(load_scene(f"suite:{task}"))
         assert "suite_one: a model of limbs knows" in str(refused.value)
-        assert reason in str(refused.value) and "walker:" not in str(refused.value)
+        assert reason in str(refused.value) and "finger:" not in str(refused.value)

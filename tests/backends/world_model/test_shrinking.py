@@ -25,7 +25,7 @@ from orbisim.tasks.collect import collect
 from tests.backends.world_model.cloth.falls import falls, toy_cloth
 
 ZOO = Path(zoo.__file__).parent / "zoo"
-TASKS = {"point_mass": "suite:point_mass-easy", "ball": "ball"}
+TASKS = {"cartpole": "suite:cartpole-swingup", "ball": "ball"}
 """A robot alone, and an object alone."""
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import ctypes
+import platform
 import shutil
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +16,8 @@ import torch
 from orbisim_world_model.backend import OutsideTrainingWarning
 from orbisim_world_model.entities import Context
 from orbisim_world_model.native import NativeStep, compiler
-from orbisim_world_model.native.translate import Translator
+from orbisim_world_model.native.step import _traced
+from orbisim_world_model.native.translate import Translator, simplified
 from orbisim_world_model.native.values import contiguous
 from orbisim_world_model.native.writer import Writer
 from orbisim_world_model.run import Run, train
@@ -92,6 +96,47 @@ def near(backend: Backend, state: State) -> float:
     return float(torch.maximum(known.floor.near.max(), known.limbs.near.max()))
 
 
+def test_what_only_makes_zeros_is_left_out() -> None:
+    """Nothing touches a pendulum: no weight is read."""
+    backend = make_backend(
+        "learned:suite_one", load_scene("suite:pendulum-swingup"), native=False, device="cpu"
+    )
+    engine = backend.engine  # type: ignore[attr-defined]
+    context = Context(engine._attributes, engine._settings, None, engine._parts)
+    model = engine.stepper.model
+    example = [torch.zeros(1, n) for n in (1, 1, 0, 1)] + [model.initial_memory(1).clone()]
+    traced = _traced(model, context, example)
+    whole, rest = Translator(traced), Translator(simplified(copy.deepcopy(traced)))
+    for translator in (whole, rest):
+        translator.run()
+    assert sum(map(len, whole.writer.constants)) > 1_000_000
+    assert sum(map(len, rest.writer.constants)) < 10_000
+    assert not any("product(" in line for line in rest.writer.lines)
+
+
+@needs_compiler
+def test_sums_and_products_with_constants() -> None:
+    """Of zeros, and of what is like them."""
+    zero, few, whole = torch.zeros(3), torch.tensor([0.0, 2.0, 0.0]), torch.ones(2, 3).bool()
+
+    def function(x: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        gone = x.exp() * zero
+        return (
+            gone + x.sin(),
+            torch.add(zero, x, alpha=2.0),
+            x - gone,
+            gone - x,
+            few * x + gone / (x * x + 1.0),
+            torch.where(whole, x[:1], gone),
+            torch.where(~whole, gone, x[1:]),
+        )
+
+    x = torch.tensor([[0.3, -1.0, 2.0], [4.0, 0.1, -0.2]])
+    traced = make_fx(function, decomposition_table=core_aten_decompositions())(x)
+    for ours, theirs in zip(computed(simplified(traced), [x]), function(x), strict=True):
+        np.testing.assert_allclose(ours, theirs.numpy(), atol=1e-6)
+
+
 @needs_compiler
 def test_the_least_and_products_of_two_inputs() -> None:
     """What is not known before it runs: which of a row is the least, what stands there."""
@@ -108,38 +153,50 @@ def test_the_least_and_products_of_two_inputs() -> None:
     given = [torch.randn(shape, generator=generator) for shape in ((2, 3, 4), (2, 4, 3))]
     given[0][1, 2] = 1.0  # the first of several that are the least
     traced = make_fx(function, decomposition_table=core_aten_decompositions())(*given)
-    translator = Translator(traced)
-    outputs = [translator.writer.elementwise(v.shape, "{0}", [v]) for v in translator.run()]
-    writer = translator.writer
+    for ours, theirs in zip(computed(traced, given), function(*given), strict=True):
+        np.testing.assert_allclose(ours, theirs.numpy(), atol=1e-6)
+
+
+def computed(module: Any, given: list[torch.Tensor]) -> list[np.ndarray]:
+    """What a traced function gives as compiled C."""
+    translator = Translator(module)
+    writer, found = translator.writer, translator.run()
+    outputs = [writer.elementwise(value.shape, "{0}", [value]) for value in found]
+    workspace = ran(writer, given)
+    return [workspace[value.index.numpy()] for value in outputs]
+
+
+def ran(writer: Writer, given: list[torch.Tensor]) -> np.ndarray:
+    """The workspace after the C that was written ran once."""
     constants = torch.cat([*writer.constants, torch.zeros(1)]).numpy()
     workspace = np.zeros(writer.workspace, np.float32)
-    pointer = ctypes.POINTER(ctypes.c_float)
     arrays = [np.ascontiguousarray(t.numpy()) for t in given]
-    inputs = (pointer * 2)(*(a.ctypes.data_as(pointer) for a in arrays))
+    pointer = ctypes.POINTER(ctypes.c_float)
+    inputs = (pointer * len(arrays))(*(array.ctypes.data_as(pointer) for array in arrays))
     step = compiler.compiled(writer.source(), careful=True)
     step(constants.ctypes.data_as(pointer), workspace.ctypes.data_as(pointer), inputs)
-    for ours, theirs in zip(outputs, function(*given), strict=True):
-        np.testing.assert_allclose(workspace[ours.index.numpy()], theirs.numpy(), atol=1e-6)
+    return workspace
 
 
 @needs_compiler
 @pytest.mark.parametrize("rows", [1, 2, 3, 5, 12, 13, 25])
-def test_products_of_any_number_of_rows(rows: int) -> None:
+@pytest.mark.parametrize("without", ["", "-mno-avx512f", "-mno-avx"])
+def test_products_of_any_number_of_rows(
+    rows: int, without: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By vectors as long as this processor has them, and by shorter ones."""
+    if without:
+        if platform.machine() not in ("x86_64", "AMD64"):
+            pytest.skip("vectors of another processor")
+        monkeypatch.setattr(compiler, "_CAREFUL", (*compiler._CAREFUL, without))
     generator = torch.Generator().manual_seed(rows)
     x, weight, bias = (
         torch.randn(shape, generator=generator) for shape in ((rows, 37), (37, 70), (70,))
     )
     writer = Writer()
     out = writer.product(contiguous("in[0]", 0, x.shape), weight, bias)
-    constants = torch.cat(writer.constants).numpy()
-    workspace = np.zeros(writer.workspace, np.float32)
-    pointer = ctypes.POINTER(ctypes.c_float)
-    held = np.ascontiguousarray(x.numpy())
-    inputs = (pointer * 1)(held.ctypes.data_as(pointer))
-    step = compiler.compiled(writer.source())
-    step(constants.ctypes.data_as(pointer), workspace.ctypes.data_as(pointer), inputs)
     np.testing.assert_allclose(
-        workspace[out.index.numpy()], (x @ weight + bias).numpy(), atol=1e-4, rtol=1e-5
+        ran(writer, [x])[out.index.numpy()], (x @ weight + bias).numpy(), atol=1e-4, rtol=1e-5
     )
 
 
