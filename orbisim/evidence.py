@@ -169,22 +169,27 @@ def independent_share(residuals: Sequence[Floats]) -> float:
 
 
 def independent_by_chance(
-    columns: Floats, left: Floats, weight: Floats, fitted: Floats | None = None
+    columns: Floats,
+    left: Floats,
+    weight: Floats,
+    fitted: Floats | None = None,
+    missing: float = 0.0,
 ) -> float:
     """How many data count as independent, by what columns explain that were not fitted to them.
 
     Of n independent data, a direction explains a share of 1 / n by chance. Columns are much alike:
     a mean, or a median, of what each explains would be one of a handful, so that it is orthogonal
-    directions that are counted, which the normalised columns span. A quarter of as many columns,
-    those that explain most one after the other (orthogonal matching pursuit; Pati, Rezaiifar and
-    Krishnaprasad, Asilomar 1993), may be effects that are missing, and do not count. What the rest
-    of the r directions explains is compared with its median where there is nothing but chance, and
-    known to a factor of about 1 + sqrt(4 / r).
+    directions that are counted, which the normalised columns span. One column, or a share of as
+    many as there are directions, may be effects that are missing, and do not count: those that
+    explain most one after the other (orthogonal matching pursuit; Pati, Rezaiifar and
+    Krishnaprasad, Asilomar 1993). What the rest of the r directions explains is compared with its
+    median where there is nothing but chance, and known to a factor of about 1 + sqrt(3 / r).
 
     Args:
       columns: [W, R, C] what effects would give; few of them say nothing (infinite).
       left: [W, R] what is left. weight: [W] by which windows count.
       fitted: [W, R, P] what was fitted: only what columns say beside that counts.
+      missing: share of the directions that may be effects that are missing; one at least.
     """
     root = np.sqrt(weight)[:, None]
     flat = (columns * root[..., None]).reshape(-1, columns.shape[2])
@@ -207,24 +212,25 @@ def independent_by_chance(
     basis = turn[:, apart] / np.sqrt(strength[apart])
     there = basis.T @ (unit.T @ rest) / norm
     chance = np.random.default_rng(0).standard_normal((_DRAWS, r))
-    left = _beside_most(np.vstack([there, chance]), basis.T @ (unit.T @ unit))
+    most = max(1, int(missing * r))
+    left = _beside_most(np.vstack([there, chance]), basis.T @ (unit.T @ unit), most)
     return float(np.median(left[1:]) / max(float(left[0]), 1e-300))
 
 
-def _beside_most(draws: Floats, columns: Floats) -> Floats:
-    """[D]: square of what a quarter as many columns as there are directions leave of each draw, one
-    after the other that which explains most.
+def _beside_most(draws: Floats, columns: Floats, most: int) -> Floats:
+    """[D]: square of what some columns leave of each draw, one after the other that which explains
+    most.
 
     Args:
-      draws: [D, r]. columns: [r, C] in the same directions.
+      draws: [D, r]. columns: [r, C] in the same directions. most: how many of them.
     """
     left, rest = draws.copy(), np.repeat(columns[None], len(draws), axis=0)
-    for _ in range(draws.shape[1] // 4):
+    for _ in range(most):
         size = np.linalg.norm(rest, axis=1)
         explained = np.abs(np.einsum("dr,drc->dc", left, rest)) / np.maximum(size, 1e-300)
         explained[size < _APART] = 0.0  # others have said it
-        most = explained.argmax(axis=1)[:, None, None]
-        one = np.take_along_axis(rest, most, axis=2)[..., 0]
+        first = explained.argmax(axis=1)[:, None, None]
+        one = np.take_along_axis(rest, first, axis=2)[..., 0]
         one /= np.maximum(np.linalg.norm(one, axis=1, keepdims=True), 1e-300)
         left -= (left * one).sum(axis=1, keepdims=True) * one
         rest -= one[..., None] * np.einsum("dr,drc->dc", one, rest)[:, None]

@@ -157,6 +157,9 @@ def _known(data: ForceData) -> Floats:
     return np.asarray(np.hypot(np.nanmedian(data.std, axis=0), flattened))
 
 
+_MISSING = 0.25
+"""Share of what the columns say that may be effects which are missing: all are selected at once,
+where a search by free runs adds one to what it has."""
 _FLATTENED = 0.01
 """Share of the force that a motion needs which smoothing of its acceleration may take away."""
 _TO_SIGMA = 1.4826
@@ -199,7 +202,7 @@ def counts(data: ForceData, left: Floats, sigma: Floats, columns: Floats | None 
     for dof, design in enumerate(() if columns is None else np.moveaxis(columns, 1, 0)):
         weighted = np.nan_to_num(design / sigma[:, dof, None])
         rest = np.nan_to_num(left[:, dof] / sigma[:, dof])
-        most = independent_by_chance(weighted[None], rest[None], np.ones(1))
+        most = independent_by_chance(weighted[None], rest[None], np.ones(1), missing=_MISSING)
         power[dof] = min(1.0, most / float(size[:, dof].sum()))
     signal = np.tile(np.arange(nv), data.blocks)
     return Blocks(size.ravel(), signal, np.tile(floor, data.blocks), np.tile(power, data.blocks))
