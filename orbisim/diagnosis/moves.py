@@ -25,7 +25,7 @@ from orbisim.diagnosis.explanations import (
 from orbisim.diagnosis.force_search import attribute_forces, common_forces
 from orbisim.diagnosis.glances import generalizations
 from orbisim.diagnosis.proposals import additions, begin, pairs
-from orbisim.diagnosis.simplification import Sure, ever_surer
+from orbisim.diagnosis.simplification import Sure, pruned
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.together import propose
 from orbisim.diagnosis.worth import gains, worth
@@ -259,7 +259,7 @@ def _together(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[J
         judged = judge.judge(together, _ITERATIONS) if effects else None
         possible = None if judged is None else possible_of(bench, judge, judged, _ITERATIONS)
         if possible is not None:
-            yield from _last(ever_surer(context, possible, refit))
+            yield from _last(pruned(context, possible, refit))
 
 
 def _last(every: Iterator[Sure]) -> Iterator[Judged]:

@@ -131,11 +131,11 @@ def _held(fit: Fit, own: Sequence[int], neutral: Sequence[float], gone: Sequence
 
 
 def only_sure(context: Context, judged: Judged, refit: Refit, bare: Judged | None = None) -> Sure:
-    """The last of `ever_surer`."""
-    return list(ever_surer(context, judged, refit, bare))[-1]
+    """The last of `pruned`."""
+    return list(pruned(context, judged, refit, bare))[-1]
 
 
-def ever_surer(
+def pruned(
     context: Context, judged: Judged, refit: Refit, bare: Judged | None = None
 ) -> Iterator[Sure]:
     """With fewer and fewer effects, in the end with those only that are surely worth it beside the

@@ -23,7 +23,7 @@ from orbisim.shooting.cutting import (
     without_lost,
 )
 from orbisim.shooting.hypothesis import Hypothesis
-from orbisim.shooting.noise import calm, estimate_noise
+from orbisim.shooting.noise import between_impacts, estimate_noise
 from orbisim.shooting.shooter import Shooter
 from orbisim.shooting.windows import Windows
 
@@ -92,7 +92,7 @@ class Bench:
         """The same bench with the noise estimated along a better scene."""
         windows = self.windows.some(self.fit)
         if self.contacts:
-            windows = calm(self.samples, intervals, windows)
+            windows = between_impacts(self.samples, intervals, windows)
         known = self.known_signal(hypothesis)
         found = estimate_noise(self.samples, intervals, windows, known)
         return dataclasses.replace(self, noise=_lower(found, self.samples))
@@ -135,7 +135,7 @@ def make_bench(
     if not len(windows):
         raise InputError(TOO_SHORT)
     if contacts:
-        between = calm(samples, intervals, windows)
+        between = between_impacts(samples, intervals, windows)
         noise = noise or _lower(estimate_noise(samples, intervals, between), samples)
         windows = without_lost(
             predictable_windows(scene, samples, intervals, noise, windows.length), intervals

@@ -60,7 +60,7 @@ def estimate_noise(
     return found[:nv], found[nv:]
 
 
-def calm(samples: Sequence[Samples], intervals: Intervals, windows: Windows) -> Windows:
+def between_impacts(samples: Sequence[Samples], intervals: Intervals, windows: Windows) -> Windows:
     """Windows between impacts, for `estimate_noise` where bodies touch; `windows` where there are
     none.
 
@@ -75,7 +75,7 @@ def calm(samples: Sequence[Samples], intervals: Intervals, windows: Windows) -> 
     near = [near_jump(each) for each in samples]
     jump = [near[i][r] for i, r in zip(intervals.recording, intervals.row, strict=True)]
     kept = np.flatnonzero((growth < _GROWTH) & intervals.usable & ~np.array(jump, bool))
-    length = min(windows.length, _CALM)
+    length = min(windows.length, _BETWEEN)
     found = cut_windows(intervals.recording[kept], intervals.row[kept], length)
     if len(found) < _FEW:
         return windows
@@ -84,7 +84,7 @@ def calm(samples: Sequence[Samples], intervals: Intervals, windows: Windows) -> 
 
 _GROWTH = 10.0
 """Growth of an error over one sampling interval, in units of the noise, that is no motion's."""
-_CALM = 4 * _KNOT
+_BETWEEN = 4 * _KNOT
 """Intervals of a window between impacts: twice as many data as are fitted."""
 _FEW = 4
 """Windows of which a median says something."""

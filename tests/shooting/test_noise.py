@@ -11,7 +11,7 @@ from orbisim.effects import EffectInstance
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import make_bench
 from orbisim.shooting.cutting import near_jump
-from orbisim.shooting.noise import calm
+from orbisim.shooting.noise import between_impacts
 from orbisim.testing import inject_effect
 
 SCENES = Path(__file__).parents[2] / "mjcf_assets"
@@ -47,13 +47,15 @@ def test_windows_between_impacts_hold_none() -> None:
     scene = orbisim.load_scene(SCENES / "bouncing_ball" / "scene.xml")
     samples = prepare_all(inject_effect(scene, [], episodes=2, noise=3e-4, seed=1), scene)
     bench = make_bench(scene, samples, 0.5)
-    found = calm(samples, bench.intervals, bench.windows)
+    found = between_impacts(samples, bench.intervals, bench.windows)
     assert len(found) >= 4 and any(one.jumps.any() for one in samples)
     for first, number in zip(found.first, found.recording, strict=True):
         rows = bench.intervals.row[first : first + found.length]
         assert (np.diff(rows) == 1).all()
         assert not near_jump(samples[number])[rows].any()
     short = dataclasses.replace(samples[0], jumps=np.ones_like(samples[0].jumps))
-    assert calm([short, *samples[1:]], bench.intervals, bench.windows).recording.min() == 1
+    assert (
+        between_impacts([short, *samples[1:]], bench.intervals, bench.windows).recording.min() == 1
+    )
     never = [dataclasses.replace(one, jumps=np.ones_like(one.jumps)) for one in samples]
-    assert calm(never, bench.intervals, bench.windows) is bench.windows
+    assert between_impacts(never, bench.intervals, bench.windows) is bench.windows
