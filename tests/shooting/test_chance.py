@@ -114,6 +114,19 @@ def test_an_effect_that_is_missing_is_no_chance() -> None:
     assert _middle(found) > 4000  # of 4000, the missing one left out; it would be 15
 
 
+def test_several_effects_may_be_missing() -> None:
+    """As where all are selected at once: six of 24 directions are not counted."""
+    one, several = [], []
+    for seed in range(9):
+        columns = _random(40, 100, 24, seed=seed) @ _random(24, 60, seed=seed + 1)
+        missing = columns[..., :3] / columns[..., :3].std(axis=(0, 1))
+        left = _random(40, 100, seed=99 + seed) + 2 * missing.sum(axis=2)
+        one.append(independent_by_chance(columns, left, EVEN))
+        several.append(independent_by_chance(columns, left, EVEN, missing=0.25))
+    assert _middle(one) < 200
+    assert _middle(several) > 4000  # of 4000; more, as shares are of the missing ones, too
+
+
 def test_few_columns_say_nothing() -> None:
     assert independent_by_chance(_random(4, 10, 3), _random(4, 10), np.ones(4)) == np.inf
 
