@@ -7,8 +7,8 @@ import dataclasses
 import enum
 import functools
 import threading
-from collections.abc import Callable, Iterable
-from typing import Any, ClassVar, TypeVar
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import mujoco
 import numpy as np
@@ -74,6 +74,54 @@ class Intervals:
     level: float
     position: npt.NDArray[np.float64]
     rotation: npt.NDArray[np.float64]
+
+
+class InPlace(Protocol):
+    """Worlds that stay on a device, with the fields of MjData as torch tensors that are not copied.
+
+    Attributes:
+      device: where they are.
+      generation: grows whenever fields move to other memory.
+      names: of the fields.
+    """
+
+    device: Any
+    generation: int
+    names: frozenset[str]
+
+    def field(self, name: str) -> Array:
+        """A field's own memory [nworld, ...], in MjData's shape; `ctrl` is there to be written."""
+
+    @property
+    def lost(self) -> Array:
+        """[nworld] booleans: whether the last step has lost a world."""
+
+    @property
+    def overflowed(self) -> Array:
+        """[] a boolean: whether the last step has to be taken back by `repair`, and repeated."""
+
+    def write(self, worlds: Array, rows: Mapping[str, Array]) -> None:
+        """Gives the worlds of these numbers [n] a state, by name [n, ...]; `refresh` is due."""
+
+    def refresh(self) -> None:
+        """The position and velocity stages of the state that there is."""
+
+    def step(self, nstep: int) -> None:
+        """Advances all worlds by `nstep` steps under `ctrl`.
+
+        Positions and velocities then have gone through MuJoCo's stages of them, and what depends on
+        accelerations is that of the last step.
+        """
+
+    def repair(self) -> None:
+        """Makes room, and goes back to the state before the last step.
+
+        Raises:
+          CapacityError: there is no more room.
+        """
+
+    def close(self) -> None:
+        """Frees the memory."""
 
 
 def one_at_a_time(method: F) -> F:
@@ -163,6 +211,19 @@ class Backend(abc.ABC):
           By name, [nworld, ...] as in MjData.
         """
         raise InputError(f"backend {self.name!r} derives nothing; got {sorted(names)}")
+
+    def in_place(self, nworld: int) -> InPlace | None:
+        """Worlds of the loaded scene that stay on the device between steps.
+
+        They are independent of what the backend is used for otherwise.
+
+        Args:
+          nworld: number of worlds.
+
+        Returns:
+          None from a backend (or for a scene) that has no such worlds.
+        """
+        return None
 
     @property
     def scene(self) -> Scene:

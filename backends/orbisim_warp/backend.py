@@ -35,6 +35,7 @@ from orbisim.scene import Scene
 from orbisim.state import MEMORY, State
 from orbisim.trajectory import Trajectory
 from orbisim_warp import kernels
+from orbisim_warp.in_place import InPlace
 
 _PHYSICAL = ("qpos", "qvel", "act")
 _MEMORY = tuple(name for name in MEMORY if name != "plugin_state")
@@ -50,6 +51,8 @@ _TOO_SMALL = int(
 _BROKEN = int(mjw.OverflowType.HFIELD | mjw.OverflowType.CONTACT_MATCH | mjw.OverflowType.TACTILE)
 _ATTEMPTS = 6
 """Each doubles the buffers at least: 64 times MuJoCo-Warp's estimate before giving up."""
+_TIMESTEPS_OF_A_GRAPH = 20
+"""A control step of as many is one CUDA graph; more are launched one by one."""
 _LIMIT = float(mujoco.mjMAXVAL)
 _OPPOSED = 0.01
 """Share of the forces' power that must be negative before it is not rounding (1e-7 each)."""
@@ -86,6 +89,9 @@ class WarpBackend(Backend):
             *_BODY_FORCES,
         }
     )
+
+    _costly = _BODY_FORCES
+    _overflows = _TOO_SMALL | _BROKEN
 
     derivable = frozenset(
         {
@@ -209,8 +215,7 @@ class WarpBackend(Backend):
             if self._hooks:
                 self._step_with_hooks(state, control, nstep)
                 return
-            for _ in range(nstep):
-                self._launch("step", self._timestep)
+            self._launch_steps(nstep)
 
         with self._first_time():
             self._until_it_fits(run, state.nworld)
@@ -255,6 +260,21 @@ class WarpBackend(Backend):
         found = {name: self._array(getattr(self._data, name)) for name in wanted}
         shapes = {name: getattr(self._shapes, name).shape for name in wanted}
         return {n: rows.reshape(state.nworld, *shapes[n]) for n, rows in found.items()}
+
+    @one_at_a_time
+    def in_place(self, nworld: int) -> InPlace | None:
+        """See `Backend.in_place`; None where effects act between timesteps."""
+        if self._hooks:
+            return None
+        engine = WarpBackend(
+            nworld=nworld,
+            device=self.device,
+            nconmax=self._sizes["nconmax"],
+            njmax=self._sizes["njmax"],
+            deterministic=self._deterministic,
+        )
+        engine.load(self.scene)
+        return InPlace(engine, nworld)
 
     def _stages(self) -> None:
         """Of positions and velocities."""
@@ -317,13 +337,15 @@ class WarpBackend(Backend):
 
     # -- running -------------------------------------------------------------------------------
 
-    def _timestep(self, cursor: wp.array | None = None) -> None:
+    def _timestep(
+        self, cursor: wp.array | None = None, advance: Callable[[Any, Any], None] = mjw.step
+    ) -> None:
         """One timestep; notes the worlds that are lost in it, and where `cursor` stands then."""
         data = self._data
         cursor = self._no_cursor if cursor is None else cursor
         if self._solves_implicitly:
             wp.copy(self._before, data.qvel)
-        mjw.step(self._model, data)
+        advance(self._model, data)
         numbers = [data.qpos, data.qvel, data.qacc, data.act, data.ctrl]
         wp.launch(kernels.note_divergence, data.nworld, [cursor, _LIMIT, *numbers, self._lost])
         if self._solves_implicitly:
@@ -388,18 +410,26 @@ class WarpBackend(Backend):
                     self._graphs[key] = capture.graph
                 wp.capture_launch(self._graphs[key])
 
+    def _launch_steps(self, nstep: int) -> None:
+        """Many timesteps, as few launches."""
+        if nstep <= _TIMESTEPS_OF_A_GRAPH:
+
+            def steps() -> None:
+                for _ in range(nstep):
+                    self._timestep()
+
+            self._launch(f"step {nstep}", steps)
+            return
+        for _ in range(nstep):
+            self._launch("step", self._timestep)
+
     def _until_it_fits(self, run: Callable[[], None], nworld: int) -> None:
         """Runs; while a contact or constraint buffer overflows, enlarges it and runs again."""
         for _ in range(_ATTEMPTS):
             self._allocate(nworld)
             run()
             overflow = int(np.bitwise_or.reduce(self._data.overflow.numpy(), initial=0))
-            if overflow & _BROKEN:
-                raise CapacityError(
-                    f"backend 'warp': scene {self.scene.name!r} overflows "
-                    f"{mjw.OverflowType(overflow & _BROKEN)!r}, which cannot be enlarged; "
-                    "use 'mujoco'"
-                )
+            self._may_be_enlarged(overflow)
             if not overflow & _TOO_SMALL:
                 return
             self._enlarge(nworld)
@@ -407,6 +437,14 @@ class WarpBackend(Backend):
             f"backend 'warp': scene {self.scene.name!r} needs more than {self._sizes['nconmax']} "
             f"contacts or {self._sizes['njmax']} constraints a world; pass nconmax and njmax"
         )
+
+    def _may_be_enlarged(self, overflow: int) -> None:
+        """Raises `CapacityError` if something overflowed that has a fixed size."""
+        if overflow & _BROKEN:
+            raise CapacityError(
+                f"backend 'warp': scene {self.scene.name!r} overflows "
+                f"{mjw.OverflowType(overflow & _BROKEN)!r}, which cannot be enlarged; use 'mujoco'"
+            )
 
     def _enlarge(self, nworld: int) -> None:
         """Twice the present buffers, or half as much again as the last step asked for."""

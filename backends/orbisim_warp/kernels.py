@@ -37,6 +37,17 @@ def advance(cursor: wp.array(dtype=int)) -> None:
     cursor[0] = cursor[0] + 1
 
 
+@wp.kernel(enable_backward=False)
+def copy_columns(
+    columns: wp.array(dtype=int),
+    source: wp.array(dtype=float, ndim=2),
+    target: wp.array(dtype=float, ndim=2),
+) -> None:
+    """target[world, columns[i]] = source[world, columns[i]]."""
+    world, i = wp.tid()
+    target[world, columns[i]] = source[world, columns[i]]
+
+
 @wp.func
 def _bad(value: float, limit: float) -> bool:
     """C MuJoCo's test: NaN, or larger than mjMAXVAL in size."""
