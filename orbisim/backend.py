@@ -113,6 +113,9 @@ class InPlace(Protocol):
         accelerations is that of the last step.
         """
 
+    def take_back(self) -> None:
+        """Goes back to the state before the last step."""
+
     def repair(self) -> None:
         """Makes room, and goes back to the state before the last step.
 

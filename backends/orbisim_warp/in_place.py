@@ -91,6 +91,12 @@ class InPlace:
         """Advances all worlds by `nstep` timesteps under `ctrl`; on a GPU, as one CUDA graph."""
         self._engine._launch(f"in place, {nstep}", lambda: self._advance(nstep))
 
+    def take_back(self) -> None:
+        """The state from before the last step."""
+        for name, kept in self._before.items():
+            wp.copy(getattr(self._engine._data, name), kept)
+        self.refresh()
+
     def repair(self) -> None:
         """Larger buffers, and the state from before the last step; fields have moved.
 

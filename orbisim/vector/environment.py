@@ -206,7 +206,7 @@ class VectorEnvironment:
         Raises:
           InputError: there are no such worlds, or none was ever reset.
         """
-        ids = _ids(worlds, self.nworld)
+        ids = world_numbers(worlds, self.nworld)
         if self._last is None:
             raise InputError("restart of some worlds comes after a reset of all")
         observation = {name: rows.copy() for name, rows in self._last.items()}
@@ -328,13 +328,15 @@ class VectorEnvironment:
     def _checked(self, action: Array) -> npt.NDArray[np.float64]:
         shape = (self.nworld, *self._action_spec.shape)
         action = real_array("action", action, str(shape))
-        if tuple(action.shape) != shape:
-            raise InputError(
-                f"action has shape {tuple(action.shape)}; {self.name} in {self.nworld} worlds "
-                f"needs {shape}"
-            )
+        self._check_shape(tuple(action.shape), shape)
         host = action.detach().cpu().numpy() if hasattr(action, "detach") else action
         return np.asarray(host, np.float64)
+
+    def _check_shape(self, given: tuple[int, ...], shape: tuple[int, ...]) -> None:
+        if given != shape:
+            raise InputError(
+                f"action has shape {given}; {self.name} in {self.nworld} worlds needs {shape}"
+            )
 
     def _flattened(self, observation: Mapping[str, Any]) -> Mapping[str, Any]:
         return control.flatten_observation(observation) if self._flat else observation
@@ -407,7 +409,7 @@ class VectorEnvironment:
     def _disagreement(self, batched: Batched) -> str:
         """Why the batched evaluation cannot be used; empty if it gives dm_control's own bits."""
         random, worlds = np.random.RandomState(0), np.arange(self.nworld)
-        low, high = _finite_bounds(self._action_spec)
+        low, high = finite_bounds(self._action_spec)
         self.reset()
         for _ in range(_CHECKED_STEPS):
             self._simulator.ctrl[worlds] = random.uniform(low, high, (len(worlds), len(low)))
@@ -440,7 +442,12 @@ def _seeds(seed: int | Sequence[int | None] | None, nworld: int) -> Sequence[int
     return range(first, first + nworld)
 
 
-def _ids(worlds: npt.ArrayLike, nworld: int) -> Ids:
+def world_numbers(worlds: npt.ArrayLike, nworld: int) -> Ids:
+    """The numbers of worlds that are given by their numbers [n] or as booleans [nworld].
+
+    Raises:
+      InputError: there are no such worlds.
+    """
     given = np.asarray(worlds)
     if given.dtype == bool and given.shape == (nworld,):
         return np.flatnonzero(given)
@@ -449,7 +456,8 @@ def _ids(worlds: npt.ArrayLike, nworld: int) -> Ids:
     return np.unique(given)
 
 
-def _finite_bounds(spec: specs.BoundedArray) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+def finite_bounds(spec: specs.BoundedArray) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Between which numbers [nu] random actions are drawn."""
     low = np.broadcast_to(np.where(np.isfinite(spec.minimum), spec.minimum, -1.0), spec.shape)
     high = np.broadcast_to(np.where(np.isfinite(spec.maximum), spec.maximum, 1.0), spec.shape)
     return low, high

@@ -12,7 +12,7 @@ from dm_control.rl import control
 
 from orbisim import suite
 from orbisim.arguments import whole_number
-from orbisim.backend import Backend
+from orbisim.backend import Backend, InPlace
 from orbisim.errors import InputError
 from orbisim.registry import make_backend
 from orbisim.scene import Scene
@@ -176,9 +176,44 @@ def _made(
     draws = [None if randomization is None else randomization(n) for n in (len(few), len(tasks))]
     options_of_probe = {**options, "randomization": draws[0], "check": True}
     probe = VectorEnvironment(environments[: len(few)], few, **options_of_probe)
-    made = VectorEnvironment(environments, tasks, **options, randomization=draws[1])
+    backend: Backend | None = options["backend"]
+    worlds = None
+    if options["arrays"] == "torch" and backend is not None:
+        worlds = backend.in_place(len(tasks))
+    if worlds is None:
+        made = VectorEnvironment(environments, tasks, **options, randomization=draws[1])
+        made.evaluate_as(probe)
+        probe.close()
+        return made
+    return _on_device(environments, tasks, worlds, probe, draws[1], options)
+
+
+def _on_device(
+    environments: Sequence[control.Environment],
+    tasks: Sequence[Any],
+    worlds: InPlace,
+    probe: VectorEnvironment,
+    randomization: Randomization | None,
+    options: Mapping[str, Any],
+) -> VectorEnvironment:
+    """An environment whose worlds stay on the device, if the task allows it."""
+    from orbisim.vector.on_device import DeviceVectorEnvironment
+
+    made = DeviceVectorEnvironment(environments, tasks, **options, randomization=randomization)
     made.evaluate_as(probe)
     probe.close()
+    reason = made.reason
+    if not reason and randomization is not None:
+        reason = "models that differ from world to world"
+    if not reason:
+        few = copy.deepcopy(list(tasks[:_CHECKED_WORLDS]))
+        there = options["backend"].in_place(len(few))
+        tried = DeviceVectorEnvironment(environments[: len(few)], few, **options)
+        tried.evaluate_as(probe)
+        tried.use(there)
+        reason = tried.disagreement()
+        tried.close()
+    made.use(worlds, reason)
     return made
 
 

@@ -81,7 +81,7 @@ class Mirrored(Threads):
 
     def step(self, worlds: Ids, nstep: int) -> npt.NDArray[np.bool_]:
         """See `Threads.step`."""
-        steps = self._backend_steps(nstep)
+        steps = self.backend_steps(nstep)
         lost = np.zeros(self.nworld, bool)
         for part in self._parts(worlds):
             self._step_part(part, steps, lost)
@@ -122,6 +122,13 @@ class Mirrored(Threads):
         """The state of all worlds, with what the backend remembers."""
         state = super().state
         return state if self._fresh.any() else state.with_memory(**self._private)
+
+    def take_over(self, state: State) -> None:
+        """Goes on from a state that the backend has reached elsewhere."""
+        self._take(np.arange(self.nworld), state)
+        self._stale[:] = True
+        self._late.clear()
+        self._derived.clear()
 
     def _mirror(self) -> None:
         """C MuJoCo's own stages of positions and velocities, where they were not since a step."""
@@ -195,7 +202,12 @@ class Mirrored(Threads):
                 kept[worlds] = rows
         self._fresh[worlds] = False
 
-    def _backend_steps(self, nstep: int) -> int:
+    def backend_steps(self, nstep: int) -> int:
+        """How many steps of the backend `nstep` timesteps are.
+
+        Raises:
+          InputError: no whole number.
+        """
         ratio = nstep * float(self.model.opt.timestep) / self.backend.timestep
         if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
             raise InputError(

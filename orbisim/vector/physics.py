@@ -15,7 +15,7 @@ import numpy.typing as npt
 from dm_control.mujoco import engine
 
 from orbisim.vector.overrides import methods_for
-from orbisim.vector.worlds import NotBatchedError, Worlds
+from orbisim.vector.worlds import ManyWorlds, NotBatchedError, Worlds
 
 Ids = npt.NDArray[np.int64]
 
@@ -25,8 +25,15 @@ class Fields(Protocol):
 
     model: mujoco.MjModel
 
-    def field(self, name: str) -> npt.NDArray[Any]:
+    def field(self, name: str) -> Any:
         """[nworld, ...]."""
+
+
+class Chosen(Protocol):
+    """What makes arrays of the rows of a field."""
+
+    def of(self, rows: Any) -> Any:
+        """A `Worlds`, or a `TensorWorlds` of a tensor."""
 
 
 class Selection:
@@ -45,17 +52,17 @@ class Selection:
 class BatchedData:
     """`physics.data` over many worlds."""
 
-    def __init__(self, fields: Fields, model: BatchedModel, selection: Selection) -> None:
+    def __init__(self, fields: Fields, model: BatchedModel, selection: Chosen) -> None:
         self._fields, self.model, self._selection = fields, model, selection
 
-    def __getattr__(self, name: str) -> Worlds:
+    def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
         return self._selection.of(self._fields.field(name))
 
     def object_velocity(
         self, object_id: int | str, object_type: int | str, local_frame: bool = False
-    ) -> Worlds:
+    ) -> Any:
         """Linear and angular velocity [2, 3] of an object by `mj_objectVelocity`."""
         return _object_velocity(self, object_id, object_type, local_frame)
 
@@ -63,7 +70,7 @@ class BatchedData:
 class BatchedModel:
     """`physics.model` over many worlds: what is the same in all of them is as it is in one."""
 
-    def __init__(self, model: Any, varied: dict[str, Any], selection: Selection) -> None:
+    def __init__(self, model: Any, varied: dict[str, Any], selection: Chosen) -> None:
         self._model, self._varied, self._selection = model, varied, selection
 
     def __getattr__(self, name: str) -> Any:
@@ -79,7 +86,7 @@ class BatchedModel:
 class _Options:
     """`physics.model.opt` where options differ between worlds."""
 
-    def __init__(self, options: Any, varied: dict[str, Any], selection: Selection) -> None:
+    def __init__(self, options: Any, varied: dict[str, Any], selection: Chosen) -> None:
         self._options, self._varied, self._selection = options, varied, selection
 
     def __getattr__(self, name: str) -> Any:
@@ -96,7 +103,7 @@ class Named:
     def __getattr__(self, name: str) -> Any:
         indexer = getattr(self._indexers, name)
         array = getattr(self._arrays, name)
-        return NamedField(indexer, array) if isinstance(array, Worlds) else indexer
+        return NamedField(indexer, array) if isinstance(array, ManyWorlds) else indexer
 
 
 class NamedField:
@@ -134,7 +141,7 @@ class BatchedPhysics(engine.Physics):
 
 
 def batched(
-    physics: engine.Physics, fields: Fields, varied: dict[str, Any], selection: Selection
+    physics: engine.Physics, fields: Fields, varied: dict[str, Any], selection: Chosen
 ) -> Any:
     """A physics of many worlds with the methods of one.
 
@@ -173,11 +180,13 @@ _POSES = {
 
 def _object_velocity(
     data: BatchedData, object_id: int | str, object_type: int | str, local_frame: bool
-) -> Worlds:
+) -> Any:
     wrapped, kind = data.model._model, object_type
     if kind not in _POSES:
         raise NotBatchedError(f"physics.data.object_velocity of a {object_type!r}")
     number = wrapped.name2id(object_id, kind) if isinstance(object_id, str) else object_id
+    if not isinstance(data.cvel, Worlds):
+        return _velocity_at(data, number, kind, local_frame)
     code = mujoco.mju_str2Type(kind)
     names = ("xipos", "ximat", "cvel", "subtree_com", *_POSES[kind])
     rows = {name: getattr(data, name).rows for name in names}
@@ -189,3 +198,21 @@ def _object_velocity(
         mujoco.mj_objectVelocity(wrapped.ptr, one, code, number, velocity, local_frame)
         velocities.append(velocity.reshape(2, 3)[::-1].copy())
     return Worlds(np.stack(velocities))
+
+
+def _velocity_at(data: BatchedData, number: int, kind: str, local_frame: bool) -> Any:
+    """What `mj_objectVelocity` computes, in operations on arrays."""
+    model = data.model._model
+    body = number if kind in ("body", "xbody") else getattr(model, _BODIES[kind])[number]
+    places, frames = ("xipos", "ximat") if kind == "body" else _POSES[kind]
+    about = data.subtree_com[int(model.body_rootid[body])]
+    turning, moving = data.cvel[int(body), :3], data.cvel[int(body), 3:]
+    moving = moving - np.cross(getattr(data, places)[number] - about, turning)
+    if local_frame:
+        frame = getattr(data, frames)[number].reshape(3, 3)
+        moving, turning = moving.dot(frame), turning.dot(frame)
+    return np.stack([moving, turning])
+
+
+_BODIES = {"geom": "geom_bodyid", "site": "site_bodyid", "camera": "cam_bodyid"}
+"""Fields of a model that name the body of an object."""

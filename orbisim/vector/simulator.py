@@ -98,6 +98,10 @@ class Threads:
         rows = self._late.get(name)
         return self._shaped(name, self._batch.bind(name) if rows is None else rows)
 
+    def rows(self, name: str, worlds: Ids) -> Rows:
+        """A part of the state of some worlds, [len(worlds), ...], a copy."""
+        return np.asarray(self._batch.bind(name))[worlds]
+
     def fill(self, world: int, data: mujoco.MjData) -> None:
         """Copies a world's whole MjData."""
         self._batch.get_data(world, data)

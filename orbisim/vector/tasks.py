@@ -21,6 +21,9 @@ class _NoRandomness:
         raise NotBatchedError("a reward or an observation that draws random numbers")
 
 
+_NO_RANDOMNESS = _NoRandomness()
+
+
 def is_random(value: Any) -> bool:
     """Whether this draws random numbers."""
     return isinstance(value, np.random.RandomState | np.random.Generator)
@@ -34,7 +37,7 @@ def untouched(task: Any, seed: int) -> bool:
         for v in vars(task).values()
         if isinstance(v, np.random.RandomState)
     ]
-    return bool(states) and all(_same(state, fresh) for state in states)
+    return bool(states) and all(same(state, fresh) for state in states)
 
 
 def copies(task: Any, seed: int, count: int) -> list[Any]:
@@ -50,10 +53,11 @@ class Tasks:
 
     Attributes:
       each: the tasks.
+      changes: grows whenever one may have changed.
     """
 
     def __init__(self, each: Sequence[Any]) -> None:
-        self.each = list(each)
+        self.each, self.changes = list(each), 0
         self._shared = {k: v for k, v in vars(self.each[0]).items() if not is_random(v)}
         self._varied: dict[str, _Attribute] = {}
         for world in range(len(self.each)):
@@ -70,13 +74,14 @@ class Tasks:
 
     def note(self, world: int) -> None:
         """Takes over what an episode's beginning has set in a world's task."""
+        self.changes += 1
         mine = vars(self.each[world])
         if mine.keys() - {k for k, v in mine.items() if is_random(v)} != self._known():
             for name in mine:
                 if name not in self._known() and not is_random(mine[name]):
                     self._varied[name] = _Attribute(name, self.each)
         for name, value in list(self._shared.items()):
-            if not _same(mine.get(name), value):
+            if not same(mine.get(name), value):
                 self._varied[name] = _Attribute(name, self.each)
                 del self._shared[name]
         for name, attribute in self._varied.items():
@@ -91,7 +96,7 @@ class Tasks:
         task = copy.copy(self.each[0])
         for name, value in vars(task).items():
             if is_random(value):
-                setattr(task, name, _NoRandomness())
+                setattr(task, name, _NO_RANDOMNESS)
         for name, attribute in self._varied.items():
             setattr(task, name, attribute.together(ids))
         return task
@@ -144,7 +149,7 @@ class _Attribute:
                 return first
         else:
             chosen = self._values if ids is None else [self._values[i] for i in ids]
-            if all(_same(value, first) for value in chosen):
+            if all(same(value, first) for value in chosen):
                 return first
             rows = self._of_numbers(chosen)
         rows.flags.writeable = False
@@ -176,7 +181,7 @@ def _stacked(values: Sequence[Any]) -> tuple[npt.NDArray[Any] | None, tuple[Any,
     return (rows if as_it_is else None), kind
 
 
-def _same(a: Any, b: Any) -> bool:
+def same(a: Any, b: Any) -> bool:
     """Whether two values of attributes are equal; objects without equality are if they are one."""
     if a is b:
         return True
@@ -186,9 +191,9 @@ def _same(a: Any, b: Any) -> bool:
     if type(a) is not type(b):
         return False
     if isinstance(a, dict):
-        return a.keys() == b.keys() and all(_same(v, b[k]) for k, v in a.items())
+        return a.keys() == b.keys() and all(same(v, b[k]) for k, v in a.items())
     if isinstance(a, list | tuple):
-        return len(a) == len(b) and all(map(_same, a, b))
+        return len(a) == len(b) and all(map(same, a, b))
     try:
         return bool(a == b)
     except (TypeError, ValueError):

@@ -44,6 +44,7 @@ class TensorEnvironment:
         if mask is None:
             observation = self.environment.reset()
         else:
+            mask = mask.detach().cpu() if hasattr(mask, "detach") else mask
             observation = self.environment.restart(np.asarray(mask).reshape(-1))
         nothing = next(iter(observation.values())).new_zeros((*self.batch_size, 1)).bool()
         ends = {name: nothing.clone() for name in ("done", "terminated", "truncated")}

@@ -42,7 +42,13 @@ class WorldsDifferError(BaseException):
         self.mask = mask
 
 
-class Worlds(np.lib.mixins.NDArrayOperatorsMixin):
+class ManyWorlds:
+    """An array for each world: `Worlds` on the host, `TensorWorlds` on a device."""
+
+    __slots__ = ()
+
+
+class Worlds(np.lib.mixins.NDArrayOperatorsMixin, ManyWorlds):
     """One array for each world, of the same shape.
 
     Args:
