@@ -47,6 +47,7 @@ class InPlace:
         self._in_two = _advances_in_two(engine.model)
         self._accelerations = acceleration_sensors(engine.model)
         self._views: dict[str, Any] = {}
+        self._before: dict[str, wp.array] = {}
         engine._allocate(nworld)
         self._prepare()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
@@ -47,12 +47,15 @@ class DeviceFields:
 
     Args:
       worlds: whose fields.
-      time: [nworld] float64, s; the device's own time is rounded.
       model: of every world.
+      given: by name, fields [nworld, ...] in float64 that the device's own are rounded from (time,
+        controls); their memory stays where it is.
     """
 
-    def __init__(self, worlds: InPlace, time: torch.Tensor, model: mujoco.MjModel) -> None:
-        self.model, self._worlds, self._time = model, worlds, time
+    def __init__(
+        self, worlds: InPlace, model: mujoco.MjModel, given: Mapping[str, torch.Tensor]
+    ) -> None:
+        self.model, self._worlds, self._given = model, worlds, given
         self._one = mujoco.MjData(model)
         self._known: dict[str, torch.Tensor] = {}
 
@@ -66,7 +69,8 @@ class DeviceFields:
             raise NotBatchedError(f"physics.data.{name} on the device")
         if name not in self._known:
             kind = torch_dtype(np.asarray(getattr(self._one, name)).dtype)
-            rows = self._time if name == "time" else self._worlds.field(name)
+            rows = self._given.get(name)
+            rows = self._worlds.field(name) if rows is None else rows
             self._known[name] = rows.to(kind, copy=True)
         return self._known[name]
 
@@ -187,10 +191,9 @@ class DeviceEvaluator:
         """An attribute that differs between worlds: in the memory that it had before."""
         rows = torch.from_numpy(np.array(value.rows)).to(torch_dtype(value.dtype))
         known = self._attributes.get(name)
-        if isinstance(known, TensorWorlds) and known.rows.shape == rows.shape:
-            if known.rows.dtype == rows.dtype:
-                known.rows.copy_(rows)
-                return known
+        if isinstance(known, TensorWorlds) and _alike(known.rows, rows):
+            known.rows.copy_(rows)
+            return known
         made = TensorWorlds(rows.to(self._context.device), self._context, frozen=True)
         self._attributes[name] = made
         self.version += 1
@@ -201,6 +204,10 @@ class DeviceEvaluator:
         if rows.ndim != 1:
             raise NotBatchedError(f"a reward or a discount of shape {tuple(rows.shape[1:])}")
         return rows
+
+
+def _alike(a: torch.Tensor, b: torch.Tensor) -> bool:
+    return a.shape == b.shape and a.dtype == b.dtype
 
 
 def differences(found: Mapping[str, torch.Tensor], expected: Values, worlds: Any) -> str:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from dm_control.mujoco import engine
 
 from orbisim.vector.models import ModelFields
-from orbisim.vector.physics import Selection, batched
+from orbisim.vector.physics import Fields, Selection, batched
 from orbisim.vector.simulator import Threads
 from orbisim.vector.tasks import Tasks
 from orbisim.vector.worlds import NotBatchedError, Worlds, WorldsDifferError
@@ -82,6 +82,12 @@ class WorldByWorld:
         return task.get_observation(physics), reward, task.get_termination(physics)
 
 
+class FieldsOf(Fields, Protocol):
+    """Gives a field of MjData in `nworld` worlds."""
+
+    nworld: int
+
+
 class Batched:
     """Calls the task's functions once for all worlds, and once more for each side of a branch.
 
@@ -90,7 +96,7 @@ class Batched:
     """
 
     def __init__(
-        self, physics: engine.Physics, simulator: Threads, fields: ModelFields, tasks: Tasks
+        self, physics: engine.Physics, simulator: FieldsOf, fields: ModelFields, tasks: Tasks
     ) -> None:
         self._tasks, self._selection = tasks, Selection()
         self._nworld = simulator.nworld

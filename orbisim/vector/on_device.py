@@ -86,7 +86,10 @@ class DeviceVectorEnvironment(VectorEnvironment):
         self._worlds = worlds
         self._time = torch.zeros(self.nworld, dtype=torch.float64, device=self._device)
         self._time_before = self._time.clone()
-        self._fields_there = DeviceFields(worlds, self._time, self._mirrored.model)
+        self._ctrl = torch.zeros_like(worlds.field("ctrl"), dtype=torch.float64)
+        self._fields_there = DeviceFields(
+            worlds, self._mirrored.model, {"time": self._time, "ctrl": self._ctrl}
+        )
         self._evaluator_there = DeviceEvaluator(
             self._pristine, self._fields_there, self._fields, self._tasks, self._device
         )
@@ -114,8 +117,7 @@ class DeviceVectorEnvironment(VectorEnvironment):
                 if self._worlds is None:
                     return self.reason
                 action = random.uniform(low, high, (self.nworld, len(low)))
-                worlds.field("ctrl").copy_(torch.as_tensor(action))
-                _, lost, _ = self._advance_there()
+                _, lost, _ = self._advance_there(torch.as_tensor(action))
                 kept = np.ones(self.nworld, bool)
                 if lost:
                     kept = ~self._program.lost.cpu().numpy()
@@ -180,9 +182,8 @@ class DeviceVectorEnvironment(VectorEnvironment):
         if not alive.any():
             return self._begun(over)
         self._live(alive)
-        worlds.field("ctrl").copy_(action)
         try:
-            _, lost, ended = self._advance_there()
+            _, lost, ended = self._advance_there(action)
         except CapacityError:
             raise
         except Exception as error:  # in a branch, or of a value, that was not there before
@@ -203,11 +204,13 @@ class DeviceVectorEnvironment(VectorEnvironment):
 
     # -- inner workings --------------------------------------------------------------------------
 
-    def _advance_there(self) -> tuple[bool, bool, bool]:
+    def _advance_there(self, action: torch.Tensor) -> tuple[bool, bool, bool]:
         """One control step of all worlds and what the task says of it; the flags of `Program`."""
         worlds, program = self._worlds, self._program
         assert worlds is not None
         self._evaluator_there.prepare()
+        self._ctrl.copy_(action)
+        worlds.field("ctrl").copy_(self._ctrl)
         self._time_before.copy_(self._time)
         self._time.add_(self.control_timestep())
         program.keep()

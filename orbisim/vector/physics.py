@@ -109,10 +109,10 @@ class Named:
 class NamedField:
     """One field, indexed by names or numbers."""
 
-    def __init__(self, indexer: Any, worlds: Worlds) -> None:
+    def __init__(self, indexer: Any, worlds: Any) -> None:
         self._indexer, self._worlds = indexer, worlds
 
-    def __getitem__(self, key: Any) -> Worlds:
+    def __getitem__(self, key: Any) -> Any:
         return self._worlds[self._indexer._convert_key(key)]
 
     def __setitem__(self, key: Any, value: Any) -> None:

@@ -144,8 +144,8 @@ class _Attribute:
         first = self._values[0 if ids is None else ids[0]]
         if self._rows is not None:
             rows = self._rows.copy() if ids is None else self._rows[ids]
-            same = np.broadcast_to(rows[0], rows.shape)
-            if np.array_equal(rows, same, equal_nan=rows.ndim > 1 and rows.dtype.kind == "f"):
+            repeated = np.broadcast_to(rows[0], rows.shape)
+            if np.array_equal(rows, repeated, equal_nan=rows.ndim > 1 and rows.dtype.kind == "f"):
                 return first
         else:
             chosen = self._values if ids is None else [self._values[i] for i in ids]
