@@ -72,6 +72,7 @@ BESIDE = {
 
 DEFERRED = {
     "orbisim.cli": "a command loads engines when it runs, so that --help stays fast",
+    "orbisim.vector.loading": "torch is wanted for tensors on a device only",
     "orbisim.scene.usd.dump.main": "the child process says first that OpenUSD was found",
     "orbisim_policies.workflows": "Stable-Baselines3 and vision are wanted for their own part",
     "orbisim_world_model.baseline": "training runs where MuJoCo is not installed",

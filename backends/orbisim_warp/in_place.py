@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import mujoco_warp as mjw
@@ -12,9 +12,6 @@ import warp as wp
 
 from orbisim.physics.mjdata import acceleration_sensors
 from orbisim_warp import kernels
-
-if TYPE_CHECKING:
-    from orbisim_warp.backend import WarpBackend
 
 _CHANGED_BY_A_STEP = ("time", "qpos", "qvel", "act", "qacc_warmstart", "history")
 
@@ -26,7 +23,7 @@ class InPlace:
     dm_control (`mj_step2`, then `mj_step1`): they are computed once.
 
     Args:
-      engine: with the scene loaded; nothing else may use it.
+      engine: a `WarpBackend` with the scene loaded; nothing else may use it.
       nworld: number of worlds.
 
     Attributes:
@@ -35,7 +32,7 @@ class InPlace:
       names: of the fields that there are.
     """
 
-    def __init__(self, engine: WarpBackend, nworld: int) -> None:
+    def __init__(self, engine: Any, nworld: int) -> None:
         self._engine, self._nworld = engine, nworld
         self.device = wp.device_to_torch(engine._wp_device)
         self.generation = 0

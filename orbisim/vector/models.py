@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from typing import Any
 
 import mujoco
@@ -19,6 +20,11 @@ _ASSETS = ("mesh_", "tex_", "skin_", "bvh_", "names", "paths", "text_", "tuple_"
 COSMETIC = ("rgba", "light_", "mat_", "cam_", "vis.", "_group", "_user", "hfield_size")
 """Parts of the names of fields that no step reads."""
 
+
+_OPTIONS = tuple(name for name in dir(mujoco.MjOption) if not name.startswith("_"))
+
+_PADDING = 64
+"""Bytes between two arrays of a model."""
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
@@ -55,10 +61,50 @@ def numbers(model: mujoco.MjModel) -> dict[str, Floats]:
 
 def _scalars(model: mujoco.MjModel) -> dict[str, Any]:
     """The options that are single numbers; actuation is switched off for moments in a reset."""
-    names = [n for n in dir(model.opt) if not n.startswith("_")]
-    values = {f"opt.{n}": getattr(model.opt, n) for n in names}
+    values = {f"opt.{n}": getattr(model.opt, n) for n in _OPTIONS}
     values["opt.disableflags"] &= ~int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     return {n: v for n, v in values.items() if np.isscalar(v)}
+
+
+class _Region:
+    """A stretch of memory that holds several arrays: compared at once, which is sooner.
+
+    Args:
+      views: the arrays, in the order of their addresses.
+    """
+
+    def __init__(self, views: list[Floats]) -> None:
+        self._begin, last = _address(views[0]), views[-1]
+        size = _address(last) + last.nbytes - self._begin
+        memory = (ctypes.c_char * size).from_address(self._begin)
+        self._bytes = np.frombuffer(memory, np.uint8)
+        self._expected = self._bytes.copy()
+
+    def expect(self, view: Floats, value: Floats) -> None:
+        """What an array is to hold, if it is one of these."""
+        at = _address(view) - self._begin
+        if 0 <= at < len(self._expected):
+            self._expected[at : at + view.nbytes] = np.frombuffer(value.tobytes(), np.uint8)
+
+    def changed(self) -> bool:
+        """Whether one of the arrays holds something else."""
+        return self._bytes.tobytes() != self._expected.tobytes()
+
+
+def _address(view: Floats) -> int:
+    return int(view.__array_interface__["data"][0])
+
+
+def _adjacent(views: list[Floats]) -> list[list[Floats]]:
+    """Arrays in groups between which there is nothing but padding."""
+    groups: list[list[Floats]] = []
+    for view in sorted(views, key=_address):
+        last = groups[-1][-1] if groups else None
+        if last is not None and _address(view) - _address(last) - last.nbytes <= _PADDING:
+            groups[-1].append(view)
+        else:
+            groups.append([view])
+    return groups
 
 
 class ModelFields:
@@ -176,10 +222,12 @@ class ModelFields:
             view[...] = value
 
     def _watch(self) -> None:
-        """What must stay as it is: the arrays that do not vary, in one string of bytes."""
-        self._same = [v for n, v in self._views.items() if n not in self.varied]
-        fixed = [self._base[n] for n in self._views if n not in self.varied]
-        self._bytes = b"".join(v.tobytes() for v in fixed)
+        """What must stay as it is: the memory of the arrays that do not vary."""
+        views = {n: v for n, v in self._views.items() if n not in self.varied}
+        self._regions = [_Region(part) for part in _adjacent(list(views.values()))]
+        for name, view in views.items():
+            for region in self._regions:
+                region.expect(view, self._base[name])
         self._options = {
             n: self._base[n].item() for n in _scalars(self._working) if n not in self.varied
         }
@@ -187,7 +235,7 @@ class ModelFields:
     def _changed(self) -> list[str]:
         scalars = _scalars(self._working)
         names = [n for n, v in self._options.items() if scalars[n] != v]
-        if b"".join(v.tobytes() for v in self._same) != self._bytes:
+        if any(region.changed() for region in self._regions):
             names += [
                 n
                 for n, view in self._views.items()

@@ -27,7 +27,8 @@ _NUMPY = {tensor: array for array, tensor in _TORCH.items()}
 _MOST_CONSTANTS = 4096
 """Different numbers and arrays of a task's functions; more means that they change in each step."""
 _MOST_PATHS = 32
-"""Ways through a function by its branches; each costs as much as the function."""
+"""Ways through a function by its branches, each of which costs as much as the function; and
+branches on one of them."""
 
 
 def torch_dtype(dtype: Any) -> torch.dtype:
@@ -53,6 +54,8 @@ class Paths:
     def decide(self, mask: torch.Tensor) -> bool:
         """Which way to go on, at a branch that is taken where `mask` [nworld] is true."""
         at = len(self._choices)
+        if at >= _MOST_PATHS:  # a loop ends where a number says so, and none is looked at
+            raise NotBatchedError(f"more than {_MOST_PATHS} branches on the way")
         choice = self._script[at] if at < len(self._script) else True
         self._choices.append(choice)
         here = mask if choice else ~mask
