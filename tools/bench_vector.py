@@ -3,7 +3,8 @@
     python tools/bench_vector.py --out out/bench_vector.json
 
 For each task and number of worlds: `orbisim.vector` on C MuJoCo (all cores) and, with `--warp`, on
-MuJoCo-Warp or, with `--learned`, in the zoo's dynamics where there are any; dm_control's own
+MuJoCo-Warp (arrays on the host, and tensors that stay on the device; `--profile STEPS` prints
+where the time of a step goes) or, with `--learned`, in the zoo's dynamics where there are any; dm_control's own
 environments in gymnasium's `AsyncVectorEnv` (by shimmy, one process for each core, each with its
 share of the worlds one after the other); gymnasium's own MuJoCo environments in `AsyncVectorEnv`,
 where there is one of that robot. Actions are random; episodes begin anew where they end. Best of
@@ -110,13 +111,23 @@ def rate(step: Callable[[], None], worlds: int, seconds: float, repeats: int) ->
     return best
 
 
-def ours(domain: str, task: str, worlds: int, backend: str, options: Any) -> float:
-    """`orbisim.vector`."""
-    environment = orbisim.vector.load(domain, task, worlds, backend, seed=0)
-    environment.reset()
+def ours(
+    domain: str, task: str, worlds: int, backend: str, options: Any, arrays: Any = "numpy"
+) -> float:
+    """`orbisim.vector`; with tensors, actions are on the device as a policy's would be."""
+    environment = orbisim.vector.load(domain, task, worlds, backend, seed=0, arrays=arrays)
+    first = next(iter(environment.reset().values()))
     spec, random = environment.action_spec(), np.random.default_rng(0)
-    actions = random.uniform(spec.minimum, spec.maximum, (16, worlds, *spec.shape))
+    actions: Any = random.uniform(spec.minimum, spec.maximum, (16, worlds, *spec.shape))
+    if arrays == "torch":
+        actions = first.new_tensor(actions)
+        said = f": {environment.reason}" if environment.reason else ""
+        print("   ", domain, task, worlds, environment.evaluation + said, flush=True)
     chosen = iter(range(10**9))
+    if options.profile and environment.evaluation == "on the device":
+        steps = min(options.profile, int(environment._limit) - 1)
+        print("    ms a step:", profiled(environment, actions, steps), flush=True)
+        environment.reset()
     found = rate(
         lambda: environment.step(actions[next(chosen) % 16]) and None,
         worlds,
@@ -125,6 +136,62 @@ def ours(domain: str, task: str, worlds: int, backend: str, options: Any) -> flo
     )
     environment.close()
     return found
+
+
+def profiled(environment: Any, actions: Any, steps: int) -> dict[str, Any]:
+    """Where the time of steps on the device goes, ms a step; each part waits for the device.
+
+    Returns:
+      `step`: MuJoCo-Warp with the stages of the new state. `task`: its functions, ends of episodes.
+      `rest`: what is neither. `together`: a step as it is, without waits between its parts.
+      `reset`: of all worlds, s. `graph`: whether the task's functions are a CUDA graph, or why not.
+    """
+    import torch
+
+    parts = {"step": (environment._worlds, "step"), "task": (environment._program, "run")}
+    seconds = dict.fromkeys((*parts, "all"), 0.0)
+    device = environment._device
+
+    def wait() -> None:
+        if device.type == "cuda":
+            torch.cuda.synchronize(device)
+
+    def timed(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any) -> Any:
+            wait()
+            begun = time.perf_counter()
+            result = function(*args)
+            wait()
+            seconds[name] += time.perf_counter() - begun
+            return result
+
+        return call
+
+    begun = time.perf_counter()
+    environment.reset()
+    wait()
+    reset = time.perf_counter() - begun
+    for k in range(4):  # graphs are recorded
+        environment.step(actions[k % len(actions)])
+    wait()
+    begun = time.perf_counter()
+    for k in range(steps):
+        environment.step(actions[k % len(actions)])
+    wait()
+    together = time.perf_counter() - begun
+    environment.reset()
+    for name, (owner, method) in parts.items():
+        setattr(owner, method, timed(name, getattr(owner, method)))
+    whole = timed("all", environment.step)
+    for k in range(steps):
+        whole(actions[k % len(actions)])
+    for owner, method in parts.values():
+        delattr(owner, method)
+    seconds["rest"] = seconds.pop("all") - seconds["step"] - seconds["task"]
+    found: dict[str, Any] = {n: round(1e3 * s / steps, 3) for n, s in seconds.items()}
+    program = environment._program
+    graph = "recorded" if program.recorded else program.unrecordable
+    return found | {"together": round(1e3 * together / steps, 3), "reset": reset, "graph": graph}
 
 
 def processes(make: Callable[[], Any], worlds: int, options: Any) -> float:
@@ -158,6 +225,9 @@ def measure(name: str, worlds: int, options: Any) -> dict[str, Any]:
     }
     if options.warp:
         jobs["orbisim warp"] = functools.partial(ours, domain, task, worlds, "warp", options)
+        jobs["orbisim warp, tensors"] = functools.partial(
+            ours, domain, task, worlds, "warp", options, "torch"
+        )
     if options.learned:
         jobs["orbisim learned"] = functools.partial(ours, domain, task, worlds, "learned", options)
     if worlds <= options.most and not options.ours:
@@ -167,6 +237,8 @@ def measure(name: str, worlds: int, options: Any) -> dict[str, Any]:
         jobs[f"gymnasium {TASKS[name]} async"] = functools.partial(processes, like, worlds, options)
     rates: dict[str, Any] = {}
     for label, job in jobs.items():
+        if options.only is not None and label not in options.only:
+            continue
         if options.limit and time.monotonic() - options.begun > options.limit:
             break
         try:
@@ -216,6 +288,12 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=usable_cpus())
     parser.add_argument("--most", type=int, default=4096, help="worlds in processes")
     parser.add_argument("--warp", action="store_true")
+    parser.add_argument(
+        "--only", nargs="*", default=None, metavar="LABEL", help="e.g. 'orbisim warp, tensors'"
+    )
+    parser.add_argument(
+        "--profile", type=int, default=0, metavar="STEPS", help="where the time of so many goes"
+    )
     parser.add_argument("--learned", action="store_true", help="of cartpole, cheetah and walker")
     parser.add_argument("--ours", action="store_true", help="nothing of dm_control and gymnasium")
     parser.add_argument("--playground", default=None, help="a Python that has mujoco_playground")

@@ -76,8 +76,8 @@ class _Region:
     def __init__(self, views: list[Floats]) -> None:
         self._begin, last = _address(views[0]), views[-1]
         size = _address(last) + last.nbytes - self._begin
-        memory = (ctypes.c_char * size).from_address(self._begin)
-        self._bytes = np.frombuffer(memory, np.uint8)
+        memory = (ctypes.c_uint8 * size).from_address(self._begin)
+        self._bytes: npt.NDArray[np.uint8] = np.ctypeslib.as_array(memory)
         self._expected = self._bytes.copy()
 
     def expect(self, view: Floats, value: Floats) -> None:

@@ -102,7 +102,7 @@ class DeviceVectorEnvironment(VectorEnvironment):
 
     def disagreement(self) -> str:
         """Why the task's functions cannot run on the device; nothing if they can."""
-        if (worlds := self._worlds) is None:
+        if self._worlds is None:
             return self.reason
         host = Batched(
             self._pristine,

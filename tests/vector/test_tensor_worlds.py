@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
-
+import torch
 from dm_control.utils import rewards
 
 from orbisim.vector.tensor_worlds import Context, TensorWorlds, merged
