@@ -79,7 +79,7 @@ class VectorEnvironment:
       arrays: `numpy` or `torch`.
       diverged: [nworld] how often each world has diverged.
       evaluation: `batched` if the task's functions run once for all worlds, otherwise `world by
-        world`; `reason` says why.
+        world`; `on the device` if they run where the backend steps. `reason` says why not there.
     """
 
     def __init__(

@@ -62,7 +62,8 @@ def load(
         declared numbers, `between(low, high)`, or a function of a `numpy.random.Generator` and the
         declared numbers. What MuJoCo derives from them follows (`mj_setConst`).
       nthread: number of threads; 0 for one per usable core.
-      arrays: `numpy`, or `torch` for tensors that share the arrays' memory.
+      arrays: `numpy`, or `torch` for tensors that share the arrays' memory, with backend `warp` on
+        its device (see docs/vector.md).
 
     Raises:
       InputError: the number of worlds, the seed, the backend or the device is none.

@@ -16,13 +16,15 @@ FEWER |= {"1_000_000": "16", ", verbose=1": ""}
 
 
 def test_there_are_examples() -> None:
-    assert len(EXAMPLES) == 4
+    assert len(EXAMPLES) == 5
 
 
 @pytest.mark.parametrize("number", range(len(EXAMPLES)))
 def test_examples_run(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     if "stable_baselines3" in EXAMPLES[number]:
         pytest.importorskip("stable_baselines3")
+    if '"warp"' in EXAMPLES[number]:
+        pytest.importorskip("mujoco_warp")
     monkeypatch.chdir(REPOSITORY)
     fewer = EXAMPLES[number]
     for much, little in FEWER.items():

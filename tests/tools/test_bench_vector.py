@@ -8,7 +8,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+
+import orbisim
 
 pytest.importorskip("gymnasium")
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
@@ -49,3 +52,17 @@ def test_what_playground_has_measured_is_kept(
     found = bench_vector.playground(options(tmp_path, then, limit))
     assert found["found"] == {"CheetahRun": 1.0}
     assert found.get("failed") == failed
+
+
+def test_where_the_time_of_a_step_goes() -> None:
+    placed = pytest.importorskip("tests.vector.placed")
+    environment = orbisim.vector.load(
+        "cartpole", "swingup", 2, placed.PlacedBackend(), seed=0, arrays="torch"
+    )
+    actions = [np.zeros((2, 1))] * 3
+    found = bench_vector.profiled(environment, actions, 5)
+    assert set(found) == {"step", "task", "rest", "together", "reset", "graph"}
+    assert found["step"] > 0 and found["task"] > 0
+    assert found["graph"] == "a CPU has no graphs"
+    assert "step" not in vars(environment._worlds), "it is as it was"
+    assert environment.step(actions[0]).reward.shape == (2,)
