@@ -5,11 +5,12 @@
 For each task and number of worlds: `orbisim.vector` on C MuJoCo (all cores) and, with `--warp`, on
 MuJoCo-Warp (arrays on the host, and tensors that stay on the device; `--profile STEPS` prints
 where the time of a step goes) or, with `--learned`, in the zoo's dynamics where there are any;
-dm_control's own environments in gymnasium's `AsyncVectorEnv` (by shimmy, one process for each core, each with its
-share of the worlds one after the other); gymnasium's own MuJoCo environments in `AsyncVectorEnv`,
-where there is one of that robot. Actions are random; episodes begin anew where they end. Best of
-`--repeats`, each at least `--seconds` long. With `--playground PYTHON`, mujoco_playground as well,
-by that Python (see bench_playground.py). Take the figures on a machine that does nothing else.
+dm_control's own environments in gymnasium's `AsyncVectorEnv` (by shimmy, one process for each
+core, each with its share of the worlds one after the other); gymnasium's own MuJoCo environments
+in `AsyncVectorEnv`, where there is one of that robot. Actions are random; episodes begin anew
+where they end. Best of `--repeats`, each at least `--seconds` long. With `--playground PYTHON`,
+mujoco_playground as well, by that Python (see bench_playground.py). Take the figures on a machine
+that does nothing else.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import mujoco
@@ -56,19 +57,22 @@ class InPlace:
             self._views[name] = _tensor(array, self.device).reshape(self._nworld, *shape)
         return self._views[name]
 
+    def _view(self, name: str, array: wp.array) -> Any:
+        """An array that is no field; made once, as none can be while a CUDA graph is recorded."""
+        if name not in self._views:
+            self._views[name] = _tensor(array, self.device)
+        return self._views[name]
+
     @property
     def lost(self) -> Any:
         """[nworld], whether the last step has lost a world."""
-        return _tensor(self._engine._lost, self.device) >= 0
+        return self._view("_lost", self._engine._lost) >= 0
 
     @property
     def overflowed(self) -> Any:
         """[], whether a buffer was too small, so that `repair` is needed."""
-        return (
-            _tensor(self._engine._data.overflow, self.device)
-            .bitwise_and(self._engine._overflows)
-            .any()
-        )
+        bits = self._view("_overflow", self._engine._data.overflow)
+        return bits.bitwise_and(self._engine._overflows).any()
 
     def write(self, worlds: Any, rows: Mapping[str, Any]) -> None:
         """Gives worlds a state; `refresh` is due afterwards.
@@ -83,11 +87,34 @@ class InPlace:
 
     def refresh(self) -> None:
         """The position and velocity stages of the state that there is."""
-        self._engine._launch("stages", self._stages)
+        with self._in_order():
+            self._engine._launch("stages", self._stages)
 
     def step(self, nstep: int) -> None:
         """Advances all worlds by `nstep` timesteps under `ctrl`; on a GPU, as one CUDA graph."""
-        self._engine._launch(f"in place, {nstep}", lambda: self._advance(nstep))
+        with self._in_order():
+            self._engine._launch(f"in place, {nstep}", lambda: self._advance(nstep))
+
+    @contextlib.contextmanager
+    def _in_order(self) -> Iterator[None]:
+        """After what torch was asked for, and before what it will be.
+
+        Its default stream waits for Warp's and is waited for, by CUDA's rules; others are not.
+        """
+        device = self._engine._wp_device
+        if not device.is_cuda:
+            yield
+            return
+        import torch
+
+        here = torch.cuda.current_stream(self.device)
+        if not here.cuda_stream:
+            yield
+            return
+        theirs, ours = wp.stream_from_torch(here), wp.get_stream(device)
+        ours.wait_stream(theirs)
+        yield
+        theirs.wait_stream(ours)
 
     def take_back(self) -> None:
         """The state from before the last step."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import collections
+import concurrent.futures
 import copy
+import threading
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -17,6 +19,7 @@ from dm_env import specs
 from orbisim.arguments import real_array, whole_number
 from orbisim.backend import Backend
 from orbisim.errors import InputError, UnsupportedSceneError
+from orbisim.host.cpus import usable_cpus
 from orbisim.state import Array, State
 from orbisim.vector.evaluation import Batched, Evaluator, Values, WorldByWorld, disagreement
 from orbisim.vector.mirrored import Mirrored
@@ -29,6 +32,9 @@ Ids = npt.NDArray[np.int64]
 
 _CHECKED_STEPS = 3
 """Random steps after which both ways of evaluation are compared."""
+
+_SIMULATES = 10
+"""Timesteps at the beginning of an episode that are worth a thread."""
 
 FLAT = "observations"
 """dm_control's name of the one array of `flat_observation=True`."""
@@ -102,6 +108,8 @@ class VectorEnvironment:
         self._pristine: engine.Physics = first.physics
         self._physics: engine.Physics = first.physics.copy()
         self._tasks, self._randomization = Tasks(tasks), randomization
+        self._nthread = nthread or usable_cpus()
+        self._starters: list[tuple[engine.Physics, ModelFields]] = []
         self._action_spec = first.action_spec()
         model = self._pristine.model.ptr
         self._fields = ModelFields(model, self._physics.model.ptr, self.nworld)
@@ -227,6 +235,10 @@ class VectorEnvironment:
 
     def _begin(self, worlds: Ids, observation: dict[str, npt.NDArray[Any]]) -> None:
         """Starts an episode in some worlds, each with its own task on a dm_control physics."""
+        alike = self._randomization is None and not self._fields.varied
+        if self._simulates and alike and len(worlds) > self._nthread > 1:
+            self._begin_side_by_side(worlds, observation)
+            return
         physics = self._physics
         for world in worlds:
             task = self._tasks.each[world]
@@ -241,10 +253,45 @@ class VectorEnvironment:
             self._simulator.set_world(world, physics.data.ptr)
             for name, value in first.items():
                 observation[name][world] = value
+        self._have_begun(worlds)
+
+    def _have_begun(self, worlds: Ids) -> None:
         if self._fields.varied and len(worlds):
             self._simulator.set_models(worlds)
         self._count[worlds] = 0
         self._over[worlds] = False
+
+    def _begin_side_by_side(self, worlds: Ids, observation: dict[str, npt.NDArray[Any]]) -> None:
+        """The same in threads, for tasks that simulate when an episode begins: MuJoCo runs in all
+        of them at once."""
+        while len(self._starters) < self._nthread:
+            physics = self._pristine.copy()
+            physics.legacy_step = self._physics.legacy_step
+            fields = ModelFields(self._pristine.model.ptr, physics.model.ptr, 1)
+            self._starters.append((physics, fields))
+        changing = threading.Lock()
+
+        def begin(starter: tuple[engine.Physics, ModelFields], mine: Ids) -> None:
+            physics, fields = starter
+            for world in mine:
+                task = self._tasks.each[world]
+                with physics.reset_context():
+                    task.initialize_episode(physics)
+                first = self._flattened(task.get_observation(physics))
+                self._simulator.set_world(world, physics.data.ptr)
+                for name, value in first.items():
+                    observation[name][world] = value
+                if fields.changed():
+                    with changing:
+                        self._fields.copy_from(physics.model.ptr, int(world))
+                    fields.forget()
+
+        shares = np.array_split(worlds, self._nthread)
+        with concurrent.futures.ThreadPoolExecutor(self._nthread) as pool:
+            list(pool.map(begin, self._starters, shares))
+        for world in worlds:
+            self._tasks.note(world)
+        self._have_begun(worlds)
 
     def _advance(
         self,
@@ -371,8 +418,17 @@ class VectorEnvironment:
     def _first_spec(self) -> dict[str, tuple[tuple[int, ...], Any]]:
         """Shapes and types of the observations, from a first one of a copy of the first world."""
         physics, task = self._physics, copy.deepcopy(self._tasks.each[0])
+        simulated: list[int] = []
+
+        def step(nstep: int = 1) -> None:
+            simulated.append(nstep)
+            type(physics).step(physics, nstep)
+
+        physics.step = step
         with physics.reset_context():
             task.initialize_episode(physics)
+        del physics.step
+        self._simulates = sum(simulated) >= _SIMULATES
         found = task.get_observation(physics)
         self._order = list(found) if isinstance(found, collections.OrderedDict) else sorted(found)
         self._fields.forget()

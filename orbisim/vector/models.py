@@ -143,6 +143,10 @@ class ModelFields:
             self._watch()
         return bool(changed)
 
+    def changed(self) -> bool:
+        """Whether the working model is not what every world starts with, where nothing varies."""
+        return bool(self._changed())
+
     def vary(self, name: str) -> Floats:
         """Gives a field a value for each world, [nworld, ...]; the model's own to begin with."""
         if name not in self.varied:

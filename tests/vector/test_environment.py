@@ -232,3 +232,38 @@ def test_tensors() -> None:
     assert step.terminated.dtype == torch.bool
     with pytest.raises(InputError, match="'numpy' or 'torch'"):
         orbisim.vector.load("cheetah", "run", 2, arrays="jax")  # type: ignore[arg-type]
+
+
+class Settling(own.Reach):
+    """Lets the ball fall before an episode begins; of some episodes, in another model."""
+
+    varies = False
+
+    def initialize_episode(self, physics: Any) -> None:
+        physics.named.data.qpos["x"] = self.random.uniform(-0.2, 0.2)
+        self.far = self.random.uniform(1.0, 2.0)
+        physics.step(nstep=20)
+        physics.data.time = 0
+        if self.varies and self.random.uniform() < 0.5:
+            physics.named.model.site_pos["target", "x"] = self.random.uniform(-1, 1)
+
+
+class SettlingElsewhere(Settling):
+    """With a target that moves."""
+
+    varies = True
+
+
+@pytest.mark.parametrize("task", [Settling, SettlingElsewhere])
+def test_episodes_that_begin_side_by_side(task: type[own.Reach]) -> None:
+    load, make = orbisim.vector.from_environment, own.environment(task, time_limit=0.1)
+    several, one = (load(make, 12, seed=0, nthread=n) for n in (3, 1))
+    for k in range(14):
+        action = np.full((12, 1), 0.5 if k % 2 else -0.5)
+        step, expected = several.step(action), one.step(action)
+        np.testing.assert_array_equal(step.reward, expected.reward)
+        for name, rows in expected.observation.items():
+            np.testing.assert_array_equal(step.observation[name], rows)
+    assert len(several._starters) == 3 and not one._starters
+    assert set(several._fields.varied) == ({"site_pos"} if task.varies else set())
+    assert several.reset()["to_target"].tolist() == one.reset()["to_target"].tolist()
