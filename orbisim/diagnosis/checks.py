@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import copy
-
 import mujoco
 import numpy as np
 
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.consistency import inconsistency
+from orbisim.diagnosis.discretization import halving, typical_interval
 from orbisim.effects import effect_names, find
 from orbisim.evidence import NEAR
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.judge import Judged
-from orbisim.shooting.shooter import Variant
-from orbisim.shooting.windows import evenly
 
 
 def coarse_timestep(bench: Bench, residual: float) -> str | None:
@@ -25,13 +22,7 @@ def coarse_timestep(bench: Bench, residual: float) -> str | None:
     Args:
       residual: of the declared scene, over the noise.
     """
-    shooter = bench.shooter(evenly(np.ones(len(bench.windows), bool), _MOST))
-    still = np.zeros((len(shooter), 2 * shooter.nv))
-    variant, finer = Variant(bench.scene), copy.copy(shooter)
-    finer.substeps = 2 * shooter.substeps
-    runs = [one.scaled(one.simulate(variant, still)) for one in (shooter, finer)]
-    apart = np.sqrt(np.mean((runs[1] - runs[0]) ** 2, axis=1))
-    ratio = float(np.median(apart))  # windows with impacts differ in any case
+    ratio = halving(bench)
     if not ratio > max(_SHOWS, _PART * residual):
         return None
     step = float(bench.scene.model.opt.timestep)
@@ -46,8 +37,6 @@ _SHOWS = 1.0
 """Difference over noise, root mean square in a typical window, from which on it matters."""
 _PART = 0.3
 """... and share of the residual."""
-_MOST = 24
-"""Windows that are simulated twice."""
 
 
 def shortened(declared: Scene, taken: Scene) -> str | None:
@@ -66,10 +55,16 @@ def between_samples(bench: Bench) -> str | None:
     """A note if controls were taken to change between samples."""
     if not bench.lead:
         return None
-    interval = float(np.median(np.concatenate([np.diff(one.time) for one in bench.samples])))
+    if bench.lead.clock:
+        return (
+            "free runs predict surely better where controls change by the clock of their own that "
+            "the log shows: when each changes between two samples follows from it, and a mean was "
+            "taken there"
+        )
+    share, interval = bench.lead.share, typical_interval(bench)
     return (
-        f"free runs predict surely better where controls change {1e3 * bench.lead * interval:.2g} "
-        f"ms ({bench.lead:.0%} of a sampling interval) before the sample at which they are logged: "
+        f"free runs predict surely better where controls change {1e3 * share * interval:.2g} "
+        f"ms ({share:.0%} of a sampling interval) before the sample at which they are logged: "
         "between two samples a mean of both was taken (commands of a slower rate than the log's or "
         "beside its clock, or a simulated machine whose steps apply controls in another order)"
     )

@@ -7,15 +7,16 @@ logger, changes it somewhere between two samples, half an interval before the lo
 average; one that is logged by the loop that reads the sensors changes it a fixed part of an
 interval before. Sensors that are earlier than the clock would be named for that.
 
-So half the step, and controls that lead their samples by a share of an interval, are moves like any
-other, with the odds of an effect. As long as an effect is missing, they may stand in for a little
-of it: they are made if no effect does more, and unmade where the scene or the log as it was is
-worth no less. Where bodies touch the step is not tried: a
-contact depends on it by its definition.
+So a finer step, and controls that lead their samples by a share of an interval, are moves like any
+other, with the odds of an effect. They are made before effects are
+looked for: what a machine cannot have is no reason to name what it may have. As long as an effect
+is missing, they may stand in for a little of it: they are unmade where the scene or the log as it
+was is worth no less.
 """
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Callable
 
@@ -26,19 +27,22 @@ from orbisim.diagnosis.worth import worth
 from orbisim.evidence import EFFECT
 from orbisim.motion.linear import IntervalMap, linearize
 from orbisim.motion.samples import substeps
+from orbisim.recording.command_clock import Lead
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.judge import Judged
+from orbisim.shooting.shooter import Variant
+from orbisim.shooting.windows import evenly
 
 Other = tuple[Context, Judged]
 
 
 def other(context: Context, judged: Judged) -> Other | None:
-    """The same explanation with half the step, or controls that lead their samples, or both, as
-    often as that surely predicts better; None if it does not."""
+    """The same explanation with a finer step, or controls that lead their samples, or both, as
+    long as that surely predicts better; None if it does not."""
     found = None
     while True:
-        tried = [_again(context, judged, _halved), _earlier(context, judged)]
+        tried = [_finer(context, judged), _earlier(context, judged)]
         known = [(worth(context.bench, judged, one[1]).sure, one) for one in tried if one]
         best = max(known, key=lambda one: one[0], default=None)
         if best is None or not best[0] + EFFECT > 0:
@@ -55,7 +59,7 @@ def as_declared(context: Context, judged: Judged, declared: float) -> Other | No
     """
 
     def doubled(bench: Bench) -> Bench | None:
-        if bench.contacts or 2 * taken(bench) > _SLACK * taken(bench, declared):
+        if 2 * taken(bench) > _SLACK * taken(bench, declared):
             return None
         scene = with_timestep(bench.scene, 2 * taken(bench))
         return dataclasses.replace(bench, scene=scene)
@@ -89,22 +93,74 @@ def _taken(one: Other) -> Other:
     return context.on(_linearized(context.bench)), judged
 
 
-def _halved(bench: Bench) -> Bench | None:
-    if bench.contacts:
-        return None
-    return dataclasses.replace(bench, scene=with_timestep(bench.scene, taken(bench) / 2))
+def _finer(context: Context, judged: Judged) -> Other | None:
+    """The same explanation with the finer step that predicts best: half of it, a quarter, ... as
+    long as that is better and the error of the step matters, then the best number of steps a sample
+    between these. None where the step as it is predicts best.
+
+    The error of MuJoCo's integrators falls as the step does (what they hold over a step, they hold
+    for a time of its length): half the step changes as much as it leaves, and the log score is
+    nearly a parabola in the step."""
+    interval, step = typical_interval(context.bench), taken(context.bench)
+    gains: dict[float, float] = {step: 0.0}
+    found: dict[float, Other] = {}
+
+    def gain(finer: float) -> float:
+        one = _again(context, judged, lambda bench: _stepped(bench, finer))
+        gains[finer] = -np.inf if one is None else judged.loss - one[1].loss
+        if one is not None:
+            found[finer] = one
+        return gains[finer]
+
+    error = 2.0 * halving(context.bench)
+    while error > _MATTERS and len(gains) <= _HALVINGS:
+        step, most, error = step / 2.0, max(gains.values()), error / 2.0
+        if not gain(step) > most:
+            break
+    peak = _peak(gains, min(gains), max(gains))
+    if peak is not None:
+        between = interval / round(interval / peak)
+        if not any(np.isclose(between, one) for one in gains):
+            gain(between)
+    return found.get(max(gains, key=lambda finer: gains[finer]))
+
+
+def _stepped(bench: Bench, timestep: float) -> Bench:
+    return dataclasses.replace(bench, scene=with_timestep(bench.scene, timestep))
+
+
+def halving(bench: Bench) -> float:
+    """By how many times the noise free runs of the scene differ from those with half its timestep:
+    root mean square over a typical window, as windows with impacts differ in any case."""
+    shooter = bench.shooter(evenly(np.ones(len(bench.windows), bool), _MOST))
+    still = np.zeros((len(shooter), 2 * shooter.nv))
+    variant, finer = Variant(bench.scene), copy.copy(shooter)
+    finer.substeps = 2 * shooter.substeps
+    runs = [one.scaled(one.simulate(variant, still)) for one in (shooter, finer)]
+    return float(np.median(np.sqrt(np.mean((runs[1] - runs[0]) ** 2, axis=1))))
+
+
+_MATTERS = 0.25
+"""Error of a step, over the noise, that matters: with it a residual is 1.03 times the noise."""
+_HALVINGS = 5
+"""At once: a simulation takes as many times as long."""
+_MOST = 24
+"""Windows that are simulated twice."""
 
 
 def _earlier(context: Context, judged: Judged) -> Other | None:
-    """The same explanation with controls that lead their samples by the share of an interval that
-    predicts best; None where that is not asked, or controls lead already, or no share is better."""
-    if context.bench.lead != 0.0:
+    """The same explanation with controls that change by the clock that logs show, else that lead
+    their samples by the share of an interval that predicts best; None where that is not asked, or
+    controls lead already, or no share is better."""
+    if context.bench.lead is None or context.bench.lead:
         return None
+    if all(one.clocked for one in context.bench.samples):
+        return _again(context, judged, lambda bench: _led(bench, Lead(clock=True)))
     gains: dict[float, float] = {0.0: 0.0}
     found: dict[float, Other] = {}
 
     def gain(share: float) -> float:
-        one = _again(context, judged, lambda bench: _led(bench, share))
+        one = _again(context, judged, lambda bench: _led(bench, Lead(share)))
         gains[share] = -np.inf if one is None else judged.loss - one[1].loss
         if one is not None:
             found[share] = one
@@ -112,45 +168,40 @@ def _earlier(context: Context, judged: Judged) -> Other | None:
 
     if max(gain(share) for share in _SHARES) <= 0:
         return None
-    for _ in range(_REFINED):
-        share = _peak(gains)
-        if share is None:
+    for _ in range(_REFINED):  # a model that is linear in its controls has nearly a parabola
+        share = _peak(gains, 0.0, 1.0)
+        if share is None or min(abs(share - one) for one in gains) < _CLOSE:
             break
         gain(share)
     return found.get(max(gains, key=lambda share: gains[share]))
 
 
-def _peak(gains: dict[float, float]) -> float | None:
-    """Where the parabola through the best share and its neighbours is highest, None where that is
-    as good as known or the parabola has no peak: the log score of a model that is linear in its
-    controls is nearly a parabola in the share."""
-    known = sorted(share for share, value in gains.items() if np.isfinite(value))
-    best = known.index(max(known, key=lambda share: gains[share]))
+def _peak(gains: dict[float, float], low: float, high: float) -> float | None:
+    """Where the parabola through the best place and its neighbours is highest, within bounds; None
+    where it has no peak."""
+    known = sorted(place for place, value in gains.items() if np.isfinite(value))
+    best = known.index(max(known, key=lambda place: gains[place]))
     first = min(max(best - 1, 0), len(known) - 3)
     if first < 0:
         return None
     near = known[first : first + 3]
-    square, slope, _ = np.polyfit(near, [gains[share] for share in near], 2)
-    if square >= 0:
-        return None
-    share = float(np.clip(-slope / (2 * square), 0.0, 1.0))
-    return None if min(abs(share - one) for one in known) < _CLOSE else share
+    square, slope, _ = np.polyfit(np.array(near) / high, [gains[place] for place in near], 2)
+    return float(np.clip(-slope / (2 * square) * high, low, high)) if square < 0 else None
 
 
 def _logged(bench: Bench) -> Bench | None:
-    return _led(bench, 0.0) if bench.lead else None
+    return _led(bench, Lead()) if bench.lead else None
 
 
-def _led(bench: Bench, share: float) -> Bench:
-    """With controls that lead their samples by a share of an interval, and derivatives as they
-    were."""
-    samples = tuple(one.led(share) for one in bench.samples)
-    return dataclasses.replace(bench, samples=samples, lead=share)
+def _led(bench: Bench, lead: Lead) -> Bench:
+    """With controls that lead their samples, and derivatives as they were."""
+    samples = tuple(one.led(lead) for one in bench.samples)
+    return dataclasses.replace(bench, samples=samples, lead=lead)
 
 
-def leading(bench: Bench, share: float) -> Bench:
-    """The same data with controls that lead their samples by a share of an interval."""
-    return _linearized(_led(bench, share))
+def leading(bench: Bench, lead: Lead) -> Bench:
+    """The same data with controls that lead their samples."""
+    return _linearized(_led(bench, lead))
 
 
 def asked(bench: Bench) -> Bench:
@@ -160,7 +211,7 @@ def asked(bench: Bench) -> Bench:
         values = np.concatenate([one.ctrl, one.force], axis=1)
         changes = np.any(np.diff(values, axis=0) != 0, axis=1)
         if changes.mean() > _OFTEN:
-            return dataclasses.replace(bench, lead=0.0)
+            return dataclasses.replace(bench, lead=Lead())
     return bench
 
 
@@ -181,8 +232,13 @@ def taken(bench: Bench, timestep: float | None = None) -> float:
     """The step that a timestep means (the scene's if None), s: a typical sampling interval has a
     whole number of them."""
     timestep = float(bench.scene.model.opt.timestep) if timestep is None else timestep
-    interval = float(np.median(np.concatenate([np.diff(one.time) for one in bench.samples])))
+    interval = typical_interval(bench)
     return interval / int(substeps(interval, timestep))
+
+
+def typical_interval(bench: Bench) -> float:
+    """Between samples, s."""
+    return float(np.median(np.concatenate([np.diff(one.time) for one in bench.samples])))
 
 
 def along(bench: Bench, scene: Scene) -> Bench:

@@ -6,7 +6,7 @@ made.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -48,7 +48,7 @@ def best_move(found: Found, number: int) -> tuple[Judged | None, list[Tried], bo
     late = False
     share = _OF_TIME * context.deadline.left
     until = Deadline.after(share)
-    for kind in (_added, _retuned, _together, _two):
+    for kind in (_added, _retuned, _by_windows, _usual, _by_forces, _two):
         if best is not None and (number > 1 or kind is _two):
             if until.passed or _enough_for_now(context, current, best):
                 continue
@@ -238,28 +238,65 @@ def _two(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged
             yield closer
 
 
-def _together(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
-    """Many at once: on a real machine each looks wrong as long as the others are missing. What
-    every machine has at its joints; what windows of free runs say of all effects together; and what
-    the forces that are missing along the motion say. Each without what is not surely worth it: a
-    dozen cost too much to be compared with one."""
+def _by_windows(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
+    """What windows of free runs say of all effects together."""
+
+    def proposed(context: Context) -> tuple[EffectInstance, ...]:
+        settings = context.settings
+        most = settings.most_effects
+        return propose(context.bench, context.intervals, settings.effects, most)
+
+    yield from _together(found, number, proposed)
+
+
+def _usual(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
+    """What every machine has at its joints."""
+
+    def proposed(context: Context) -> tuple[EffectInstance, ...]:
+        bench, settings = context.bench, context.settings
+        most = settings.most_effects
+        return common_forces(bench.scene, bench.samples, settings.effects, most)
+
+    yield from _together(found, number, proposed)
+
+
+def _by_forces(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
+    """What the forces that are missing along the motion say of all effects together."""
+
+    def proposed(context: Context) -> tuple[EffectInstance, ...]:
+        bench, until = context.bench, Deadline.after(_OF_TIME * context.deadline.left)
+        found = attribute_forces(bench.scene, bench.samples, context.settings, deadline=until)
+        return found.hypothesis.effects[: context.settings.most_effects]
+
+    yield from _together(found, number, proposed)
+
+
+def _together(
+    found: Found, number: int, proposed: Callable[[Context], tuple[EffectInstance, ...]]
+) -> Iterator[Judged]:
+    """Many at once: on a real machine each looks wrong as long as the others are missing. Without
+    what is not surely worth it: a dozen cost too much to be compared with one."""
     context = found.context
     if number > 1 or context.bench.contacts:
         return
     context.say("several effects at once")
-    bench, settings = context.bench, context.settings
-    judge = Judge(bench, context.intervals, (), None, settings.windows, True, context.chance)
+    bench = context.bench
+    judge = Judge(
+        bench, context.intervals, (), None, context.settings.windows, True, context.chance
+    )
 
     def refit(less: Hypothesis, now: Judged) -> Judged | None:
         return judge.judge(less, begin=judge.begin(now))
 
-    for proposed in (_usual, _by_windows, _by_forces):
+    try:
         effects = proposed(context)
-        together = Hypothesis(effects).in_parts()
-        judged = judge.judge(together, _ITERATIONS) if effects else None
-        possible = None if judged is None else possible_of(bench, judge, judged, _ITERATIONS)
-        if possible is not None:
-            yield from _last(pruned(context, possible, refit))
+    except InputError:  # too few samples with accelerations
+        return
+    together = Hypothesis(effects).in_parts()
+    judged = judge.judge(together, _ITERATIONS) if effects else None
+    possible = None if judged is None else possible_of(bench, judge, judged, _ITERATIONS)
+    if possible is not None:
+        yield from _last(pruned(context, possible, refit))
 
 
 def _last(every: Iterator[Sure]) -> Iterator[Judged]:
@@ -271,28 +308,6 @@ def _last(every: Iterator[Sure]) -> Iterator[Judged]:
     finally:
         if last is not None:
             yield last.judged
-
-
-def _usual(context: Context) -> tuple[EffectInstance, ...]:
-    bench, settings = context.bench, context.settings
-    try:
-        return common_forces(bench.scene, bench.samples, settings.effects, settings.most_effects)
-    except InputError:  # too few samples with accelerations
-        return ()
-
-
-def _by_windows(context: Context) -> tuple[EffectInstance, ...]:
-    settings = context.settings
-    return propose(context.bench, context.intervals, settings.effects, settings.most_effects)
-
-
-def _by_forces(context: Context) -> tuple[EffectInstance, ...]:
-    bench, until = context.bench, Deadline.after(_OF_TIME * context.deadline.left)
-    try:
-        found = attribute_forces(bench.scene, bench.samples, context.settings, deadline=until)
-    except InputError:  # too few samples with accelerations
-        return ()
-    return found.hypothesis.effects[: context.settings.most_effects]
 
 
 _ITERATIONS = 8

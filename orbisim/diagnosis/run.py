@@ -337,8 +337,8 @@ def _result(
     changed = changed or bool(found.bench.lead)
     before = {"fit": score(scene, fit, window, (), backend)}
     before["held_out"] = score(scene, held, window, (), backend)
-    if share := found.bench.lead:
-        fit, held = held_led(fit, share), held_led(held, share)
+    if lead := found.bench.lead:
+        fit, held = held_led(fit, lead), held_led(held, lead)
     after = dict(before)
     if changed:
         after = {

@@ -15,13 +15,12 @@ import dataclasses
 import itertools
 
 from orbisim.diagnosis.context import Context, Progress, begun
-from orbisim.diagnosis.discretization import Other, other
+from orbisim.diagnosis.discretization import other
 from orbisim.diagnosis.explanations import EVEN, Found, done, quiet
 from orbisim.diagnosis.moves import best_move
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.simplification import in_form, named, removed, simplified
-from orbisim.diagnosis.worth import gains, worth
-from orbisim.evidence import EFFECT
+from orbisim.diagnosis.worth import worth
 from orbisim.host.deadline import NEVER, TimeIsUpError
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.hypothesis import Hypothesis
@@ -51,7 +50,7 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
     try:
         found = dataclasses.replace(found, context=context.with_tunables())
         say("screening effects")
-        found = dataclasses.replace(found, screening=found.context.screen(declared))
+        found = _in_best_form(found, screened=False)
         for number in itertools.count(1):
             later = _round(found, number)
             if later.late:
@@ -65,32 +64,45 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
 
 
 def _round(found: Found, number: int) -> Found:
-    """One move more, and what it makes superfluous gone; where no addition is surely worth it, one
-    that puts others in the place of what is there. The same if there is none."""
-    context, current = found.context, found.best
-    context.say(f"round {number}: {current.ratio:.3g} times the noise")
-    full = len(current.hypothesis.effects) >= context.settings.most_effects
-    if done(context, current) or full:
+    """One move more, in the form of the data that predicts best without it, and what the move makes
+    superfluous gone; where no addition is surely worth it, one that puts others in the place of
+    what is there. The same if there is none."""
+    found.context.say(f"round {number}: {found.best.ratio:.3g} times the noise")
+    full = len(found.best.hypothesis.effects) >= found.context.settings.most_effects
+    if done(found.context, found.best) or full:
         return simplified(found, number)
-    form = other(context, current)
-    if form is not None and done(*form):
-        return in_form(found, form)
+    if number > 1:
+        found = _in_best_form(found)
+        if found.late or done(found.context, found.best):
+            return found
     best, tried, late = best_move(found, number)
     found = dataclasses.replace(found, tried=(*found.tried, *tried))
     kept = found if best is None else dataclasses.replace(found, best=best)
     if late:
         return dataclasses.replace(kept, late=True)
     try:
-        return _made(found, number, best, form)
+        return _made(found, number, best)
     except TimeIsUpError:  # what was found is the answer, and not to be lost
         return dataclasses.replace(kept, late=True)
 
 
-def _made(found: Found, number: int, best: Judged | None, form: Other | None) -> Found:
-    """The best move, or another form of the data if that is worth more, or something simpler."""
-    context, current = found.context, found.best
-    if form is not None and (best is None or _less(context, current, best, form[1])):
+def _in_best_form(found: Found, screened: bool = True) -> Found:
+    """In the form of the data that predicts best, with the screening of the declared scene there.
+
+    Args:
+      screened: whether there is one of the form that there is.
+    """
+    form = other(found.context, found.best)
+    if form is not None:
         return in_form(found, form)
+    if screened:
+        return found
+    return dataclasses.replace(found, screening=found.context.screen(found.best))
+
+
+def _made(found: Found, number: int, best: Judged | None) -> Found:
+    """The best move, or something simpler where there is none."""
+    context, current = found.context, found.best
     if best is None:
         return simplified(found, number)
     fair = _fairly(context, current, best)
@@ -108,12 +120,6 @@ def _fairly(context: Context, current: Judged, better: Judged) -> Judged | None:
     if again is None or not again.loss < current.loss:
         return None
     return None if worth(context.bench, again, better).sure > 0 else again
-
-
-def _less(context: Context, current: Judged, one: Judged, other: Judged) -> bool:
-    """Whether one is worth less than another, both over what there is."""
-    known = gains(context.bench, current, [one, other])
-    return known[0].total < known[1].total + EFFECT
 
 
 def _renewed(context: Context, judged: Judged) -> tuple[Context, Judged]:

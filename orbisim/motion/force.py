@@ -20,6 +20,7 @@ from orbisim.effects.carry import hooks_of
 from orbisim.effects.running import ACCELERATION_STAGE, HookRunner
 from orbisim.motion.hidden import Layout, carried_along
 from orbisim.motion.samples import Samples
+from orbisim.recording.command_clock import Lead
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
@@ -49,7 +50,7 @@ def force_residual(samples: Sequence[Samples], scene: Scene, every: int = 1) -> 
       scene: the declared scene, or one with effects added. Joints that an effect added rest.
       every: only every so many usable rows are computed; the others are NaN.
     """
-    return [_one(sample.led(0.0), sample.qacc_std, scene, every) for sample in samples]
+    return [_one(sample.led(Lead()), sample.qacc_std, scene, every) for sample in samples]
 
 
 def _one(one: Samples, spread: Floats, scene: Scene, every: int) -> ForceResidual:

@@ -19,10 +19,10 @@ import numpy.typing as npt
 from orbisim.effects.base import Extent
 from orbisim.errors import RecordingError
 from orbisim.recording import Bound, Recording, bind, estimate_motion, noise_std
+from orbisim.recording.command_clock import Lead, command_clock
 from orbisim.recording.initial import activations, histories, starts
 from orbisim.recording.joints import Kind, joints
 from orbisim.recording.noise import lattice_step
-from orbisim.recording.zero_order_hold import led
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
@@ -87,11 +87,16 @@ class Samples:
         """[T, nv]: standard deviation of the smoothed acceleration by measurement noise."""
         return np.nan_to_num(estimate_motion(self.bound).qacc_std)
 
-    def led(self, share: float) -> Samples:
-        """With controls and forces that change a share of a sampling interval before the sample
-        that logs it; 0: as they were logged (see `orbisim.recording.zero_order_hold.led`)."""
-        ctrl, force = led(self.bound.ctrl, share), led(_applied(self.bound), share)
+    def led(self, lead: Lead) -> Samples:
+        """With controls and forces that change before the samples that log them."""
+        ctrl, force = lead.of(self.time, self.bound.ctrl, _applied(self.bound))
         return dataclasses.replace(self, ctrl=ctrl, force=force)
+
+    @functools.cached_property
+    def clocked(self) -> bool:
+        """Whether the log shows by which clock controls and forces change."""
+        values = np.concatenate([self.bound.ctrl, _applied(self.bound)], axis=1)
+        return command_clock(self.time, values) is not None
 
     @property
     def source(self) -> str:

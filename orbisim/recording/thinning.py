@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.recording import Recording, names
-from orbisim.recording.zero_order_hold import led
+from orbisim.recording.command_clock import Lead
 
 Floats = npt.NDArray[np.float64]
 
@@ -64,13 +64,14 @@ def thinned(recordings: Sequence[Recording], window: float, notes: list[str]) ->
     return found
 
 
-def held_led(recordings: Sequence[Recording], share: float) -> list[Recording]:
-    """Recordings with controls and torques that change a share of a sampling interval before the
-    sample that logs it (see `orbisim.recording.zero_order_hold.led`)."""
+def held_led(recordings: Sequence[Recording], lead: Lead) -> list[Recording]:
+    """Recordings with controls and torques that change before the samples that log them."""
     found = []
     for one in recordings:
-        held = {n: led(v, share) for n, v in one.signals.items() if names.split(n)[0] in names.HELD}
-        found.append(one.replace(signals={**one.signals, **held}))
+        held = [n for n in one.signals if names.split(n)[0] in names.HELD]
+        values = lead.of(one.time, *(one.signals[n].reshape(len(one), -1) for n in held))
+        changed = {n: v.reshape(one.signals[n].shape) for n, v in zip(held, values, strict=True)}
+        found.append(one.replace(signals={**one.signals, **changed}))
     return found
 
 

@@ -24,14 +24,13 @@ def filled(values: Floats) -> Floats:
     return np.asarray(np.take_along_axis(values, last, axis=0))
 
 
-def led(values: Floats, share: float) -> Floats:
+def led(values: Floats, share: float | Floats) -> Floats:
     """[T, ...]: means between samples of a signal that changes before the sample that logs it.
 
     Args:
       values: [T, ...] the signal at the samples.
-      share: of a sampling interval, 0 to 1, by which each change comes before its sample: 0.5 for
-        changes anywhere between two samples, which come half an interval before on average. The
-        last value stays.
+      share: of a sampling interval, 0 to 1, by which each change comes before its sample: of all,
+        or [T - 1, ...] of each. The last value stays.
     """
     found = np.array(values, np.float64)
     found[:-1] += share * (found[1:] - found[:-1])

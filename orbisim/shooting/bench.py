@@ -12,6 +12,7 @@ from orbisim.errors import InputError
 from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.linear import IntervalMap, Intervals, linearize
 from orbisim.motion.samples import Samples
+from orbisim.recording.command_clock import Lead
 from orbisim.scene import Scene
 from orbisim.shooting.cutting import (
     TOO_SHORT,
@@ -45,8 +46,8 @@ class Bench:
       noise: standard deviations of positions and velocities.
       contacts: whether the motion has contacts, where derivatives hold only close by.
       deadline: when simulation ends with `TimeIsUpError`.
-      lead: share of a sampling interval by which controls and recorded forces change before the
-        sample that logs them (`orbisim.motion.samples.Samples.led`); None where that is not asked.
+      lead: by how much controls and recorded forces change before the sample that logs them
+        (`orbisim.motion.samples.Samples.led`); None where that is not asked.
     """
 
     scene: Scene
@@ -59,7 +60,7 @@ class Bench:
     noise: Noise
     contacts: bool = False
     deadline: Deadline = NEVER
-    lead: float | None = None
+    lead: Lead | None = None
 
     def shooter(self, keep: Bools) -> Shooter:
         """Simulates the chosen windows."""

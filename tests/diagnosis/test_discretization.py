@@ -13,6 +13,7 @@ from orbisim.diagnosis.discretization import _peak, as_declared, asked, other, w
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
 from orbisim.motion.samples import prepare_all
+from orbisim.recording.command_clock import Lead
 from orbisim.shooting.bench import make_bench
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.testing import inject_effect
@@ -103,7 +104,7 @@ def test_controls_that_change_between_samples_are_no_early_sensor() -> None:
     runs = [_commanded(seed, 0.0273) for seed in range(4)]
     result = orbisim.diagnose(_scene(0.001), runs, progress=False)
     assert not result.effects
-    assert any("before the sample at which they are logged" in note for note in result.notes)
+    assert any("by the clock of their own that the log shows" in note for note in result.notes)
     assert result.error["held_out"]["after"] < 0.9 * result.error["held_out"]["before"]
 
 
@@ -111,7 +112,7 @@ def test_controls_that_change_at_samples_are_held_from_there() -> None:
     scene = _scene(0.001)
     runs = [_commanded(seed, 0.01, 0.0) for seed in range(4)]
     bench = asked(make_bench(scene, prepare_all(runs, scene), 0.5))
-    assert bench.lead == 0.0
+    assert bench.lead == Lead()
     context = begun(bench, Settings(), lambda _: None)
     judged = context.judge.judge(Hypothesis())
     assert judged is not None
@@ -128,20 +129,56 @@ def test_the_time_by_which_controls_lead_is_found() -> None:
     assert judged is not None
     found = other(context, judged)
     assert found is not None
-    assert found[0].bench.lead == pytest.approx(0.2, abs=0.03)
+    assert found[0].bench.lead is not None and not found[0].bench.lead.clock
+    assert found[0].bench.lead.share == pytest.approx(0.2, abs=0.03)
 
 
 @pytest.mark.parametrize(
     ("gains", "peak"),
     [
-        ({0.0: 0.0, 0.05: 0.19, 0.5: 1.0}, None),  # of 4 s (1 - s): at 0.5, which is known
+        ({0.0: 0.0, 0.05: 0.19, 0.5: 1.0}, 0.5),  # of 4 s (1 - s): where it is known
         ({0.0: 0.0, 0.05: 3.5, 0.5: -10.0}, 0.2),  # of 80 s - 200 s²
         ({0.0: 0.0, 0.05: 2.45, 0.5: 20.0}, 1.0),  # of 50 s - 20 s²: no further than an interval
         ({0.0: 0.0, 0.05: -np.inf, 0.5: 1.0}, None),
+        ({0.0: 0.0, 0.05: 1.0, 0.5: 20.0}, None),  # the steeper the further: no peak
     ],
 )
 def test_the_next_share_is_a_parabolas_peak(gains: dict[float, float], peak: float | None) -> None:
-    assert _peak(gains) == (None if peak is None else pytest.approx(peak, abs=0.02))
+    found = _peak(gains, 0.0, 1.0)
+    assert found == (None if peak is None else pytest.approx(peak, abs=0.02))
+
+
+@pytest.mark.parametrize("true", [0.001, 0.00125, 0.0025])
+def test_the_step_that_predicts_best_is_found(true: float) -> None:
+    """Not only halves of the declared one: what is left of a simulated machine's own step would be
+    named as a damping or a clock."""
+    runs = inject_effect(_scene(true), [], duration=4.0, episodes=4, noise=2e-4, seed=1)
+    scene = _scene(0.01)
+    bench = make_bench(scene, prepare_all(runs, scene), 0.5)
+    context = begun(bench, Settings(), lambda _: None)
+    judged = context.judge.judge(Hypothesis())
+    assert judged is not None
+    found = other(context, judged)
+    assert found is not None and found[1].ratio < 1.05
+    assert found[0].bench.scene.model.opt.timestep == pytest.approx(true, rel=0.35)
+
+
+def test_a_step_is_shortened_where_bodies_touch() -> None:
+    ball = """<mujoco><option timestep="{step}"/><worldbody>
+      <geom name="floor" type="plane" size="5 5 .1"/>
+      <body pos="0 0 .5"><freejoint name="free"/><geom type="sphere" size=".05" mass=".2"/></body>
+      <body pos="1 0 1"><joint name="hinge" axis="0 1 0" damping=".01"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass=".3"/></body></worldbody>
+      <actuator><position name="servo" joint="hinge" kp="4" kv=".2"/></actuator></mujoco>"""
+    truth, scene = (orbisim.load_scene(ball.format(step=step)) for step in (0.001, 0.008))
+    runs = inject_effect(truth, [], duration=2.0, episodes=4, noise=2e-4, seed=1)
+    bench = make_bench(scene, prepare_all(runs, scene), 0.25)
+    context = begun(bench, Settings(), lambda _: None)
+    judged = context.judge.judge(Hypothesis())
+    assert judged is not None
+    found = other(context, judged)
+    assert found is not None and found[0].bench.contacts
+    assert found[0].bench.scene.model.opt.timestep < 0.005
 
 
 def test_controls_that_hardly_change_are_not_asked() -> None:

@@ -1,0 +1,86 @@
+"""When commands change follows from a log, where they have a clock that is not the log's."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from orbisim.recording.command_clock import Lead, command_clock
+
+RATE = 100.0
+Floats = npt.NDArray[np.float64]
+
+
+def _log(period: float, phase: float, count: int = 800, seed: int = 0) -> tuple[Floats, Floats]:
+    """Stamps [T], s, and commands [T, 2] that change at phase + n * period."""
+    time = np.arange(count) / RATE
+    levels = np.random.default_rng(seed).permutation(2 * (count + 2)).reshape(-1, 2) + 0.0
+    number = np.floor((time - phase) / period).astype(int) + 1
+    return time, levels[np.maximum(number, 0)]
+
+
+def _shares(time: Floats, period: float, phase: float) -> Floats:
+    """[T - 1]: share of each interval that follows its tick."""
+    ticks = phase + period * np.arange(int(time[-1] / period) + 1)
+    shares = np.zeros(len(time) - 1)
+    for tick in ticks[(ticks > 0) & (ticks < time[-1])]:
+        row = int(np.searchsorted(time, tick)) - 1
+        shares[row] = (time[row + 1] - tick) * RATE
+    return shares
+
+
+@given(st.floats(1.15, 8.0), st.floats(0.0, 1.0))
+def test_a_share_is_what_is_left_of_an_interval_after_the_change(
+    samples: float, place: float
+) -> None:
+    period = samples / RATE
+    phase = place * period + 1e-7  # at a sample, rounding would decide
+    time, values = _log(period, phase)
+    found = command_clock(time, values)
+    assume(found is not None)
+    assert found is not None
+    np.testing.assert_allclose(found, _shares(time, period, phase), atol=0.31)
+
+
+@pytest.mark.parametrize("samples", [1.37, 2.718, 3.1416, 5.77])
+def test_clocks_that_are_no_multiple_of_the_interval_are_found(samples: float) -> None:
+    period, phase = samples / RATE, 0.4 * samples / RATE
+    time, values = _log(period, phase)
+    found = command_clock(time, values)
+    assert found is not None
+    np.testing.assert_allclose(found, _shares(time, period, phase), atol=0.1)
+
+
+def test_stamps_may_jitter_and_commands_may_stay() -> None:
+    rng, period, phase = np.random.default_rng(1), 2.718 / RATE, 0.011
+    time, values = _log(period, phase)
+    true = _shares(time, period, phase)
+    stays = np.flatnonzero(true)[::7]
+    for row in stays:  # the command of this tick is the one before
+        values[row + 1 :] += values[row] - values[row + 1]
+    found = command_clock(time + 1e-4 * rng.uniform(-1, 1, len(time)), values)
+    assert found is not None
+    true[stays] = 0.0
+    np.testing.assert_allclose(found, true, atol=0.15)
+
+
+def test_no_clock_where_the_log_leaves_it_open() -> None:
+    rng = np.random.default_rng(0)
+    time, values = _log(3.0 / RATE, 0.004)  # changes anywhere in every third interval
+    assert command_clock(time, values) is None
+    assert command_clock(time, rng.normal(size=(len(time), 1))) is None  # at every sample
+    assert command_clock(time, np.repeat(rng.normal(size=8), 100)[:, None]) is None  # seldom
+    rows = np.sort(rng.choice(len(time), 250, replace=False))  # at no regular time
+    values = np.searchsorted(rows, np.arange(len(time)))[:, None].astype(float)
+    assert command_clock(time, values) is None
+
+
+def test_a_lead_without_a_clock_is_a_share() -> None:
+    time, values = np.arange(4.0), np.array([[0.0], [2.0], [2.0], [6.0]])
+    for lead in (Lead(0.25), Lead(0.25, clock=True)):
+        (found,) = lead.of(time, values)
+        np.testing.assert_allclose(found[:, 0], [0.5, 2.0, 3.0, 6.0])
+    assert Lead(0.25) and Lead(clock=True) and not Lead()
