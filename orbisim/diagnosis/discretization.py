@@ -7,18 +7,18 @@ logger, changes it somewhere between two samples, half an interval before the lo
 average; one that is logged by the loop that reads the sensors changes it a fixed part of an
 interval before. Sensors that are earlier than the clock would be named for that.
 
-So a finer step, and controls that lead their samples by a share of an interval, are moves like any
-other, with the odds of an effect. They are made before effects are
-looked for: what a machine cannot have is no reason to name what it may have. As long as an effect
-is missing, they may stand in for a little of it: they are unmade where the scene or the log as it
-was is worth no less.
+So a finer step, and controls that lead their samples, are moves like any other, with the odds of an
+effect. A finer step, and changes by a clock that the log shows, come before effects: what no
+machine has is no reason to name what it may have. A share of an interval by which controls lead may
+stand in for a little of an effect that is missing: it is taken if no effect does more. All are
+undone where the scene or the log as it was is worth no less.
 """
 
 from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -37,17 +37,30 @@ from orbisim.shooting.windows import evenly
 Other = tuple[Context, Judged]
 
 
-def other(context: Context, judged: Judged) -> Other | None:
-    """The same explanation with a finer step, or controls that lead their samples, or both, as
-    long as that surely predicts better; None if it does not."""
+def settled(context: Context, judged: Judged) -> Other | None:
+    """The same explanation with a finer step, or controls by the clock that logs show, or both, as
+    long as that surely predicts better; None if it does not. No machine has a timestep, and a log's
+    clock is read off the log: neither has to wait for effects."""
     found = None
     while True:
-        tried = [_finer(context, judged), _earlier(context, judged)]
-        known = [(worth(context.bench, judged, one[1]).sure, one) for one in tried if one]
-        best = max(known, key=lambda one: one[0], default=None)
-        if best is None or not best[0] + EFFECT > 0:
+        tried = (_finer(context, judged), _clocked(context, judged))
+        better = _surest(context, judged, tried)
+        if better is None:
             return found
-        found = context, judged = _taken(best[1])
+        found = context, judged = better
+
+
+def earlier(context: Context, judged: Judged) -> Other | None:
+    """The same explanation with controls that lead their samples by the share of an interval that
+    predicts best, if that is surely better; None if not. As long as an effect is missing, a share
+    may stand in for a part of it."""
+    return _surest(context, judged, (_shared(context, judged),))
+
+
+def _surest(context: Context, judged: Judged, tried: Iterable[Other | None]) -> Other | None:
+    known = [(worth(context.bench, judged, one[1]).sure, one) for one in tried if one]
+    best = max(known, key=lambda one: one[0], default=None)
+    return _taken(best[1]) if best is not None and best[0] + EFFECT > 0 else None
 
 
 def as_declared(context: Context, judged: Judged, declared: float) -> Other | None:
@@ -148,14 +161,16 @@ _MOST = 24
 """Windows that are simulated twice."""
 
 
-def _earlier(context: Context, judged: Judged) -> Other | None:
-    """The same explanation with controls that change by the clock that logs show, else that lead
-    their samples by the share of an interval that predicts best; None where that is not asked, or
-    controls lead already, or no share is better."""
+def _clocked(context: Context, judged: Judged) -> Other | None:
+    bench = context.bench
+    if bench.lead is None or bench.lead or not all(one.clocked for one in bench.samples):
+        return None
+    return _again(context, judged, lambda bench: _led(bench, Lead(clock=True)))
+
+
+def _shared(context: Context, judged: Judged) -> Other | None:
     if context.bench.lead is None or context.bench.lead:
         return None
-    if all(one.clocked for one in context.bench.samples):
-        return _again(context, judged, lambda bench: _led(bench, Lead(clock=True)))
     gains: dict[float, float] = {0.0: 0.0}
     found: dict[float, Other] = {}
 

@@ -15,12 +15,13 @@ import dataclasses
 import itertools
 
 from orbisim.diagnosis.context import Context, Progress, begun
-from orbisim.diagnosis.discretization import other
+from orbisim.diagnosis.discretization import Other, earlier, settled
 from orbisim.diagnosis.explanations import EVEN, Found, done, quiet
 from orbisim.diagnosis.moves import best_move
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.simplification import in_form, named, removed, simplified
-from orbisim.diagnosis.worth import worth
+from orbisim.diagnosis.worth import gains, worth
+from orbisim.evidence import EFFECT
 from orbisim.host.deadline import NEVER, TimeIsUpError
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.hypothesis import Hypothesis
@@ -55,8 +56,8 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
             later = _round(found, number)
             if later.late:
                 return later
-            settled, found = later.best is found.best, later
-            if settled:
+            ended, found = later.best is found.best, later
+            if ended:
                 return named(found)
     except TimeIsUpError:
         return dataclasses.replace(found, late=True)
@@ -75,13 +76,16 @@ def _round(found: Found, number: int) -> Found:
         found = _in_best_form(found)
         if found.late or done(found.context, found.best):
             return found
+    lead = earlier(found.context, found.best)
+    if lead is not None and done(*lead):
+        return in_form(found, lead)
     best, tried, late = best_move(found, number)
     found = dataclasses.replace(found, tried=(*found.tried, *tried))
     kept = found if best is None else dataclasses.replace(found, best=best)
     if late:
         return dataclasses.replace(kept, late=True)
     try:
-        return _made(found, number, best)
+        return _made(found, number, best, lead)
     except TimeIsUpError:  # what was found is the answer, and not to be lost
         return dataclasses.replace(kept, late=True)
 
@@ -92,7 +96,7 @@ def _in_best_form(found: Found, screened: bool = True) -> Found:
     Args:
       screened: whether there is one of the form that there is.
     """
-    form = other(found.context, found.best)
+    form = settled(found.context, found.best)
     if form is not None:
         return in_form(found, form)
     if screened:
@@ -100,9 +104,12 @@ def _in_best_form(found: Found, screened: bool = True) -> Found:
     return dataclasses.replace(found, screening=found.context.screen(found.best))
 
 
-def _made(found: Found, number: int, best: Judged | None) -> Found:
-    """The best move, or something simpler where there is none."""
+def _made(found: Found, number: int, best: Judged | None, lead: Other | None) -> Found:
+    """The best move, or controls that lead their samples if that is worth more, or something
+    simpler where there is neither."""
     context, current = found.context, found.best
+    if lead is not None and (best is None or _less(context, current, best, lead[1])):
+        return in_form(found, lead)
     if best is None:
         return simplified(found, number)
     fair = _fairly(context, current, best)
@@ -120,6 +127,12 @@ def _fairly(context: Context, current: Judged, better: Judged) -> Judged | None:
     if again is None or not again.loss < current.loss:
         return None
     return None if worth(context.bench, again, better).sure > 0 else again
+
+
+def _less(context: Context, current: Judged, one: Judged, other: Judged) -> bool:
+    """Whether one is worth less than another, both over what there is."""
+    known = gains(context.bench, current, [one, other])
+    return known[0].total < known[1].total + EFFECT
 
 
 def _renewed(context: Context, judged: Judged) -> tuple[Context, Judged]:

@@ -9,7 +9,14 @@ import pytest
 
 import orbisim
 from orbisim.diagnosis.context import begun
-from orbisim.diagnosis.discretization import _peak, as_declared, asked, other, with_timestep
+from orbisim.diagnosis.discretization import (
+    _peak,
+    as_declared,
+    asked,
+    earlier,
+    settled,
+    with_timestep,
+)
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
 from orbisim.motion.samples import prepare_all
@@ -53,7 +60,7 @@ def test_a_step_that_is_right_stays() -> None:
     context = begun(bench, Settings(), lambda _: None)
     judged = context.judge.judge(Hypothesis())
     assert judged is not None
-    assert other(context, judged) is None and as_declared(context, judged, 0.005) is None
+    assert settled(context, judged) is None and as_declared(context, judged, 0.005) is None
 
 
 def test_a_step_does_not_stand_in_for_an_effect_in_the_end() -> None:
@@ -116,7 +123,7 @@ def test_controls_that_change_at_samples_are_held_from_there() -> None:
     context = begun(bench, Settings(), lambda _: None)
     judged = context.judge.judge(Hypothesis())
     assert judged is not None
-    found = other(context, judged)
+    found = earlier(context, judged)
     assert found is None or not found[0].bench.lead
 
 
@@ -127,7 +134,7 @@ def test_the_time_by_which_controls_lead_is_found() -> None:
     context = begun(bench, Settings(), lambda _: None)
     judged = context.judge.judge(Hypothesis())
     assert judged is not None
-    found = other(context, judged)
+    found = earlier(context, judged)
     assert found is not None
     assert found[0].bench.lead is not None and not found[0].bench.lead.clock
     assert found[0].bench.lead.share == pytest.approx(0.2, abs=0.03)
@@ -158,7 +165,7 @@ def test_the_step_that_predicts_best_is_found(true: float) -> None:
     context = begun(bench, Settings(), lambda _: None)
     judged = context.judge.judge(Hypothesis())
     assert judged is not None
-    found = other(context, judged)
+    found = settled(context, judged)
     assert found is not None and found[1].ratio < 1.05
     assert found[0].bench.scene.model.opt.timestep == pytest.approx(true, rel=0.35)
 
@@ -176,7 +183,7 @@ def test_a_step_is_shortened_where_bodies_touch() -> None:
     context = begun(bench, Settings(), lambda _: None)
     judged = context.judge.judge(Hypothesis())
     assert judged is not None
-    found = other(context, judged)
+    found = settled(context, judged)
     assert found is not None and found[0].bench.contacts
     assert found[0].bench.scene.model.opt.timestep < 0.005
 
