@@ -120,12 +120,15 @@ class Engine(Stepping):
         )
 
     def native_step(self, state: State, control: Array) -> State:
-        """The state after a step."""
+        """The state after a step; torch's own where `NativeStep` takes no such numbers."""
         arrays = [state.qpos, state.qvel, state.act]
         memory = state.memory.get(MEMORY, self._fresh)
         if memory.shape != self._fresh.shape:
             memory = self._fresh
-        *arrays, memory = self.native(*arrays, control, memory)
+        found = self.native(*arrays, control, memory)
+        if found is None:
+            return self.state(state, self.run(state, control[:, None], 1), self.layout.timestep)
+        *arrays, memory = found
         qpos, qvel, act, memory = (a.astype(np.float64) for a in (*arrays, memory))
         kept = {name: value for name, value in state.memory.items() if name not in STALE}
         time = state.time + self.layout.timestep
