@@ -67,7 +67,7 @@ def _moves(backend: LearnedBackend, way: str, push: Callable[[Entities, int], En
 
         class Stepper:
             model, completed = real.model, real.completed
-            initial_memory = real.initial_memory
+            initial_memory, described = real.initial_memory, real.described
             __call__ = staticmethod(step)
 
         engine.stepper = Stepper()  # type: ignore[assignment]
