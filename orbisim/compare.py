@@ -198,8 +198,9 @@ def compare(
 
     Args:
       scene: a path or task name, a scene, or episodes with initial states of their own.
-      a, b: names or objects of the two backends; `a` is the reference. An object that has a
-        scene keeps it (a changed one, say), one that has none is given `scene`.
+      a: name or object of the backend that is the reference. An object that has a scene keeps it
+        (a changed one, say), one that has none is given `scene`.
+      b: name or object of the other backend; likewise.
       count: number of episodes.
       horizon: duration of each, s; that of the task, or 2 s, if None.
       seed: of initial states and controls.

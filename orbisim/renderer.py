@@ -56,7 +56,8 @@ class Renderer(abc.ABC):
           state: the state; positions are all that matters to a classical renderer.
           world: which of its worlds.
           camera: name or number of a camera of the scene; -1 for the free camera.
-          height, width: in pixels.
+          height: in pixels.
+          width: in pixels.
           mode: `rgb` gives uint8 [height, width, 3]; `depth` float32 [height, width] in m;
             `segmentation` int32 [height, width, 2], (object id, `mujoco.mjtObj`), background
             (-1, -1).

@@ -340,7 +340,8 @@ BENCHMARKS: dict[str, Callable[[Any, Any], Any]] = {
 
 def _inputs(stepper: Any, worlds: int, shared: bool = False) -> Any:
     x, _, control, context = inputs_of(stepper.model, worlds, stepper.device, shared)
-    return stepper.completed(x), stepper.initial_memory(worlds), control, context
+    described = stepper.described(context)
+    return stepper.completed(x), stepper.initial_memory(worlds), control, described
 
 
 def inputs_of(model: Any, worlds: int, device: torch.device, shared: bool = False) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -24,6 +24,13 @@ from orbisim_world_model.stepper import Speedups, Stepper, plain_step
 from orbisim_world_model.stepping import MEMORY, STALE, Stepping, Steps
 
 ATTRIBUTES, SETTINGS = "world_model_attributes", "world_model_settings"
+
+
+class Descriptors(NamedTuple):
+    """A scene's descriptors: as they are, and as the stepper takes them for many steps."""
+
+    given: Context
+    described: Context
 
 
 class Engine(Stepping):
@@ -49,7 +56,7 @@ class Engine(Stepping):
             for read in (read_attributes, read_settings)
         )
         self._attributes, self._settings = attributes[None], settings[None]
-        self._scenes: Context | None = None  # of as many worlds as were asked for last
+        self._scenes: Descriptors | None = None  # of as many worlds as were asked for last
         self._parts = parts_of(scene, self.layout, self.device)
         self.guard = Guard(self.checkpoint.manifest, self.layout, scene.model)
         if self.native is not None:
@@ -60,9 +67,10 @@ class Engine(Stepping):
         given = (state.qpos, state.qvel, state.act, controls, *state.memory.values())
         gradients = torch.is_grad_enabled() and any(map(has_gradient, given))
         step = self._step_exactly if gradients else self.stepper
+        described = self.context if gradients else self.described
         with torch.set_grad_enabled(gradients):
             x = self.stepper.model.completed(self.entities(state))
-            memory, context = self.memory(state), self.context(state)
+            memory, context = self.memory(state), described(state)
             inputs = tensor(controls, self.device)
             found, spreads = [], []
             for t in range(inputs.shape[1]):
@@ -115,17 +123,19 @@ class Engine(Stepping):
             and state.nworld == 1
             and isinstance(state.qpos, np.ndarray)
             and isinstance(control, np.ndarray)
-            and ATTRIBUTES not in state.memory
-            and SETTINGS not in state.memory
+            and not _own(state)
         )
 
     def native_step(self, state: State, control: Array) -> State:
-        """The state after a step."""
+        """The state after a step; torch's own where `NativeStep` takes no such numbers."""
         arrays = [state.qpos, state.qvel, state.act]
         memory = state.memory.get(MEMORY, self._fresh)
         if memory.shape != self._fresh.shape:
             memory = self._fresh
-        *arrays, memory = self.native(*arrays, control, memory)
+        found = self.native(*arrays, control, memory)
+        if found is None:
+            return self.state(state, self.run(state, control[:, None], 1), self.layout.timestep)
+        *arrays, memory = found
         qpos, qvel, act, memory = (a.astype(np.float64) for a in (*arrays, memory))
         kept = {name: value for name, value in state.memory.items() if name not in STALE}
         time = state.time + self.layout.timestep
@@ -168,20 +178,38 @@ class Engine(Stepping):
 
     def context(self, state: State) -> Context:
         """The descriptors of each world: the state's own, or the scene's, always the same one."""
-        count, own = state.nworld, ATTRIBUTES in state.memory or SETTINGS in state.memory
-        if not own and self._scenes is not None and len(self._scenes.attributes) == count:
-            return self._scenes
+        if not _own(state):
+            return self._scene(state.nworld).given
         attributes = tensor(state.memory.get(ATTRIBUTES, self._attributes), self.device)
         settings = tensor(state.memory.get(SETTINGS, self._settings), self.device)
-        found = Context(
+        return self._spread(attributes, settings, state.nworld)
+
+    def described(self, state: State) -> Context:
+        """`context` as the stepper takes it (see `Stepper.described`); the scene's is made once."""
+        if _own(state):
+            return self.stepper.described(self.context(state))
+        return self._scene(state.nworld).described
+
+    def _scene(self, count: int) -> Descriptors:
+        """Those of the scene, for so many worlds; threads may ask for different numbers."""
+        found = self._scenes
+        if found is None or len(found.given.attributes) != count:
+            given = self._spread(self._attributes, self._settings, count)
+            found = self._scenes = Descriptors(given, self.stepper.described(given))
+        return found
+
+    def _spread(self, attributes: Tensor, settings: Tensor, count: int) -> Context:
+        return Context(
             attributes.expand(count, *self._attributes.shape[1:]),
             settings.expand(count, self._settings.shape[1]),
             None,
             None if self._parts is None else self._parts.expand(count, *self._parts.shape[1:]),
         )
-        if not own:
-            self._scenes = found
-        return found
+
+
+def _own(state: State) -> bool:
+    """Whether its worlds have descriptors of their own."""
+    return ATTRIBUTES in state.memory or SETTINGS in state.memory
 
 
 def parts_of(scene: Scene, layout: Layout, device: torch.device) -> Tensor | None:

@@ -124,12 +124,12 @@ class Guard:
 
     # -- one world, as NumPy rows ----------------------------------------------------------------
 
-    def calm(self, qpos: Any, qvel: Any) -> bool:
-        """Whether one world's coordinates [1, nq], [1, nv] are well within all bounds.
+    def calm(self, qpos: Any, qvel: Any, act: Any) -> bool:
+        """Whether one world's coordinates [1, nq], [1, nv], [1, na] are well within all bounds.
 
         Never true where `lost` or `outside` would be; those say what is the matter.
         """
-        row = np.concatenate([qpos[0], qvel[0]])
+        row = np.concatenate([qpos[0], qvel[0], act[0]])
         return bool(((row >= self._low) & (row <= self._high)).all())  # of NaN this is false
 
     # -- in words ------------------------------------------------------------------------------
@@ -215,7 +215,7 @@ class Guard:
         return low, high
 
     def _row_bounds(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Bounds of the row (qpos, qvel) of a world of which there is nothing to say.
+        """Bounds of the row (qpos, qvel, act) of a world of which there is nothing to say.
 
         Narrower than those of `outside`, since angular velocities are in bodies' frames here.
         """
@@ -236,7 +236,8 @@ class Guard:
             most[first : first + 3] = self._speed("object_speed")
             most[first + 3 : first + 6] = self._speed("object_turning") / 3**0.5
         least[layout.nq :] = -most[layout.nq :]
-        return least, most
+        acts = np.full(layout.na, 0.5 * _FAR)
+        return np.concatenate([least, -acts]), np.concatenate([most, acts])
 
 
 def blanked(states: States, diverged_at: npt.NDArray[np.int64]) -> States:

@@ -94,7 +94,6 @@ class Stepper:
         self._kernels = self._with_kernels(model) if self.on_gpu else None
         self._compiler = self.speedups.compiled
         self._graphs: dict[tuple[int, bool], Slot] = {}
-        self._described: tuple[Context, Context] | None = None
 
     def _made(self, model: Dynamics, folded: bool) -> Dynamics:
         made = copy.deepcopy(model).to(self.device).eval()
@@ -129,10 +128,14 @@ class Stepper:
     def __call__(
         self, x: Entities, memory: Tensor, control: Tensor, context: Context
     ) -> tuple[Entities, Tensor]:
-        """One step; the result's tensors belong to the caller."""
+        """One step; the result's tensors belong to the caller.
+
+        Args:
+          context: for many steps, as `described` gives it.
+        """
         with torch.no_grad():
             if not self.on_gpu:
-                step = self.model(x, memory, control, self._once(context))
+                step = self.model(x, memory, control, context)
                 return step.state, step.memory
             with torch.cuda.device(self.device):
                 slot = self.prepared(x, memory, control, context)
@@ -140,11 +143,15 @@ class Stepper:
                 state, h = slot.run()
                 return Entities(*(field.clone() for field in state)), h.clone()
 
-    def _once(self, context: Context) -> Context:
-        """`_described`, kept for the steps of a rollout, which hand over the same one."""
-        if self._described is None or self._described[0] is not context:
-            self._described = context, _described(self.model, context)
-        return self._described[1]
+    def described(self, context: Context) -> Context:
+        """The same with what the model makes of descriptors alone, to be handed to many steps.
+
+        On a GPU it is the context itself: each graph describes for its own model what it loads.
+        """
+        if self.on_gpu:
+            return context
+        with torch.no_grad():
+            return _described(self.model, context)
 
     def completed(self, x: Entities) -> Entities:
         """The state with the hand that follows from the joints."""

@@ -96,7 +96,7 @@ class Watch:
 
     def calm(self, state: State) -> bool:
         """Whether there is surely nothing to say of one world's state, as NumPy arrays."""
-        if not self.engine.guard.calm(state.qpos, state.qvel):
+        if not self.engine.guard.calm(state.qpos, state.qvel, state.act):
             return False
         if not self.engine.spreads:
             return True

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
+import math
 from typing import Any
 
 import numpy as np
@@ -18,11 +20,17 @@ from orbisim_world_model.native.translate import Translator, simplified
 Floats = npt.NDArray[np.float32]
 _LINE = 16
 """Numbers in a line of a cache."""
+_LARGEST = 1e6
+"""A number, in the units of MuJoCo's coordinates, from which on torch has to step: no scene of a
+learned model has such numbers, and products of them may no longer be finite."""
 _Pointer = ctypes.POINTER(ctypes.c_float)
 
 
 class NativeStep:
     """Steps (qpos, qvel, act, memory) of one world under a control.
+
+    The code is right for finite numbers only: products with a constant zero are left out of it, and
+    the compiler's fast arithmetic may turn a NaN into a bound. Inputs are looked at beforehand.
 
     Args:
       model: in evaluation mode, float32, on the CPU.
@@ -46,7 +54,7 @@ class NativeStep:
         self._function = compiled(writer.source(), careful=model.contacts is not None)
         self._constants = _aligned(torch.cat(writer.constants).numpy())
         self._workspace = _aligned(np.zeros(max(writer.workspace, 1), np.float32))
-        self._inputs = [np.zeros(tuple(t.shape), np.float32) for t in (*example, memory)]
+        self._given, self._inputs = _side_by_side([tuple(t.shape) for t in (*example, memory)])
         pointers = [array.ctypes.data_as(_Pointer) for array in self._inputs]
         self._arguments: tuple[Any, ...] = (
             self._constants.ctypes.data_as(_Pointer),
@@ -55,14 +63,18 @@ class NativeStep:
         )
         self._results = [self._workspace[_span(r.index)].reshape(r.shape) for r in results]
 
-    def __call__(self, *inputs: Any) -> list[Floats]:
+    def __call__(self, *inputs: Any) -> list[Floats] | None:
         """qpos, qvel, act and memory after one step.
+
+        None if an input has a number that is not finite, or of which products may not be.
 
         Args:
           *inputs: qpos [1, nq], qvel [1, nv], act [1, na], control [1, nu], memory [1, ...].
         """
         for mine, given in zip(self._inputs, inputs, strict=True):
             mine[...] = given
+        if not np.maximum.reduce(np.abs(self._given)) < _LARGEST:  # of NaN this is true
+            return None
         self._function(*self._arguments)
         return [result.copy() for result in self._results]
 
@@ -91,6 +103,15 @@ def _aligned(values: Floats) -> Floats:
     first = -(room.ctypes.data // room.itemsize) % _LINE
     room[first : first + len(values)] = values
     return room[first : first + len(values)]
+
+
+def _side_by_side(shapes: list[tuple[int, ...]]) -> tuple[Floats, list[Floats]]:
+    """Zeros, and arrays of these shapes in it, each from the beginning of a line of a cache on."""
+    sizes = [math.prod(shape) for shape in shapes]
+    starts = [0, *itertools.accumulate(size + -size % _LINE for size in sizes)]
+    whole = _aligned(np.zeros(starts[-1], np.float32))
+    parts = zip(starts[:-1], sizes, shapes, strict=True)
+    return whole, [whole[start : start + size].reshape(shape) for start, size, shape in parts]
 
 
 def _span(index: Tensor) -> slice:

@@ -244,7 +244,7 @@ def simplified(module: Any) -> Any:
 def _without_zeros(target: Any, shape: Any, args: Any, kwargs: Any) -> Any:
     """What a product, sum or choice comes to where a constant decides it; None where none does.
 
-    Products with zeros are taken to be zero whatever the other factor is.
+    Products with zeros are taken to be zero: `NativeStep` steps finite numbers only.
     """
     if target in (aten.mul.Tensor, aten.div.Tensor):
         if _zero(args[0]) or (target == aten.mul.Tensor and _zero(args[1])):

@@ -11,6 +11,8 @@ import torch
 from orbisim_world_model.backend import LearnedBackend, OutsideTrainingWarning
 from orbisim_world_model.baseline import with_baseline
 from orbisim_world_model.checkpoint import load_checkpoint
+from orbisim_world_model.engine import SETTINGS
+from orbisim_world_model.entities import Context
 from orbisim_world_model.pack import Pack
 from orbisim_world_model.run import Run, train
 from orbisim_world_model.stepping import MEMORY
@@ -130,6 +132,33 @@ def test_descriptors_of_their_own_for_each_world(table: Path) -> None:
     other = backend.step(backend.with_descriptors(state, settings=settings))
     np.testing.assert_allclose(other.qpos[0], same.qpos[0], atol=1e-6)
     assert np.abs(other.qvel[1] - same.qvel[1]).max() > 1e-7
+
+
+def test_descriptors_are_made_once_for_so_many_worlds(table: Path) -> None:
+    """The scene's: for steps and rollouts alike; those of a state anew."""
+    engine = _quiet(table, TABLE).engine
+    made: list[int] = []
+
+    def described(context: Context) -> Context:
+        made.append(len(context.attributes))
+        return context
+
+    engine.stepper.described = described  # type: ignore[method-assign]
+    two, three, control = engine_state(2), engine_state(3), np.zeros((3, 4, 2))
+    for _ in range(2):
+        engine.run(two, control[:2], 2)
+        assert engine.context(two) is engine.described(two)
+    engine.run(three, control, 1)
+    assert made == [2, 3]
+    own = two.with_memory(**{SETTINGS: np.repeat(engine._settings.numpy(), 2, axis=0)})
+    for _ in range(2):
+        engine.run(own, control[:2], 2)
+    assert made == [2, 3, 2, 2]  # once a call, not once a step
+
+
+def engine_state(nworld: int) -> State:
+    """At rest."""
+    return make_backend("mujoco", load_scene(TABLE)).reset(nworld)
 
 
 def test_memory_is_burnt_in_from_the_past(table: Path) -> None:

@@ -75,13 +75,26 @@ def test_joints_have_the_limits_of_the_scene(states) -> None:  # type: ignore[no
 def test_one_worlds_coordinates(guard: Guard, states) -> None:  # type: ignore[no-untyped-def]
     x = states.at(0).at(slice(0, 1))
     x = x._replace(pos=torch.tensor([[[0.1, 0.1, 0.04], [-0.1, 0.1, 0.04]]]))
-    qpos, qvel, _ = (array.numpy() for array in guard.layout.join(x))
-    assert guard.calm(qpos, qvel)
+    qpos, qvel, act = (array.numpy() for array in guard.layout.join(x))
+    assert guard.calm(qpos, qvel, act)
     for bad in (np.nan, 1e4, 0.6):
         moved = qpos.copy()
         moved[0, 0] = bad
-        assert not guard.calm(moved, qvel)
-    assert not guard.calm(qpos, np.full_like(qvel, 401.0))
+        assert not guard.calm(moved, qvel, act)
+    assert not guard.calm(qpos, np.full_like(qvel, 401.0), act)
+
+
+def test_activations_count_too(states) -> None:  # type: ignore[no-untyped-def]
+    filtered = '<general joint="x" dyntype="filter" dynprm="0.1"/>'
+    model = mujoco.MjModel.from_xml_string(TABLE.replace("</actuator>", f"{filtered}</actuator>"))
+    guard = Guard({"ranges": RANGES}, read_layout(model, 0.02), model)
+    qpos, qvel = np.zeros((1, model.nq)), np.zeros((1, model.nv))
+    qpos[:, [4, 11]], qpos[:, [5, 12]] = 0.04, 1.0
+    for act in (0.3, 1e4, -1e4, np.inf, np.nan):
+        x = states.at(0)._replace(act=torch.full((3, 1), act))
+        lost = bool(guard.lost(x, x)[:, 0].any())
+        assert guard.calm(qpos, qvel, np.full((1, 1), act)) is not lost, act
+        assert lost is (act != 0.3)
 
 
 def test_what_lies_outside_is_named(guard: Guard, states) -> None:  # type: ignore[no-untyped-def]

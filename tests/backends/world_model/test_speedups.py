@@ -105,10 +105,11 @@ def test_what_descriptors_alone_decide_is_computed_once(shared: bool) -> None:
         lambda module, inputs, output: shapes.append(tuple(output.shape[:2]))
     )
     memory, control = model.initial_memory(3), torch.full((3, model.layout.nu), 0.4)
-    expected, found = x, x
+    expected, found, described = x, x, stepper.described(given)
+    assert given.scales is None
     for _ in range(3):
         expected = model(expected, memory, control, given).state
-        found, _ = stepper(found, memory, control, given)
+        found, _ = stepper(found, memory, control, described)
         assert torch.allclose(found.v, expected.v, atol=1e-4)
     slot = stepper.prepared(found, memory, control, given)  # as on a GPU
     for _ in range(2):

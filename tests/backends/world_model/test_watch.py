@@ -67,7 +67,7 @@ def _moves(backend: LearnedBackend, way: str, push: Callable[[Entities, int], En
 
         class Stepper:
             model, completed = real.model, real.completed
-            initial_memory = real.initial_memory
+            initial_memory, described = real.initial_memory, real.described
             __call__ = staticmethod(step)
 
         engine.stepper = Stepper()  # type: ignore[assignment]
@@ -207,9 +207,10 @@ def test_bounds_nest(folder: Path) -> None:
         at = rng.integers(len(row))
         row[at] += rng.choice([0.0, 0.0, 1.0, -1.0]) * rng.exponential(high[at] - low[at])
         qpos, qvel = row[None, : layout.nq], row[None, layout.nq :]
-        if not guard.calm(qpos, qvel):
+        act = np.zeros((1, 0))
+        if not guard.calm(qpos, qvel, act):
             continue
         passed += 1
-        x = layout.split(*(torch.as_tensor(a).float() for a in (qpos, qvel, np.zeros((1, 0)))))
+        x = layout.split(*(torch.as_tensor(a).float() for a in (qpos, qvel, act)))
         assert not guard.outside(x).any() and not guard.lost(x, x).any()
     assert passed > 500

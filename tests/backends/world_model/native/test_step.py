@@ -21,13 +21,14 @@ from orbisim_world_model.native.translate import Translator, simplified
 from orbisim_world_model.native.values import contiguous
 from orbisim_world_model.native.writer import Writer
 from orbisim_world_model.run import Run, train
+from orbisim_world_model.stepping import MEMORY
 from orbisim_world_model.trainer import new_model
 from torch._decomp import core_aten_decompositions
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from orbisim import State, load_scene, make_backend
 from orbisim.backend import Backend
-from orbisim.errors import DivergedError, MissingDependencyError
+from orbisim.errors import DivergedError, MissingDependencyError, OrbiSimError
 from tests.backends.world_model.conftest import toy
 from tests.backends.world_model.synthetic import BOX, PENDULUM, PUSHER, TABLE, simulate
 
@@ -220,6 +221,83 @@ def test_the_backend_uses_it_for_one_world(tmp_path: Path) -> None:
             with pytest.raises(DivergedError):
                 fast.step(a.replace(qvel=a.qvel + broken))
         assert fast.step(a.tile(3)).nworld == 3  # as without it
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory: pytest.TempPathFactory) -> tuple[Backend, Backend]:
+    """A table with an activation: with the compiled step, and without."""
+    filtered = '<general joint="x" dyntype="filter" dynprm="0.1" gainprm="0.1"/></actuator>'
+    xml, folder = TABLE.replace("</actuator>", filtered), tmp_path_factory.mktemp("table")
+    train(simulate(xml, 4, 20, 4), toy("recurrent", "1x2x16"), Run(out=folder, steps=5))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", OutsideTrainingWarning)
+        scene = load_scene(xml)
+        fast, plain = (
+            make_backend(f"learned:{folder}", scene, native=native, device="cpu")
+            for native in (True, False)
+        )
+    return fast, plain
+
+
+@needs_compiler
+@pytest.mark.filterwarnings("ignore::orbisim_world_model.backend.OutsideTrainingWarning")
+@pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf, 1e30])
+@pytest.mark.parametrize("where", ["qpos", "qvel", "act", MEMORY, "control"])
+def test_no_number_is_lost(pair: tuple[Backend, Backend], where: str, number: float) -> None:
+    """What is not finite, or overflows, says the same as in torch, whichever number it is."""
+    start = pair[1].step(pair[1].reset(1), np.full(3, 0.1))
+    whole = {**{name: getattr(start, name) for name in ("qpos", "qvel", "act")}, **start.memory}
+    whole["control"] = np.full((1, 3), 0.1)
+    assert whole[where].size
+    for index in range(min(whole[where].size, 20)):
+        broken = whole[where].copy()
+        broken.reshape(-1)[index] = number
+        state = start
+        if where == MEMORY:
+            state = start.with_memory(**{MEMORY: broken})
+        elif where != "control":
+            state = start.replace(**{where: broken})
+        control = broken if where == "control" else whole["control"]
+        found, expected = (after(backend, state, control) for backend in pair)
+        for name, values in expected.items():
+            np.testing.assert_allclose(found[name], values, atol=1e-4, rtol=1e-4, err_msg=name)
+        told, said = (outcome(backend, state, control) for backend in pair)
+        assert told == said
+        if where in ("qpos", "qvel", "act") and not np.isfinite(number):
+            assert "DivergedError" in said
+        if where == "control":
+            assert ("InputError" in said) is not bool(np.isfinite(number))
+
+
+def after(backend: Backend, state: State, control: np.ndarray) -> dict[str, np.ndarray]:
+    """The state after a step of a backend's engine."""
+    engine = backend.engine  # type: ignore[attr-defined]
+    if engine.native is not None:
+        found = engine.native_step(state, control)
+    else:
+        found = engine.state(state, engine.run(state, control[:, None], 1), backend.timestep)
+    return {"qpos": found.qpos, "qvel": found.qvel, "act": found.act, MEMORY: found.memory[MEMORY]}
+
+
+def outcome(backend: Backend, state: State, control: np.ndarray) -> str:
+    """What a step says: its error, or which numbers of its result are finite."""
+    try:
+        found = backend.step(state, control)
+    except OrbiSimError as error:
+        return f"{type(error).__name__}: {error}"
+    arrays = (found.qpos, found.qvel, found.act, found.memory[MEMORY])
+    return str([np.isfinite(array).tolist() for array in arrays])
+
+
+@needs_compiler
+def test_finite_numbers_are_stepped_in_c(pair: tuple[Backend, Backend]) -> None:
+    """Of ordinary size, and up to the bound; not beyond it."""
+    native = pair[0].engine.native  # type: ignore[attr-defined]
+    given = [np.zeros(array.shape) for array in native._inputs]
+    given[0][0, [5, 12]] = 1.0
+    for size, stepped in ((1.0, True), (9e5, True), (1.1e6, False)):
+        given[1][0, 0] = size
+        assert (native(*given) is not None) is stepped
 
 
 def test_without_a_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
