@@ -216,6 +216,11 @@ SEEN_THROUGH = {
         "backends/world_model/test_manifest.py",
         "manifests of the zoo, and what it says it has",
     ),
+    "orbisim.vector.device_evaluation": (
+        "vector/test_on_device.py",
+        "whether a task's functions run on the device, and why not",
+    ),
+    "orbisim.vector.program": ("vector/test_on_device.py", "a task's functions, step by step"),
 }
 """Modules and packages without a test of their name: what reaches them (below tests/), and why."""
 
