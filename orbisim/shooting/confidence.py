@@ -64,10 +64,11 @@ def told(
     index = list(own)
     half = np.array([(high - low) / 2 for low, high in intervals])
     deviation = np.sqrt(np.maximum(np.diag(fit.covariance)[index], 1e-300))
-    wider = np.maximum(half / 1.96 / deviation, 1.0)
-    covariance = fit.covariance[np.ix_(index, index)] * np.outer(wider, wider)
-    away = fit.values[index] - np.array(neutral)
-    inverse = np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
+    # an interval may be as wide as numbers go: of a number that the data hardly feel
+    width = deviation * np.maximum(np.nan_to_num(half / 1.96 / deviation, nan=np.inf), 1.0)
+    correlation = fit.covariance[np.ix_(index, index)] / np.outer(deviation, deviation)
+    away = (fit.values[index] - np.array(neutral)) / width
+    inverse = np.linalg.pinv(np.nan_to_num(correlation), rcond=1e-12, hermitian=True)
     return bool(away @ inverse @ away >= TOLD**2 * len(index))
 
 
