@@ -25,7 +25,8 @@ def confidence(
     freedom (Liang and Zeger 1986; Cameron and Miller 2015). Two recordings are too few for that.
 
     The bootstrap resamples windows and takes one Gauss-Newton step from the fit. Where few windows
-    feel a parameter, resamples that hardly contain any of them say nothing and are left out.
+    feel a parameter, resamples that hardly contain any of them say nothing and are left out. Priors
+    (of declared parameters that are retuned) say in each resample what they say in the fit.
 
     Args:
       independent: how many of the data count as independent.
@@ -36,12 +37,16 @@ def confidence(
     rng = np.random.default_rng(seed)
     windows = len(fit.information)
     draws, felt = np.empty((_DRAWS, count)), np.zeros(_DRAWS, bool)
-    scale = np.sqrt(np.maximum(np.diag(fit.information.sum(axis=0)), 1e-300))
+    told = fit.information.sum(axis=0) + (0.0 if fit.prior is None else fit.prior)
+    scale = np.sqrt(np.maximum(np.diag(told), 1e-300))
+    prior = _prior(fit, scale)
+    # where a fit has ended, priors pull as much as the data do
+    pull = np.where(np.diag(prior) > 0, -fit.score.sum(axis=0), 0.0)
     for d in range(_DRAWS):
         chosen = rng.integers(0, windows, windows)
-        gram = fit.information[chosen].sum(axis=0) / np.outer(scale, scale)
+        gram = fit.information[chosen].sum(axis=0) / np.outer(scale, scale) + prior
         felt[d] = np.diag(gram).min() >= _FELT
-        moment = fit.score[chosen].sum(axis=0) / scale
+        moment = (fit.score[chosen].sum(axis=0) + pull) / scale
         draws[d] = fit.values + np.linalg.lstsq(gram, moment, rcond=1e-10)[0] / scale
     draws = draws[felt] if felt.any() else np.array([fit.values])
     low, high = np.quantile(draws, [0.025, 0.975], axis=0)
@@ -76,6 +81,12 @@ TOLD = 2.0
 """Standard deviations by which an effect's numbers must differ from nothing."""
 
 
+def _prior(fit: Fit, scale: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """[P, P]: what priors say, of scaled parameters."""
+    known = np.zeros((len(scale), len(scale))) if fit.prior is None else fit.prior
+    return np.asarray(known / np.outer(scale, scale))
+
+
 def _by_recordings(fit: Fit, scale: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """[P]: half-widths by the shares of whole recordings; zero if these are not known, or few."""
     none = np.zeros(len(fit.values))
@@ -88,7 +99,7 @@ def _by_recordings(fit: Fit, scale: npt.NDArray[np.float64]) -> npt.NDArray[np.f
     shares = np.zeros((count, len(none)))
     np.add.at(shares, group, fit.score / scale)
     shares -= shares.mean(axis=0)  # a prior's pull is no recording's
-    gram = fit.information.sum(axis=0) / np.outer(scale, scale)
+    gram = fit.information.sum(axis=0) / np.outer(scale, scale) + _prior(fit, scale)
     moved = shares @ np.linalg.pinv(gram, rcond=1e-10, hermitian=True)
     spread = np.sqrt(count / (count - 1) * (moved**2).sum(axis=0)) / scale
     return np.asarray(stats.t.ppf(0.975, count - 1) * spread)

@@ -22,6 +22,7 @@ class Fit:
       covariance: [P, P] of the parameters, by the Jacobian.
       residual: [W, data] weighted. per_window: [W] its parts.
       information: [W, P, P] and score [W, P]: each window's share, for the bootstrap.
+      prior: [P, P] what priors say of the parameters, in the units of information; zero if None.
       recording: [W] the number of the recording that each window lies in; None if not known.
     """
 
@@ -35,6 +36,7 @@ class Fit:
     information: Floats
     score: Floats
     recording: npt.NDArray[np.int64] | None = None
+    prior: Floats | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -434,6 +434,7 @@ class Problem:
             information=information,
             score=score,
             recording=self.shooter.recording,
+            prior=np.diag(self.precision),
         )
 
 

@@ -641,6 +641,9 @@ def _padded(fit: Fit, index: int) -> dict[str, Any]:
         "covariance": np.insert(np.insert(fit.covariance, index, 0, 0), index, 0, 1),
         "information": np.insert(np.insert(fit.information, index, 0, 1), index, 0, 2),
         "score": np.insert(fit.score, index, 0, 1),
+        "prior": None
+        if fit.prior is None
+        else np.insert(np.insert(fit.prior, index, 0, 0), index, 0, 1),
     }
 
 

@@ -139,6 +139,7 @@ def tied(fit: Fit, found: Sequence[Tie], own: int) -> Fit:
         fit,
         values=to @ fit.values,
         information=back.T @ fit.information @ back,
+        prior=None if fit.prior is None else back.T @ fit.prior @ back,
         score=fit.score @ back,
         covariance=to @ fit.covariance @ to.T,
     )
