@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -126,8 +126,8 @@ def _finer(context: Context, judged: Judged) -> Other | None:
             found[finer] = one
         return gains[finer]
 
-    error = 2.0 * halving(context.bench)
-    while error > _MATTERS and len(gains) <= _HALVINGS:
+    error, matters = 2.0 * halving(context.bench), _MATTERS * max(judged.ratio, 1.0)
+    while error > matters and len(gains) <= _HALVINGS:
         step, most, error = step / 2.0, max(gains.values()), error / 2.0
         if not gain(step) > most:
             break
@@ -162,7 +162,8 @@ def halving(bench: Bench) -> float:
 
 
 _MATTERS = 0.25
-"""Error of a step, over the noise, that matters: with it a residual is 1.03 times the noise."""
+"""Error of a step, over what is left (at least the noise), that matters: three hundredths of that
+are the step's then. While effects are missing, a coarser one does, and simulates faster."""
 _HALVINGS = 5
 """At once: a simulation takes as many times as long."""
 _MOST = 24
@@ -172,29 +173,43 @@ _SMOOTH = 0.5
 
 
 def _clocked(context: Context, judged: Judged) -> Other | None:
+    """By the clock that logs show, and by how much later or earlier than that predicts best: when a
+    command acts is not when it is logged."""
     bench = context.bench
     if bench.lead is None or bench.lead or not all(one.clocked for one in bench.samples):
         return None
-    return _again(context, judged, lambda bench: _led(bench, Lead(clock=True)))
+    return _led_best(context, judged, True, (0.0, -0.1, 0.1), (-0.5, 0.5))
 
 
 def _shared(context: Context, judged: Judged) -> Other | None:
     if context.bench.lead is None or context.bench.lead:
         return None
-    gains: dict[float, float] = {0.0: 0.0}
+    return _led_best(context, judged, False, _SHARES, (0.0, 1.0))
+
+
+def _led_best(
+    context: Context,
+    judged: Judged,
+    clock: bool,
+    tried: Sequence[float],
+    bounds: tuple[float, float],
+) -> Other | None:
+    """The same explanation with controls that lead by the share of an interval that predicts best:
+    one that is tried, or where a parabola through these is highest. None if none is better."""
+    gains: dict[float, float] = {} if clock else {0.0: 0.0}
     found: dict[float, Other] = {}
 
     def gain(share: float) -> float:
-        one = _again(context, judged, lambda bench: _led(bench, Lead(share)))
+        one = _again(context, judged, lambda bench: _led(bench, Lead(share, clock)))
         gains[share] = -np.inf if one is None else judged.loss - one[1].loss
         if one is not None:
             found[share] = one
         return gains[share]
 
-    if max(gain(share) for share in _SHARES) <= 0:
+    if max(gain(share) for share in tried) <= 0:
         return None
     for _ in range(_REFINED):  # a model that is linear in its controls has nearly a parabola
-        share = _peak(gains, 0.0, 1.0)
+        share = _peak(gains, *bounds)
         if share is None or min(abs(share - one) for one in gains) < _CLOSE:
             break
         gain(share)

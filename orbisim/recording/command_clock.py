@@ -24,8 +24,9 @@ class Lead:
     """By how much commands change before the sample that logs them.
 
     Attributes:
-      share: of a sampling interval, 0 to 1, where they do not follow a clock: 0.5 for changes
-        anywhere between two samples, which come half an interval before on average.
+      share: of a sampling interval, 0 to 1: 0.5 for changes anywhere between two samples, which
+        come half an interval before on average. With a clock, how much earlier than it ticks
+        (negative: later).
       clock: whether they change by the clock that the log shows, if it shows one.
     """
 
@@ -33,7 +34,7 @@ class Lead:
     clock: bool = False
 
     def __bool__(self) -> bool:
-        return self.clock or self.share > 0
+        return self.clock or self.share != 0
 
     def of(self, time: Floats, *signals: Floats) -> list[Floats]:
         """[T, n] each: signals with means between samples (`orbisim.recording.zero_order_hold`).
@@ -43,7 +44,8 @@ class Lead:
         """
         shares = command_clock(time, np.concatenate(signals, axis=1)) if self.clock else None
         if shares is None:
-            return [led(one, self.share) for one in signals]
+            return [led(one, max(self.share, 0.0)) for one in signals]
+        shares = np.where(shares > 0, np.clip(shares + self.share, 0.0, 1.0), 0.0)
         return [led(one, shares[:, None]) for one in signals]
 
 

@@ -266,7 +266,7 @@ def test_what_was_fitted_in_time_is_compared_and_kept(
     passed = begun(dataclasses.replace(bench, deadline=late), Settings(), lambda _: None)
     assert passed.chance is not None and passed.chance() is not None
     tried = Tried(best, 1, worth(bench, declared, best))
-    monkeypatch.setattr(module, "other", lambda *_: None)
+    monkeypatch.setattr(module, "earlier", lambda *_: None)
     monkeypatch.setattr(module, "best_move", lambda *_: (best, [tried], False))
     monkeypatch.setattr(module, "_fairly", lambda *_: late.check())
     found = module._round(Found(context, 0.002, declared, declared), 1)
