@@ -89,14 +89,14 @@ class Samples:
 
     def led(self, lead: Lead) -> Samples:
         """With controls and forces that change before the samples that log them."""
-        ctrl, force = lead.of(self.time, self.bound.ctrl, _applied(self.bound))
-        return dataclasses.replace(self, ctrl=ctrl, force=force)
+        ctrl = lead.of(self.time, self.bound.ctrl)
+        return dataclasses.replace(self, ctrl=ctrl, force=lead.of(self.time, _applied(self.bound)))
 
     @functools.cached_property
     def clocked(self) -> bool:
-        """Whether the log shows by which clock controls and forces change."""
-        values = np.concatenate([self.bound.ctrl, _applied(self.bound)], axis=1)
-        return command_clock(self.time, values) is not None
+        """Whether the log shows by which clock controls, or forces, change."""
+        signals = self.bound.ctrl, _applied(self.bound)
+        return any(command_clock(self.time, values) is not None for values in signals)
 
     @property
     def source(self) -> str:

@@ -27,7 +27,8 @@ class Lead:
       share: of a sampling interval, 0 to 1: 0.5 for changes anywhere between two samples, which
         come half an interval before on average. With a clock, how much earlier than it ticks
         (negative: later).
-      clock: whether they change by the clock that the log shows, if it shows one.
+      clock: whether commands change by the clock that the log shows; where it shows none, they are
+        as they were logged.
     """
 
     share: float = 0.0
@@ -36,17 +37,16 @@ class Lead:
     def __bool__(self) -> bool:
         return self.clock or self.share != 0
 
-    def of(self, time: Floats, *signals: Floats) -> list[Floats]:
-        """[T, n] each: signals with means between samples (`orbisim.recording.zero_order_hold`).
-
-        Args:
-          time: [T], s. signals: [T, n] each; all follow one clock.
-        """
-        shares = command_clock(time, np.concatenate(signals, axis=1)) if self.clock else None
+    def of(self, time: Floats, values: Floats) -> Floats:
+        """[T, n]: means between samples of commands [T, n] that follow one clock
+        (`orbisim.recording.zero_order_hold.led`). time: [T], s."""
+        if not self.clock:
+            return led(values, self.share)
+        shares = command_clock(time, values)
         if shares is None:
-            return [led(one, max(self.share, 0.0)) for one in signals]
+            return values
         shares = np.where(shares > 0, np.clip(shares + self.share, 0.0, 1.0), 0.0)
-        return [led(one, shares[:, None]) for one in signals]
+        return led(values, shares[:, None])
 
 
 def command_clock(time: Floats, values: Floats) -> Floats | None:
@@ -95,7 +95,7 @@ def _ticking(ticks: Ints, low: Floats, high: Floats, unit: float) -> Floats | No
         [np.stack([ones, number, -ones], 1), np.stack([-ones, -number, -ones], 1)]
     )
     limits = np.concatenate([late, -early])
-    free = [(None, None), (0.0, None), (0.0, None)]
+    free: list[tuple[float | None, float | None]] = [(None, None), (0.0, None), (0.0, None)]
     least = linprog([0, 0, 1], A_ub=rows, b_ub=limits, bounds=free)
     if not least.success or least.x[2] > _SLACK:
         return None

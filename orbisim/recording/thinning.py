@@ -65,12 +65,19 @@ def thinned(recordings: Sequence[Recording], window: float, notes: list[str]) ->
 
 
 def held_led(recordings: Sequence[Recording], lead: Lead) -> list[Recording]:
-    """Recordings with controls and torques that change before the samples that log them."""
+    """Recordings with controls and torques that change before the samples that log them; those of
+    one kind follow one clock."""
     found = []
     for one in recordings:
-        held = [n for n in one.signals if names.split(n)[0] in names.HELD]
-        values = lead.of(one.time, *(one.signals[n].reshape(len(one), -1) for n in held))
-        changed = {n: v.reshape(one.signals[n].shape) for n, v in zip(held, values, strict=True)}
+        changed: dict[str, Floats] = {}
+        for kind in names.HELD:
+            held = [n for n in one.signals if names.split(n)[0] == kind]
+            if held:
+                wide = [one.signals[n].reshape(len(one), -1) for n in held]
+                led = lead.of(one.time, np.concatenate(wide, axis=1))
+                ends = np.cumsum([part.shape[1] for part in wide])[:-1]
+                parts = zip(held, np.split(led, ends, axis=1), strict=True)
+                changed |= {n: part.reshape(one.signals[n].shape) for n, part in parts}
         found.append(one.replace(signals={**one.signals, **changed}))
     return found
 

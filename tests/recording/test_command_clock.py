@@ -8,7 +8,9 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from orbisim.recording import Recording
 from orbisim.recording.command_clock import Lead, command_clock
+from orbisim.recording.thinning import held_led
 
 RATE = 100.0
 Floats = npt.NDArray[np.float64]
@@ -78,9 +80,31 @@ def test_no_clock_where_the_log_leaves_it_open() -> None:
     assert command_clock(time, values) is None
 
 
-def test_a_lead_without_a_clock_is_a_share() -> None:
+def test_a_share_and_a_clock() -> None:
     time, values = np.arange(4.0), np.array([[0.0], [2.0], [2.0], [6.0]])
-    for lead in (Lead(0.25), Lead(0.25, clock=True)):
-        (found,) = lead.of(time, values)
-        np.testing.assert_allclose(found[:, 0], [0.5, 2.0, 3.0, 6.0])
+    np.testing.assert_allclose(Lead(0.25).of(time, values)[:, 0], [0.5, 2.0, 3.0, 6.0])
+    assert np.array_equal(Lead(0.25, clock=True).of(time, values), values)  # there is no clock
     assert Lead(0.25) and Lead(clock=True) and not Lead()
+    time, values = _log(2.718 / RATE, 0.011)
+    shares = command_clock(time, values)
+    assert shares is not None
+    changes = np.flatnonzero(shares)
+    for share in (0.0, -0.2):
+        led = Lead(share, clock=True).of(time, values)
+        mixed = (led - values)[changes, 0] / (values[changes + 1] - values[changes])[:, 0]
+        np.testing.assert_allclose(mixed, np.clip(shares[changes] + share, 0, 1), atol=1e-9)
+
+
+def test_recordings_have_a_clock_for_commands_and_one_for_torques() -> None:
+    """Torques that change at every sample say nothing of the commands beside them."""
+    time, values = _log(2.718 / RATE, 0.011)
+    noisy = np.random.default_rng(0).normal(size=len(time))
+    signals = {"ctrl/a": values[:, 0], "ctrl/b": values[:, 1], "torque/a": noisy}
+    run = Recording(time, {"qpos/a": noisy, **signals})
+    (led,) = held_led([run], Lead(clock=True))
+    assert np.array_equal(led.signals["torque/a"], noisy)
+    assert np.array_equal(led.signals["qpos/a"], noisy)
+    both = Lead(clock=True).of(time, values)
+    assert np.array_equal(led.signals["ctrl/a"], both[:, 0])
+    assert np.array_equal(led.signals["ctrl/b"], both[:, 1])
+    assert not np.array_equal(both, values)
