@@ -182,9 +182,12 @@ def independent_by_chance(
     directions that are counted, which the normalised columns span. One column, or a share of as
     many as there are directions, may be effects that are missing, and do not count: those that
     explain most one after the other (orthogonal matching pursuit; Pati, Rezaiifar and
-    Krishnaprasad, Asilomar 1993). What the rest of the r directions explains of what those leave is
-    compared with its median where there is nothing but chance, and known to a factor of about
-    1 + sqrt(3 / r).
+    Krishnaprasad, Asilomar 1993). What the rest of the r directions explains is compared with its
+    median where there is nothing but chance, and known to a factor of about 1 + sqrt(3 / r).
+
+    Shares are of all that is left, also of what those explain. Of what the missing ones leave they
+    would be larger, and n right where nothing else is missing (of white data). Where one is, more
+    are: what other directions explain is then no chance either, and so taken for less of it.
 
     Args:
       columns: [W, R, C] what effects would give; few of them say nothing (infinite).
@@ -215,8 +218,7 @@ def independent_by_chance(
     chance = np.random.default_rng(0).standard_normal((_DRAWS, r))
     most = max(1, int(missing * r))
     left = _beside_most(np.vstack([there, chance]), basis.T @ (unit.T @ unit), most)
-    beside = max(1.0 - float(there @ there - left[0]), 0.0)  # share that those leave
-    return float(np.median(left[1:]) * beside / max(float(left[0]), 1e-300))
+    return float(np.median(left[1:]) / max(float(left[0]), 1e-300))
 
 
 def _beside_most(draws: Floats, columns: Floats, most: int) -> Floats:

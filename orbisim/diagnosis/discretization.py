@@ -30,7 +30,6 @@ from orbisim.motion.samples import substeps
 from orbisim.recording.command_clock import Lead
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
-from orbisim.shooting.cutting import near_jump
 from orbisim.shooting.judge import Judged
 from orbisim.shooting.shooter import Variant
 from orbisim.shooting.windows import evenly
@@ -147,13 +146,9 @@ def halving(bench: Bench) -> float:
     """By how many times the noise free runs of the scene differ from those with half its timestep:
     root mean square over a typical window without impacts. Nothing where most windows have some:
     what a contact does depends on the step by its definition, and no step is finer than that."""
-    windows = bench.windows
-    near = [near_jump(one) for one in bench.samples]
-    first = zip(windows.recording, bench.intervals.row[windows.first], strict=True)
-    smooth = np.array([not near[i][r : r + windows.length + 1].any() for i, r in first])
-    if smooth.mean() < _SMOOTH:
+    if bench.rugged:
         return 0.0
-    shooter = bench.shooter(evenly(smooth, _MOST))
+    shooter = bench.shooter(evenly(bench.smooth, _MOST))
     still = np.zeros((len(shooter), 2 * shooter.nv))
     variant, finer = Variant(bench.scene), copy.copy(shooter)
     finer.substeps = 2 * shooter.substeps
@@ -168,8 +163,6 @@ _HALVINGS = 5
 """At once: a simulation takes as many times as long."""
 _MOST = 24
 """Windows that are simulated twice."""
-_SMOOTH = 0.5
-"""Share of windows without impacts that say how much a step matters."""
 
 
 def _clocked(context: Context, judged: Judged) -> Other | None:

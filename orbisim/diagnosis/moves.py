@@ -277,7 +277,7 @@ def _together(
     """Many at once: on a real machine each looks wrong as long as the others are missing. Without
     what is not surely worth it: a dozen cost too much to be compared with one."""
     context = found.context
-    if number > 1 or context.bench.contacts:
+    if number > 1 or context.bench.rugged:
         return
     context.say("several effects at once")
     bench = context.bench

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,6 +19,7 @@ from orbisim.shooting.cutting import (
     TOO_SHORT,
     every_third,
     most_intervals,
+    near_jump,
     predictable_windows,
     spread_windows,
     touches,
@@ -61,6 +63,19 @@ class Bench:
     contacts: bool = False
     deadline: Deadline = NEVER
     lead: Lead | None = None
+
+    @functools.cached_property
+    def smooth(self) -> Bools:
+        """[W]: windows without impacts."""
+        windows = self.windows
+        near = [near_jump(one) for one in self.samples]
+        first = zip(windows.recording, self.intervals.row[windows.first], strict=True)
+        return np.array([not near[i][r : r + windows.length + 1].any() for i, r in first], bool)
+
+    @property
+    def rugged(self) -> bool:
+        """Whether most windows have impacts, so that what the others say is not typical."""
+        return bool(self.smooth.mean() < 0.5)
 
     def shooter(self, keep: Bools) -> Shooter:
         """Simulates the chosen windows."""

@@ -111,7 +111,7 @@ def test_an_effect_that_is_missing_is_no_chance() -> None:
         columns, left = _alike(seed), _random(40, 100, seed=99 + seed)
         missing = columns[..., 0] / columns[..., 0].std()
         found.append(independent_by_chance(columns, left + 2 * missing, EVEN))
-    assert 1000 < _middle(found) < 16000  # of 4000, the missing one left out; it would be 15
+    assert _middle(found) > 4000  # of 4000, the missing one left out; it would be 15
 
 
 def test_several_effects_may_be_missing() -> None:
@@ -124,7 +124,7 @@ def test_several_effects_may_be_missing() -> None:
         one.append(independent_by_chance(columns, left, EVEN))
         several.append(independent_by_chance(columns, left, EVEN, missing=0.25))
     assert _middle(one) < 200
-    assert 1000 < _middle(several) < 16000  # of 4000: shares are of what the missing ones leave
+    assert _middle(several) > 4000  # of 4000; more, as shares are of the missing ones, too
 
 
 def test_few_columns_say_nothing() -> None:
