@@ -148,7 +148,9 @@ def halving(bench: Bench) -> float:
     what a contact does depends on the step by its definition, and no step is finer than that."""
     if bench.rugged:
         return 0.0
-    shooter = bench.shooter(evenly(bench.smooth, _MOST))
+    shooter = bench.shooter(
+        evenly(bench.smooth if bench.contacts else np.ones(len(bench.windows), bool), _MOST)
+    )
     still = np.zeros((len(shooter), 2 * shooter.nv))
     variant, finer = Variant(bench.scene), copy.copy(shooter)
     finer.substeps = 2 * shooter.substeps

@@ -6,6 +6,7 @@ made.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
@@ -48,7 +49,8 @@ def best_move(found: Found, number: int) -> tuple[Judged | None, list[Tried], bo
     late = False
     share = _OF_TIME * context.deadline.left
     until = Deadline.after(share)
-    for kind in (_added, _retuned, _by_windows, _usual, _by_forces, _two):
+    sets = [functools.partial(_together, one) for one in (_by_windows, _usual, _by_forces)]
+    for kind in (_added, _retuned, *sets, _two):
         if best is not None and (number > 1 or kind is _two):
             if until.passed or _enough_for_now(context, current, best):
                 continue
@@ -238,52 +240,20 @@ def _two(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged
             yield closer
 
 
-def _by_windows(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
-    """What windows of free runs say of all effects together."""
-
-    def proposed(context: Context) -> tuple[EffectInstance, ...]:
-        settings = context.settings
-        most = settings.most_effects
-        return propose(context.bench, context.intervals, settings.effects, most)
-
-    yield from _together(found, number, proposed)
-
-
-def _usual(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
-    """What every machine has at its joints."""
-
-    def proposed(context: Context) -> tuple[EffectInstance, ...]:
-        bench, settings = context.bench, context.settings
-        most = settings.most_effects
-        return common_forces(bench.scene, bench.samples, settings.effects, most)
-
-    yield from _together(found, number, proposed)
-
-
-def _by_forces(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
-    """What the forces that are missing along the motion say of all effects together."""
-
-    def proposed(context: Context) -> tuple[EffectInstance, ...]:
-        bench, until = context.bench, Deadline.after(_OF_TIME * context.deadline.left)
-        found = attribute_forces(bench.scene, bench.samples, context.settings, deadline=until)
-        return found.hypothesis.effects[: context.settings.most_effects]
-
-    yield from _together(found, number, proposed)
-
-
 def _together(
-    found: Found, number: int, proposed: Callable[[Context], tuple[EffectInstance, ...]]
+    proposed: Callable[[Context], tuple[EffectInstance, ...]],
+    found: Found,
+    number: int,
+    fitted: Sequence[Judged],
 ) -> Iterator[Judged]:
     """Many at once: on a real machine each looks wrong as long as the others are missing. Without
     what is not surely worth it: a dozen cost too much to be compared with one."""
-    context = found.context
-    if number > 1 or context.bench.rugged:
+    context, bench = found.context, found.context.bench
+    if number > 1 or bench.rugged:
         return
     context.say("several effects at once")
-    bench = context.bench
-    judge = Judge(
-        bench, context.intervals, (), None, context.settings.windows, True, context.chance
-    )
+    windows = context.settings.windows
+    judge = Judge(bench, context.intervals, (), None, windows, True, context.chance)
 
     def refit(less: Hypothesis, now: Judged) -> Judged | None:
         return judge.judge(less, begin=judge.begin(now))
@@ -297,6 +267,25 @@ def _together(
     possible = None if judged is None else possible_of(bench, judge, judged, _ITERATIONS)
     if possible is not None:
         yield from _last(pruned(context, possible, refit))
+
+
+def _by_windows(context: Context) -> tuple[EffectInstance, ...]:
+    """What windows of free runs say of all effects together."""
+    settings = context.settings
+    return propose(context.bench, context.intervals, settings.effects, settings.most_effects)
+
+
+def _usual(context: Context) -> tuple[EffectInstance, ...]:
+    """What every machine has at its joints."""
+    bench, settings = context.bench, context.settings
+    return common_forces(bench.scene, bench.samples, settings.effects, settings.most_effects)
+
+
+def _by_forces(context: Context) -> tuple[EffectInstance, ...]:
+    """What the forces that are missing along the motion say of all effects together."""
+    bench, until = context.bench, Deadline.after(_OF_TIME * context.deadline.left)
+    found = attribute_forces(bench.scene, bench.samples, context.settings, deadline=until)
+    return found.hypothesis.effects[: context.settings.most_effects]
 
 
 def _last(every: Iterator[Sure]) -> Iterator[Judged]:

@@ -74,8 +74,9 @@ class Bench:
 
     @property
     def rugged(self) -> bool:
-        """Whether most windows have impacts, so that what the others say is not typical."""
-        return bool(self.smooth.mean() < 0.5)
+        """Whether bodies touch, and most windows have impacts: what the others say is not typical
+        then."""
+        return self.contacts and bool(self.smooth.mean() < 0.5)
 
     def shooter(self, keep: Bools) -> Shooter:
         """Simulates the chosen windows."""
