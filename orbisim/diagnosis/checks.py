@@ -7,11 +7,12 @@ import numpy as np
 
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.consistency import inconsistency
-from orbisim.diagnosis.discretization import halving, typical_interval
+from orbisim.diagnosis.discretization import typical_interval
 from orbisim.effects import effect_names, find
 from orbisim.evidence import NEAR
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
+from orbisim.shooting.halving import halving
 from orbisim.shooting.judge import Judged
 
 

@@ -16,7 +16,6 @@ undone where the scene or the log as it was is worth no less.
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 
@@ -30,9 +29,8 @@ from orbisim.motion.samples import substeps
 from orbisim.recording.command_clock import Lead
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
+from orbisim.shooting.halving import halving
 from orbisim.shooting.judge import Judged
-from orbisim.shooting.shooter import Variant
-from orbisim.shooting.windows import evenly
 
 Other = tuple[Context, Judged]
 
@@ -115,16 +113,7 @@ def _finer(context: Context, judged: Judged) -> Other | None:
     for a time of its length): half the step changes as much as it leaves, and the log score is
     nearly a parabola in the step."""
     interval, step = typical_interval(context.bench), taken(context.bench)
-    gains: dict[float, float] = {step: 0.0}
-    found: dict[float, Other] = {}
-
-    def gain(finer: float) -> float:
-        one = _again(context, judged, lambda bench: _stepped(bench, finer))
-        gains[finer] = -np.inf if one is None else judged.loss - one[1].loss
-        if one is not None:
-            found[finer] = one
-        return gains[finer]
-
+    gains, found, gain = _line(context, judged, _stepped, (step,))
     error, matters = 2.0 * halving(context.bench), _MATTERS * max(judged.ratio, 1.0)
     while error > matters and len(gains) <= _HALVINGS:
         step, most, error = step / 2.0, max(gains.values()), error / 2.0
@@ -138,24 +127,31 @@ def _finer(context: Context, judged: Judged) -> Other | None:
     return found.get(max(gains, key=lambda finer: gains[finer]))
 
 
+def _line(
+    context: Context,
+    judged: Judged,
+    change: Callable[[Bench, float], Bench],
+    known: Sequence[float],
+) -> tuple[dict[float, float], dict[float, Other], Callable[[float], float]]:
+    """Gains by places along a line of forms, the forms there, and what adds a place to both.
+
+    Args:
+      known: places where there is no gain.
+    """
+    gains, found = dict.fromkeys(known, 0.0), dict[float, Other]()
+
+    def gain(place: float) -> float:
+        one = _again(context, judged, lambda bench: change(bench, place))
+        gains[place] = -np.inf if one is None else judged.loss - one[1].loss
+        if one is not None:
+            found[place] = one
+        return gains[place]
+
+    return gains, found, gain
+
+
 def _stepped(bench: Bench, timestep: float) -> Bench:
     return dataclasses.replace(bench, scene=with_timestep(bench.scene, timestep))
-
-
-def halving(bench: Bench) -> float:
-    """By how many times the noise free runs of the scene differ from those with half its timestep:
-    root mean square over a typical window without impacts. Nothing where most windows have some:
-    what a contact does depends on the step by its definition, and no step is finer than that."""
-    if bench.rugged:
-        return 0.0
-    shooter = bench.shooter(
-        evenly(bench.smooth if bench.contacts else np.ones(len(bench.windows), bool), _MOST)
-    )
-    still = np.zeros((len(shooter), 2 * shooter.nv))
-    variant, finer = Variant(bench.scene), copy.copy(shooter)
-    finer.substeps = 2 * shooter.substeps
-    runs = [one.scaled(one.simulate(variant, still)) for one in (shooter, finer)]
-    return float(np.median(np.sqrt(np.mean((runs[1] - runs[0]) ** 2, axis=1))))
 
 
 _MATTERS = 0.25
@@ -163,8 +159,6 @@ _MATTERS = 0.25
 are the step's then. While effects are missing, a coarser one does, and simulates faster."""
 _HALVINGS = 5
 """At once: a simulation takes as many times as long."""
-_MOST = 24
-"""Windows that are simulated twice."""
 
 
 def _clocked(context: Context, judged: Judged) -> Other | None:
@@ -191,16 +185,11 @@ def _led_best(
 ) -> Other | None:
     """The same explanation with controls that lead by the share of an interval that predicts best:
     one that is tried, or where a parabola through these is highest. None if none is better."""
-    gains: dict[float, float] = {} if clock else {0.0: 0.0}
-    found: dict[float, Other] = {}
 
-    def gain(share: float) -> float:
-        one = _again(context, judged, lambda bench: _led(bench, Lead(share, clock)))
-        gains[share] = -np.inf if one is None else judged.loss - one[1].loss
-        if one is not None:
-            found[share] = one
-        return gains[share]
+    def change(bench: Bench, share: float) -> Bench:
+        return _led(bench, Lead(share, clock))
 
+    gains, found, gain = _line(context, judged, change, () if clock else (0.0,))
     if max(gain(share) for share in tried) <= 0:
         return None
     for _ in range(_REFINED):  # a model that is linear in its controls has nearly a parabola

@@ -36,6 +36,8 @@ from orbisim.host.deadline import Deadline, TimeIsUpError
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judge, Judged
 
+Kind = Callable[[Found, int, Sequence[Judged]], Iterator[Judged]]
+
 
 def best_move(found: Found, number: int) -> tuple[Judged | None, list[Tried], bool]:
     """The explanation that is worth most, if it surely is better; all that were tried; and whether
@@ -49,8 +51,9 @@ def best_move(found: Found, number: int) -> tuple[Judged | None, list[Tried], bo
     late = False
     share = _OF_TIME * context.deadline.left
     until = Deadline.after(share)
-    sets = [functools.partial(_together, one) for one in (_by_windows, _usual, _by_forces)]
-    for kind in (_added, _retuned, *sets, _two):
+    sets = (functools.partial(_together, one) for one in (_by_windows, _usual, _by_forces))
+    kinds: list[Kind] = [_added, _retuned, *sets, _two]
+    for kind in kinds:
         if best is not None and (number > 1 or kind is _two):
             if until.passed or _enough_for_now(context, current, best):
                 continue

@@ -51,7 +51,7 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
     try:
         found = dataclasses.replace(found, context=context.with_tunables())
         say("screening effects")
-        found = _in_best_form(found, screened=False)
+        found = _in_best_form(found)
         for number in itertools.count(1):
             later = _round(found, number)
             if later.late:
@@ -90,18 +90,13 @@ def _round(found: Found, number: int) -> Found:
         return dataclasses.replace(kept, late=True)
 
 
-def _in_best_form(found: Found, screened: bool = True) -> Found:
-    """In the form of the data that predicts best, with the screening of the declared scene there.
-
-    Args:
-      screened: whether there is one of the form that there is.
-    """
+def _in_best_form(found: Found) -> Found:
+    """In the form of the data that predicts best, and screened."""
     form = settled(found.context, found.best)
     if form is not None:
         return in_form(found, form)
-    if screened:
-        return found
-    return dataclasses.replace(found, screening=found.context.screen(found.best))
+    screening = found.screening or found.context.screen(found.best)
+    return dataclasses.replace(found, screening=screening)
 
 
 def _made(found: Found, number: int, best: Judged | None, lead: Other | None) -> Found:

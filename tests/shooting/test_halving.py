@@ -1,0 +1,41 @@
+"""The error of a step is as large as what half of it changes, and falls with it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import orbisim
+from orbisim.motion.samples import prepare_all
+from orbisim.shooting.bench import Bench, make_bench
+from orbisim.shooting.halving import halving
+from orbisim.testing import inject_effect
+
+PENDULUM = """<mujoco><option timestep="{step}"/><worldbody>
+<body><joint name="hinge" axis="0 1 0"/>
+<geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass=".3"/></body></worldbody>
+<actuator><motor name="motor" joint="hinge"/></actuator></mujoco>"""
+
+
+def _bench(step: float) -> Bench:
+    truth, scene = (orbisim.load_scene(PENDULUM.format(step=one)) for one in (0.001, step))
+    runs = inject_effect(truth, [], duration=3.0, episodes=2, noise=1e-4, seed=3)
+    return make_bench(scene, prepare_all(runs, scene), 0.5)
+
+
+def test_half_the_step_changes_half_as_much() -> None:
+    coarse, fine = halving(_bench(0.002)), halving(_bench(0.001))
+    assert coarse > 1.0
+    assert fine == pytest.approx(coarse / 2, rel=0.02)
+
+
+def test_nothing_where_most_windows_have_impacts() -> None:
+    bench = _bench(0.008)
+    jumping = tuple(
+        dataclasses.replace(one, jumps=np.ones_like(one.jumps)) for one in bench.samples
+    )
+    assert not dataclasses.replace(bench, samples=jumping).rugged  # nothing touches
+    touching = dataclasses.replace(bench, samples=jumping, contacts=True)
+    assert touching.rugged and halving(touching) == 0.0
