@@ -277,10 +277,6 @@ class TensorWorlds(np.lib.mixins.NDArrayOperatorsMixin, ManyWorlds):
         known = np.empty(self.shape, np.bool_).reshape(*new).shape
         return self._view(self.rows.reshape(len(self.rows), *known))
 
-    def squeeze(self) -> TensorWorlds:
-        """Without axes of length 1."""
-        return self.reshape(tuple(n for n in self.shape if n != 1))
-
     def transpose(self, *axes: Any) -> TensorWorlds:
         """Permuted axes."""
         if not axes:
@@ -291,38 +287,6 @@ class TensorWorlds(np.lib.mixins.NDArrayOperatorsMixin, ManyWorlds):
     def dot(self, other: Any) -> Any:
         """`np.dot` in every world."""
         return dotted(self, other)
-
-    def sum(self, axis: Any = None) -> Any:
-        """`np.sum` in every world."""
-        return reduced(np.add, self, axis=axis)
-
-    def prod(self, axis: Any = None) -> Any:
-        """`np.prod` in every world."""
-        return reduced(np.multiply, self, axis=axis)
-
-    def min(self, axis: Any = None) -> Any:
-        """`np.min` in every world."""
-        return reduced(np.minimum, self, axis=axis)
-
-    def max(self, axis: Any = None) -> Any:
-        """`np.max` in every world."""
-        return reduced(np.maximum, self, axis=axis)
-
-    def any(self, axis: Any = None) -> Any:
-        """`np.any` in every world."""
-        return reduced(np.logical_or, self, axis=axis)
-
-    def all(self, axis: Any = None) -> Any:
-        """`np.all` in every world."""
-        return reduced(np.logical_and, self, axis=axis)
-
-    def mean(self, axis: Any = None) -> Any:
-        """`np.mean` in every world."""
-        return _mean(self, axis)
-
-    def clip(self, low: Any = None, high: Any = None) -> Any:
-        """`np.clip` in every world."""
-        return _clip(self, low, high)
 
 
 def merged(parts: Sequence[tuple[torch.Tensor | None, Any]], context: Context) -> torch.Tensor:

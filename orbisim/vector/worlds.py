@@ -47,6 +47,42 @@ class ManyWorlds:
 
     __slots__ = ()
 
+    def squeeze(self: Any) -> Any:
+        """Without axes of length 1."""
+        return self.reshape(tuple(n for n in self.shape if n != 1))
+
+    def sum(self: Any, axis: Any = None) -> Any:
+        """`np.sum` in every world."""
+        return np.sum(self, axis=axis)
+
+    def prod(self: Any, axis: Any = None) -> Any:
+        """`np.prod` in every world."""
+        return np.prod(self, axis=axis)
+
+    def min(self: Any, axis: Any = None) -> Any:
+        """`np.min` in every world."""
+        return np.min(self, axis=axis)
+
+    def max(self: Any, axis: Any = None) -> Any:
+        """`np.max` in every world."""
+        return np.max(self, axis=axis)
+
+    def any(self: Any, axis: Any = None) -> Any:
+        """`np.any` in every world."""
+        return np.any(self, axis=axis)
+
+    def all(self: Any, axis: Any = None) -> Any:
+        """`np.all` in every world."""
+        return np.all(self, axis=axis)
+
+    def mean(self: Any, axis: Any = None) -> Any:
+        """`np.mean` in every world."""
+        return np.mean(self, axis=axis)
+
+    def clip(self: Any, low: Any = None, high: Any = None) -> Any:
+        """`np.clip` in every world."""
+        return np.clip(self, low, high)
+
 
 class Worlds(np.lib.mixins.NDArrayOperatorsMixin, ManyWorlds):
     """One array for each world, of the same shape.
@@ -212,10 +248,6 @@ class Worlds(np.lib.mixins.NDArrayOperatorsMixin, ManyWorlds):
         new = shape[0] if len(shape) == 1 and isinstance(shape[0], tuple | list) else shape
         return Worlds(self.rows.reshape(len(self.rows), *new))
 
-    def squeeze(self) -> Worlds:
-        """Without axes of length 1."""
-        return self.reshape(tuple(n for n in self.shape if n != 1))
-
     def transpose(self, *axes: Any) -> Worlds:
         """Permuted axes."""
         if not axes:
@@ -226,38 +258,6 @@ class Worlds(np.lib.mixins.NDArrayOperatorsMixin, ManyWorlds):
     def dot(self, other: Any) -> Any:
         """`np.dot` in every world."""
         return np.dot(self, other)
-
-    def sum(self, axis: Any = None) -> Any:
-        """`np.sum` in every world."""
-        return reduced(np.add, self, axis=axis)
-
-    def prod(self, axis: Any = None) -> Any:
-        """`np.prod` in every world."""
-        return reduced(np.multiply, self, axis=axis)
-
-    def min(self, axis: Any = None) -> Any:
-        """`np.min` in every world."""
-        return reduced(np.minimum, self, axis=axis)
-
-    def max(self, axis: Any = None) -> Any:
-        """`np.max` in every world."""
-        return reduced(np.maximum, self, axis=axis)
-
-    def any(self, axis: Any = None) -> Any:
-        """`np.any` in every world."""
-        return reduced(np.logical_or, self, axis=axis)
-
-    def all(self, axis: Any = None) -> Any:
-        """`np.all` in every world."""
-        return reduced(np.logical_and, self, axis=axis)
-
-    def mean(self, axis: Any = None) -> Any:
-        """`np.mean` in every world."""
-        return _mean(self, axis)
-
-    def clip(self, low: Any = None, high: Any = None) -> Any:
-        """`np.clip` in every world."""
-        return _clip(self, low, high)
 
 
 # -- world by world ------------------------------------------------------------------------------
