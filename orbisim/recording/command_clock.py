@@ -45,8 +45,7 @@ class Lead:
         shares = command_clock(time, values)
         if shares is None:
             return values
-        shares = np.where(shares > 0, np.clip(shares + self.share, 0.0, 1.0), 0.0)
-        return led(values, shares[:, None])
+        return led(values, np.clip(shares + self.share, 0.0, 1.0)[:, None])
 
 
 def command_clock(time: Floats, values: Floats) -> Floats | None:

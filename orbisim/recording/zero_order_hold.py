@@ -30,10 +30,11 @@ def led(values: Floats, share: float | Floats) -> Floats:
     Args:
       values: [T, ...] the signal at the samples.
       share: of a sampling interval, 0 to 1, by which each change comes before its sample: of all,
-        or [T - 1, ...] of each. The last value stays.
+        or [T - 1, ...] of each. The last value stays, and so does one beside a missing one (NaN).
     """
     found = np.array(values, np.float64)
-    found[:-1] += share * (found[1:] - found[:-1])
+    change = found[1:] - found[:-1]
+    found[:-1] += share * np.where(np.isfinite(change), change, 0.0)
     return found
 
 

@@ -26,3 +26,8 @@ def test_what_does_not_lead_stays_as_it_is() -> None:
     values = np.random.default_rng(0).normal(size=(5, 3))
     assert np.array_equal(led(values, 0.0), values)
     assert led(values, 1.0)[:-1] == pytest.approx(values[1:])
+
+
+def test_a_missing_sample_changes_none_beside_it() -> None:
+    values = np.array([[1.0], [np.nan], [3.0], [5.0]])
+    np.testing.assert_array_equal(led(values, 0.5), [[1.0], [np.nan], [4.0], [5.0]])
