@@ -100,8 +100,7 @@ def _in_best_form(found: Found) -> Found:
 
 
 def _made(found: Found, number: int, best: Judged | None, lead: Other | None) -> Found:
-    """The best move, or controls that lead their samples if that is worth more, or something
-    simpler where there is neither."""
+    """The best move, or controls that lead if that is worth more; without, something simpler."""
     context, current = found.context, found.best
     if lead is not None and (best is None or _less(context, current, best, lead[1])):
         return in_form(found, lead)

@@ -70,7 +70,7 @@ def told(
     half = np.array([(high - low) / 2 for low, high in intervals])
     deviation = np.sqrt(np.maximum(np.diag(fit.covariance)[index], 1e-300))
     # an interval may be as wide as numbers go: of a number that the data hardly feel
-    width = deviation * np.maximum(np.nan_to_num(half / 1.96 / deviation, nan=np.inf), 1.0)
+    width = np.maximum(np.where(np.isnan(half), np.inf, half / 1.96), deviation)
     correlation = fit.covariance[np.ix_(index, index)] / np.outer(deviation, deviation)
     away = (fit.values[index] - np.array(neutral)) / width
     inverse = np.linalg.pinv(np.nan_to_num(correlation), rcond=1e-12, hermitian=True)

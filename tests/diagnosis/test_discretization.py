@@ -3,6 +3,8 @@ one."""
 
 from __future__ import annotations
 
+import dataclasses
+
 import mujoco
 import numpy as np
 import pytest
@@ -192,3 +194,20 @@ def test_controls_that_hardly_change_are_not_asked() -> None:
     scene = _scene(0.001)
     runs = [_commanded(0, 1.5)]
     assert asked(make_bench(scene, prepare_all(runs, scene), 0.5)).lead is None
+
+
+def test_no_step_is_finer_where_most_windows_have_impacts() -> None:
+    runs = inject_effect(_scene(0.001), [], duration=4.0, episodes=2, noise=5e-4, seed=1)
+    scene = _scene(0.01)
+    smooth = make_bench(scene, prepare_all(runs, scene), 0.5)
+    jumps = [np.ones_like(one.jumps) for one in smooth.samples]
+    samples = [
+        dataclasses.replace(one, jumps=each)
+        for one, each in zip(smooth.samples, jumps, strict=True)
+    ]
+    for contacts in (False, True):
+        bench = dataclasses.replace(smooth, samples=tuple(samples), contacts=contacts)
+        context = begun(bench, Settings(), lambda _: None)
+        judged = context.judge.judge(Hypothesis())
+        assert judged is not None
+        assert (settled(context, judged) is None) == contacts

@@ -56,6 +56,39 @@ def test_numbers_count_as_told_by_their_intervals() -> None:
     assert not told(fit, [1], [3.0], [(2.8, 3.2)])
 
 
+def test_a_number_without_a_bound_is_not_told() -> None:
+    fit = Fit(
+        values=np.array([1.0, 3.0]), start=np.zeros((4, 0)), square=1.0, count=40,
+        covariance=np.diag([1e200, 0.01]), residual=np.zeros((4, 1)), per_window=np.ones(4),
+        information=np.tile(np.eye(2), (4, 1, 1)), score=np.zeros((4, 2)),
+    )  # fmt: skip
+    for wide in ((-np.inf, np.inf), (-1e300, 1e300), (np.nan, np.nan)):
+        assert not told(fit, [0], [0.0], [wide])
+        assert told(fit, [0, 1], [0.0, 0.0], [wide, (2.8, 3.2)])  # by the other
+
+
+def test_priors_count_in_resamples_and_recordings() -> None:
+    """An effect and a factor of which windows tell the sum only; a prior tells the factor."""
+    rng = np.random.default_rng(0)
+    slopes = np.ones((30, 1, 2)) + 1e-4 * rng.normal(size=(30, 1, 2))
+    left = rng.normal(size=(30, 1))
+    left -= left.mean()
+    prior = np.diag([0.0, 1e4])
+    information = np.einsum("wdp,wdq->wpq", slopes, slopes)
+    fit = Fit(
+        values=np.array([5.0, 1.0]), start=np.zeros((30, 0)), square=float((left**2).sum()),
+        count=28, covariance=np.linalg.inv(information.sum(axis=0) + prior), residual=left,
+        per_window=(left**2).ravel(), information=information,
+        score=np.einsum("wdp,wd->wp", slopes, left), recording=np.repeat(np.arange(3), 10),
+        prior=prior,
+    )  # fmt: skip
+    known = confidence(fit, ["effect", "factor"])
+    assert 4.0 < known["effect"][0] < 4.8 and 5.2 < known["effect"][1] < 6.0
+    assert known["factor"][1] - known["factor"][0] < 0.1
+    blind = confidence(dataclasses.replace(fit, prior=None), ["effect", "factor"])
+    assert blind["effect"][1] - blind["effect"][0] > 100.0
+
+
 def test_few_independent_data_widen_an_interval() -> None:
     fit = Fit(
         values=np.array([1.0]), start=np.zeros((4, 0)), square=1.0, count=400,

@@ -31,11 +31,18 @@ def test_half_the_step_changes_half_as_much() -> None:
     assert fine == pytest.approx(coarse / 2, rel=0.02)
 
 
-def test_nothing_where_most_windows_have_impacts() -> None:
-    bench = _bench(0.008)
-    jumping = tuple(
-        dataclasses.replace(one, jumps=np.ones_like(one.jumps)) for one in bench.samples
+def test_windows_with_impacts_count_only_where_most_have_some() -> None:
+    bench = _bench(0.002)
+    jumping = [np.zeros_like(one.jumps) for one in bench.samples]
+    jumping[0][:] = True  # all of one recording of two
+    samples = tuple(
+        dataclasses.replace(one, jumps=jumps)
+        for one, jumps in zip(bench.samples, jumping, strict=True)
     )
-    assert not dataclasses.replace(bench, samples=jumping).rugged  # nothing touches
-    touching = dataclasses.replace(bench, samples=jumping, contacts=True)
-    assert touching.rugged and halving(touching) == 0.0
+    touching = dataclasses.replace(bench, samples=samples, contacts=True)
+    other = bench.windows.recording == 1
+    assert np.array_equal(touching.smooth, other) and not touching.rugged
+    assert dataclasses.replace(touching, contacts=False).smooth.all()  # nothing touches
+    every = tuple(dataclasses.replace(one, jumps=np.ones_like(one.jumps)) for one in bench.samples)
+    rugged = dataclasses.replace(bench, samples=every, contacts=True)
+    assert rugged.rugged and halving(rugged) == halving(bench)
