@@ -139,9 +139,13 @@ def gain(before: Floats, after: Floats, blocks: Blocks, prior: float = 0.0) -> G
       before, after: [B] mean squared residual of each block, predicted.
       prior: logarithm of the odds of the later one.
     """
-    drop = scores(after, blocks) - scores(before, blocks)
-    short = np.minimum(drop - drop.mean(), 0.0)
-    return Gain(float(drop.sum()), float(np.sqrt(2 * (short**2).sum())), prior)
+    return gain_of(scores(after, blocks) - scores(before, blocks), prior)
+
+
+def gain_of(difference: Floats, prior: float = 0.0) -> Gain:
+    """The same from [B] differences of the log predictive scores."""
+    short = np.minimum(difference - difference.mean(), 0.0)
+    return Gain(float(difference.sum()), float(np.sqrt(2 * (short**2).sum())), prior)
 
 
 def independent_share(residuals: Sequence[Floats]) -> float:

@@ -7,13 +7,14 @@ import numpy as np
 
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.consistency import inconsistency
-from orbisim.diagnosis.discretization import typical_interval
 from orbisim.effects import effect_names, find
 from orbisim.evidence import NEAR
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.halving import halving
 from orbisim.shooting.judge import Judged
+from orbisim.shooting.remainder import told_as_noise
+from orbisim.shooting.timestep import typical_interval
 
 
 def coarse_timestep(bench: Bench, residual: float) -> str | None:
@@ -98,6 +99,8 @@ def doubts(found: Attribution) -> list[str]:
         for number, effect in enumerate(found.hypothesis.effects):
             problem = inconsistency(whole, found.after, number)
             notes += [] if problem is None else [f"{effect.effect} at {effect.target}: {problem}"]
+    noise = told_as_noise(found.bench, found.after, found.left)
+    notes += [] if noise is None else [noise]
     coarse = coarse_timestep(found.bench, found.before.ratio) if found.before.ratio > NEAR else None
     notes += [] if coarse is None else [coarse]
     if found.rugged and found.after is not found.before:

@@ -20,8 +20,10 @@ from orbisim.evidence import NEAR, Gain
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.motion.samples import Samples
 from orbisim.shooting.bench import Bench
+from orbisim.shooting.disturbances import Remainder
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
+from orbisim.shooting.remainder import left_of
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -39,6 +41,7 @@ class Attribution:
       rugged: whether effects on contacts leave more than noise where bodies touch: their intervals
         then say less than they seem to.
       law: a law without a name that is the better explanation; empty if none is.
+      left: what is left in the end, as noise; None if that is not known.
     """
 
     bench: Bench
@@ -51,6 +54,7 @@ class Attribution:
     cut_short: bool
     rugged: bool = False
     law: str = ""
+    left: Remainder | None = None
 
     @property
     def samples(self) -> tuple[Samples, ...]:
@@ -131,7 +135,7 @@ def concluded(found: Found, deadline: Deadline) -> Attribution:
     return Attribution(
         _open(found.context.bench), before, after, found.screening, rivals_of(found.tried),
         tuple(2 * one.total for one in gains), tuple(rejected), found.late,
-        bool(_on_contacts(context, after)), found.law,
+        bool(_on_contacts(context, after)), found.law, left_of(context.bench, after),
     )  # fmt: skip
 
 

@@ -25,12 +25,12 @@ from orbisim.diagnosis.context import Context
 from orbisim.diagnosis.worth import worth
 from orbisim.evidence import EFFECT
 from orbisim.motion.linear import IntervalMap, linearize
-from orbisim.motion.samples import substeps
 from orbisim.recording.command_clock import Lead
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.halving import halving
 from orbisim.shooting.judge import Judged
+from orbisim.shooting.timestep import peak, taken, typical_interval, with_timestep
 
 Other = tuple[Context, Judged]
 
@@ -122,9 +122,9 @@ def _finer(context: Context, judged: Judged) -> Other | None:
         step, most, error = step / 2.0, max(gains.values()), error / 2.0
         if not gain(step) > most:
             break
-    peak = _peak(gains, min(gains), max(gains))
-    if peak is not None:
-        between = interval / round(interval / peak)
+    place = peak(gains, min(gains), max(gains))
+    if place is not None:
+        between = interval / round(interval / place)
         if not any(np.isclose(between, one) for one in gains):
             gain(between)
     return found.get(max(gains, key=lambda finer: gains[finer]))
@@ -196,24 +196,11 @@ def _led_best(
     if max(gain(share) for share in tried) <= 0:
         return None
     for _ in range(_REFINED):  # a model that is linear in its controls has nearly a parabola
-        share = _peak(gains, *bounds)
+        share = peak(gains, *bounds)
         if share is None or min(abs(share - one) for one in gains) < _CLOSE:
             break
         gain(share)
     return found.get(max(gains, key=lambda share: gains[share]))
-
-
-def _peak(gains: dict[float, float], low: float, high: float) -> float | None:
-    """Where the parabola through the best place and its neighbours is highest, within bounds; None
-    where it has no peak."""
-    known = sorted(place for place, value in gains.items() if np.isfinite(value))
-    best = known.index(max(known, key=lambda place: gains[place]))
-    first = min(max(best - 1, 0), len(known) - 3)
-    if first < 0:
-        return None
-    near = known[first : first + 3]
-    square, slope, _ = np.polyfit(np.array(near) / high, [gains[place] for place in near], 2)
-    return float(np.clip(-slope / (2 * square) * high, low, high)) if square < 0 else None
 
 
 def _logged(bench: Bench) -> Bench | None:
@@ -255,19 +242,6 @@ _OFTEN = 0.1
 """Share of the samples at which a control has changed: commands at 10 Hz in a log of 100 Hz."""
 
 
-def taken(bench: Bench, timestep: float | None = None) -> float:
-    """The step that a timestep means (the scene's if None), s: a typical sampling interval has a
-    whole number of them."""
-    timestep = float(bench.scene.model.opt.timestep) if timestep is None else timestep
-    interval = typical_interval(bench)
-    return interval / int(substeps(interval, timestep))
-
-
-def typical_interval(bench: Bench) -> float:
-    """Between samples, s."""
-    return float(np.median(np.concatenate([np.diff(one.time) for one in bench.samples])))
-
-
 def along(bench: Bench, scene: Scene) -> Bench:
     """The same data, along another form of the declared scene."""
     return bench if scene is bench.scene else _linearized(dataclasses.replace(bench, scene=scene))
@@ -283,10 +257,3 @@ def read_as(bench: Bench, like: Bench) -> Bench:
 def _linearized(bench: Bench) -> Bench:
     flow = IntervalMap(bench.scene, bench.samples, bench.rows, deadline=bench.deadline)
     return dataclasses.replace(bench, intervals=linearize(flow))
-
-
-def with_timestep(scene: Scene, timestep: float) -> Scene:
-    """The scene with another timestep, s."""
-    spec = scene.spec
-    spec.option.timestep = timestep
-    return Scene.from_spec(spec, source=scene.source, unsupported=scene.unsupported)

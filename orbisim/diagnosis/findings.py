@@ -36,9 +36,10 @@ def verdict_of(found: Attribution, settings: Settings) -> Verdict:
     hypothesis = after.hypothesis
     if not hypothesis.effects and not hypothesis.factors:
         return "unexplained" if _significant(found, settings) else "no_residual"
+    noise = found.left is not None and not found.left.structured
     return (
         "explained"
-        if after.ratio <= max(NEAR, enough(settings, before))
+        if noise or after.ratio <= max(NEAR, enough(settings, before))
         else ("partly_explained" if hypothesis.effects else "unexplained")
     )
 
@@ -48,6 +49,8 @@ _FAINT = 1.15
 
 
 def _significant(found: Attribution, settings: Settings) -> bool:
+    if not found.hypothesis.effects and found.left is not None and not found.left.structured:
+        return False
     return found.before.ratio > max(_FAINT, enough(settings, found.before))
 
 

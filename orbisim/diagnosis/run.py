@@ -54,7 +54,7 @@ from orbisim.recording.actuators import actuators
 from orbisim.recording.split import bounded, some_of, split
 from orbisim.recording.stamps import regular
 from orbisim.recording.suspicious import refuse, within_range
-from orbisim.recording.thinning import held_led, thinned
+from orbisim.recording.thinning import bridged, held_led, thinned
 from orbisim.scene import Scene, load_scene
 from orbisim.sensing.faults import Sensed
 from orbisim.shooting.bench import Bench, Noise, make_bench
@@ -179,6 +179,7 @@ def _by_motion(
     enough = windows_enough(scene, fit, window)
     fit = some_of(fit, window, enough, notes)
     held = some_of(held, window, enough, notes)
+    fit, held = bridged(fit, notes), bridged(held, [])
     fewer = thinned(fit, window, notes)
     bench = make_bench(scene, prepare_all(bounded(fewer, notes), scene), window)
     if all(map(operator.is_, fewer, fit)):  # else samples are close, and controls are means already

@@ -64,6 +64,42 @@ def thinned(recordings: Sequence[Recording], window: float, notes: list[str]) ->
     return found
 
 
+def bridged(recordings: Sequence[Recording], notes: list[str]) -> list[Recording]:
+    """Recordings whose controls and torques are means where samples are missing: what they were in
+    between is not known, and to hold the last one drives a machine on that had long been told
+    otherwise. A mean is that of a course in equal steps from the last known one to the next.
+
+    Args:
+      notes: gets a line if anything is missing.
+    """
+    found, missing = [], 0
+    for one in recordings:
+        steps = np.diff(one.time)
+        count = np.ones(len(one)) if len(one) < 2 else np.append(steps / np.median(steps), 1.0)
+        rows = np.flatnonzero(count > _GAP)
+        changed: dict[str, Floats] = {}
+        for name, values in one.signals.items():
+            if len(rows) and names.split(name)[0] in names.HELD:
+                share = (np.round(count[rows]) - 1) / (2 * np.round(count[rows]))
+                share = share.reshape(-1, *[1] * (values.ndim - 1))
+                changed[name] = np.array(values, np.float64)
+                changed[name][rows] += share * (values[rows + 1] - values[rows])
+        if any(not np.array_equal(one.signals[n], v, equal_nan=True) for n, v in changed.items()):
+            missing += len(rows)
+            one = one.replace(signals={**one.signals, **changed})
+        found.append(one)
+    if missing:
+        notes.append(
+            f"samples are missing at {missing} places: the controls there are means between the "
+            "last that is known and the next"
+        )
+    return found
+
+
+_GAP = 1.5
+"""Typical sampling intervals that are a gap."""
+
+
 def held_led(recordings: Sequence[Recording], lead: Lead) -> list[Recording]:
     """Recordings with controls and torques that change before the samples that log them; those of
     one kind follow one clock."""

@@ -12,17 +12,16 @@ import pytest
 import orbisim
 from orbisim.diagnosis.context import begun
 from orbisim.diagnosis.discretization import (
-    _peak,
     as_declared,
     asked,
     earlier,
     settled,
-    with_timestep,
 )
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
 from orbisim.motion.samples import prepare_all
 from orbisim.recording.command_clock import Lead
+from orbisim.shooting import timestep
 from orbisim.shooting.bench import make_bench
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.testing import inject_effect
@@ -79,7 +78,7 @@ def test_a_step_does_not_stand_in_for_an_effect_in_the_end() -> None:
 def test_one_that_was_shortened_in_vain_grows_again() -> None:
     scene = _scene(0.005)
     runs = inject_effect(scene, [], duration=4.0, episodes=4, noise=5e-4, seed=1)
-    fine = with_timestep(scene, 0.00125)
+    fine = timestep.with_timestep(scene, 0.00125)
     bench = make_bench(fine, prepare_all(runs, fine), 0.5)
     context = begun(bench, Settings(), lambda _: None)
     judged = context.judge.judge(Hypothesis())
@@ -153,7 +152,7 @@ def test_the_time_by_which_controls_lead_is_found() -> None:
     ],
 )
 def test_the_next_share_is_a_parabolas_peak(gains: dict[float, float], peak: float | None) -> None:
-    found = _peak(gains, 0.0, 1.0)
+    found = timestep.peak(gains, 0.0, 1.0)
     assert found == (None if peak is None else pytest.approx(peak, abs=0.02))
 
 

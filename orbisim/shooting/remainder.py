@@ -1,0 +1,42 @@
+"""Whether what free runs leave is noise of sensors and drives: what needs no name."""
+
+from __future__ import annotations
+
+from orbisim.evidence import NEAR
+from orbisim.host.deadline import TimeIsUpError
+from orbisim.motion.linear import linearize
+from orbisim.recording.joints import joints
+from orbisim.shooting.bench import Bench
+from orbisim.shooting.disturbances import Remainder, remainder, stretches
+from orbisim.shooting.judge import Judged, is_structural
+from orbisim.shooting.timestep import typical_interval
+
+
+def left_of(bench: Bench, judged: Judged) -> Remainder | None:
+    """What an explanation leaves, as noise; None where that is not known: bodies touch, joints are
+    added, the white noise of sensors is all, recordings are short, or the bench's time is up."""
+    hypothesis = judged.hypothesis
+    white = judged.ratio <= (NEAR if hypothesis.effects else 1.0)
+    if white or bench.contacts or is_structural(hypothesis):
+        return None
+    try:
+        intervals = linearize(bench.flow(hypothesis))
+        known = bench.known_signal(hypothesis)
+        data = stretches(bench.samples, intervals, bench.noise, known)
+        return None if data is None else remainder(data, bench.deadline)
+    except TimeIsUpError:
+        return None
+
+
+def told_as_noise(bench: Bench, judged: Judged, left: Remainder | None) -> str | None:
+    """A note on what is left, if it is noise."""
+    if left is None or left.structured:
+        return None
+    names = [""] * bench.scene.model.nv
+    for joint in joints(bench.scene.model):
+        for number in range(joint.v.start, joint.v.stop):
+            names[number] = joint.label
+    return (
+        f"what is left of free runs, {judged.ratio:.3g} times the white noise of sensors, shows "
+        f"no force of a slow course: it is noise ({left.said(names, typical_interval(bench))})"
+    )
