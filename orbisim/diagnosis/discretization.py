@@ -166,23 +166,31 @@ _HALVINGS = 5
 
 def _clocked(context: Context, judged: Judged) -> Other | None:
     """By the clock that logs show, and by how much later or earlier than that predicts best: when a
-    command acts is not when it is logged."""
+    command acts is not when it is logged. Logs of one machine have one period, and most follow it;
+    in the others commands change seldom."""
     bench = context.bench
-    if bench.lead is None or bench.lead or not all(one.clocked for one in bench.samples):
+    periods = [one.command_period for one in bench.samples if one.command_period is not None]
+    if bench.lead is None or bench.lead or not periods:
         return None
-    return _led_best(context, judged, True, (0.0, -0.1, 0.1), (-0.5, 0.5))
+    # as many follow an alias (rates of it and of the clock add up to the log's), with more ticks
+    # at which nothing changes: so the longest
+    most, period = max((sum(o.clocked(one) for o in bench.samples), one) for one in periods)
+    if 2 * most <= len(bench.samples):
+        return None
+    lead = Lead(clock=True, period=period)
+    return _led_best(context, judged, lead, (0.0, -0.1, 0.1), (-0.5, 0.5))
 
 
 def _shared(context: Context, judged: Judged) -> Other | None:
     if context.bench.lead is None or context.bench.lead:
         return None
-    return _led_best(context, judged, False, _SHARES, (0.0, 1.0))
+    return _led_best(context, judged, Lead(), _SHARES, (0.0, 1.0))
 
 
 def _led_best(
     context: Context,
     judged: Judged,
-    clock: bool,
+    lead: Lead,
     tried: Sequence[float],
     bounds: tuple[float, float],
 ) -> Other | None:
@@ -190,9 +198,9 @@ def _led_best(
     one that is tried, or where a parabola through these is highest. None if none is better."""
 
     def change(bench: Bench, share: float) -> Bench:
-        return _led(bench, Lead(share, clock))
+        return _led(bench, dataclasses.replace(lead, share=share))
 
-    gains, found, gain = _line(context, judged, change, () if clock else (0.0,))
+    gains, found, gain = _line(context, judged, change, () if lead.clock else (0.0,))
     if max(gain(share) for share in tried) <= 0:
         return None
     for _ in range(_REFINED):  # a model that is linear in its controls has nearly a parabola

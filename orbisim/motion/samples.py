@@ -19,7 +19,7 @@ import numpy.typing as npt
 from orbisim.effects.base import Extent
 from orbisim.errors import RecordingError
 from orbisim.recording import Bound, Recording, bind, estimate_motion, noise_std
-from orbisim.recording.command_clock import Lead, command_clock
+from orbisim.recording.command_clock import Lead, command_clock, command_period
 from orbisim.recording.initial import activations, histories, starts
 from orbisim.recording.joints import Kind, joints
 from orbisim.recording.noise import lattice_step
@@ -93,10 +93,15 @@ class Samples:
         return dataclasses.replace(self, ctrl=ctrl, force=lead.of(self.time, _applied(self.bound)))
 
     @functools.cached_property
-    def clocked(self) -> bool:
-        """Whether the log shows by which clock controls, or forces, change."""
+    def command_period(self) -> float | None:
+        """Period of the clock by which controls, or forces, change, s; None if none shows."""
+        periods = (command_period(self.time, v) for v in (self.bound.ctrl, _applied(self.bound)))
+        return next((one for one in periods if one is not None), None)
+
+    def clocked(self, period: float) -> bool:
+        """Whether controls, or forces, change by a clock of such a period, s."""
         signals = self.bound.ctrl, _applied(self.bound)
-        return any(command_clock(self.time, values) is not None for values in signals)
+        return any(command_clock(self.time, values, period) is not None for values in signals)
 
     @property
     def source(self) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linprog
 
+from orbisim.recording.stamps import regular_interval
 from orbisim.recording.zero_order_hold import led
 
 Floats = npt.NDArray[np.float64]
@@ -29,10 +30,12 @@ class Lead:
         (negative: later).
       clock: whether commands change by the clock that the log shows; where it shows none, they are
         as they were logged.
+      period: of that clock, s, where other logs of the machine show it; 0 if each shows its own.
     """
 
     share: float = 0.0
     clock: bool = False
+    period: float = 0.0
 
     def __bool__(self) -> bool:
         return self.clock or self.share != 0
@@ -42,31 +45,51 @@ class Lead:
         (`orbisim.recording.zero_order_hold.led`). time: [T], s."""
         if not self.clock:
             return led(values, self.share)
-        shares = command_clock(time, values)
+        shares = command_clock(time, values, self.period)
         if shares is None:
             return values
         return led(values, np.clip(shares + self.share, 0.0, 1.0)[:, None])
 
 
-def command_clock(time: Floats, values: Floats) -> Floats | None:
+def command_clock(time: Floats, values: Floats, period: float = 0.0) -> Floats | None:
     """[T - 1]: share of each interval that follows a change of commands within it; 0 where nothing
     changes. None where the log shows no clock, or leaves open where in an interval it ticks.
 
     Args:
       time: [T], s. values: [T, n] commands as logged; NaN is no change.
+      period: of the clock, s, where it is known.
     """
-    rows = np.flatnonzero(np.any(np.diff(values, axis=0) != 0, axis=1) & _known(values))
-    length = np.diff(time)
-    if len(rows) < _FEWEST or len(rows) > _MOST * len(length):
+    found = _clock(time, values, period)
+    if found is None:
         return None
-    unit = float(np.median(length))
+    rows, ticks, _ = found
+    length = np.diff(time)
+    shares = np.zeros(len(length))
+    shares[rows] = np.clip((time[rows + 1] - ticks) / length[rows], 0.0, 1.0)
+    return shares
+
+
+def command_period(time: Floats, values: Floats) -> float | None:
+    """Period of the clock by which commands change, s; None where the log shows none.
+
+    Args:
+      time: [T], s. values: [T, n] commands as logged.
+    """
+    found = _clock(time, values, 0.0)
+    return None if found is None else found[2]
+
+
+def _clock(time: Floats, values: Floats, period: float) -> tuple[Ints, Floats, float] | None:
+    """Intervals in which commands change, [N], the times at which they do, and the period."""
+    rows = np.flatnonzero(np.any(np.diff(values, axis=0) != 0, axis=1) & _known(values))
+    if len(rows) < _FEWEST or len(rows) > _MOST * (len(time) - 1):
+        return None
+    unit = float(np.median(np.diff(time)))
     low, high = time[rows], time[rows + 1]
-    for ticks in _numbers(high):
-        found = _ticking(ticks, low, high, unit)
-        if found is not None:
-            shares = np.zeros(len(length))
-            shares[rows] = np.clip((high - found) / length[rows], 0.0, 1.0)
-            return shares
+    for numbers in _numbers(high, period):
+        ticks = _ticking(numbers, low, high, unit, period)
+        if ticks is not None:
+            return rows, ticks, float((ticks[-1] - ticks[0]) / (numbers[-1] - numbers[0]))
     return None
 
 
@@ -74,16 +97,26 @@ def _known(values: Floats) -> npt.NDArray[np.bool_]:
     return np.asarray(np.isfinite(values[1:]).all(axis=1) & np.isfinite(values[:-1]).all(axis=1))
 
 
-def _numbers(times: Floats) -> list[Ints]:
-    """Numbers of the ticks at which changes were logged: one after the other, or with ticks between
-    them at which a command stayed."""
+def _numbers(times: Floats, period: float) -> list[Ints]:
+    """Numbers of the ticks at which changes were logged, by a known period; or one after the other,
+    or with ticks between them at which a command stayed: as many as the shortest gaps say, or as
+    the period does at which all changes have the most alike phases (a long stay says little of how
+    many ticks it had)."""
     gaps = np.diff(times)
-    skipped = np.maximum(np.round(gaps / np.median(gaps)), 1).astype(np.int64)
+    if period > 0:
+        return [_counted(gaps, period)]
     every = np.arange(len(times), dtype=np.int64)
-    return [every, np.concatenate([[0], np.cumsum(skipped)])]
+    usual = float(np.median(gaps))
+    guess = float(gaps[gaps < 1.5 * usual].mean())  # single ticks, mostly
+    return [every, _counted(gaps, usual), _counted(gaps, regular_interval(times, guess)[0])]
 
 
-def _ticking(ticks: Ints, low: Floats, high: Floats, unit: float) -> Floats | None:
+def _counted(gaps: Floats, period: float) -> Ints:
+    skipped = np.maximum(np.round(gaps / period), 1).astype(np.int64)
+    return np.concatenate([[0], np.cumsum(skipped)])
+
+
+def _ticking(ticks: Ints, low: Floats, high: Floats, unit: float, period: float) -> Floats | None:
     """[N]: times of ticks, in the middle of what intervals leave open; None where no regular clock
     ticks in all of them, or too much is left open."""
     ones, number = np.ones(len(ticks)), ticks - ticks[len(ticks) // 2]
@@ -95,6 +128,8 @@ def _ticking(ticks: Ints, low: Floats, high: Floats, unit: float) -> Floats | No
     )
     limits = np.concatenate([late, -early])
     free: list[tuple[float | None, float | None]] = [(None, None), (0.0, None), (0.0, None)]
+    if period > 0:
+        free[1] = ((1 - _KNOWN) * period / unit, (1 + _KNOWN) * period / unit)
     least = linprog([0, 0, 1], A_ub=rows, b_ub=limits, bounds=free)
     if not least.success or least.x[2] > _SLACK:
         return None
@@ -115,5 +150,7 @@ _MOST = 0.9
 """Share of the samples; commands that change at every one are as fast as the log, or faster."""
 _SLACK = 0.1
 """Of a sampling interval: jitter of stamps."""
+_KNOWN = 0.003
+"""By which a period is off that another log shows: its changes tell it to a few ten thousandths."""
 _OPEN = 0.3
 """Of a sampling interval: what may be left open, as a mean over an interval leaves half of it."""

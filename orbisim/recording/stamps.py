@@ -85,7 +85,7 @@ def grid_of(time: Floats) -> Floats | None:
     if count < _FEWEST:
         return None
     guess = float(np.median(np.diff(time)))
-    step, agreement = _interval(time, guess)
+    step, agreement = regular_interval(time, guess)
     if not agreement > max(_AGREE, 5 / np.sqrt(count)):
         return None
     phase = float(np.angle(np.exp(2j * np.pi * time / step).mean())) * step / (2 * np.pi)
@@ -102,7 +102,7 @@ def grid_of(time: Floats) -> Floats | None:
     return np.asarray(grid, np.float64)
 
 
-def _interval(time: Floats, guess: float) -> tuple[float, float]:
+def regular_interval(time: Floats, guess: float) -> tuple[float, float]:
     """The sampling interval close to a guess at which phases agree most, and how much: the length
     of their mean, 0 to 1. Phases of few samples agree over a wide range of intervals, those of
     many over a narrow one: looked for with the first samples, then with twice as many, and so on.

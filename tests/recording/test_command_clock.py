@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from orbisim.recording import Recording
-from orbisim.recording.command_clock import Lead, command_clock
+from orbisim.recording.command_clock import Lead, command_clock, command_period
 from orbisim.recording.thinning import held_led
 
 RATE = 100.0
@@ -34,6 +34,7 @@ def _shares(time: Floats, period: float, phase: float) -> Floats:
     return shares
 
 
+@settings(deadline=None)
 @given(st.floats(1.15, 8.0), st.floats(0.0, 1.0))
 def test_a_share_is_what_is_left_of_an_interval_after_the_change(
     samples: float, place: float
@@ -67,6 +68,32 @@ def test_stamps_may_jitter_and_commands_may_stay() -> None:
     assert found is not None
     true[stays] = 0.0
     np.testing.assert_allclose(found, true, atol=0.15)
+
+
+@pytest.mark.parametrize("samples", [1.83, 2.718, 5.77])
+def test_a_command_may_stay_for_many_ticks(samples: float) -> None:
+    """How many ticks a long stay has, the gaps between changes are too coarse to say; the phases of
+    all changes are not, nor is a period that is known."""
+    rng, period, phase = np.random.default_rng(3), samples / RATE, 0.006
+    time, values = _log(period, phase)
+    true = _shares(time, period, phase)
+    ticks = np.flatnonzero(true)
+    for first in rng.choice(ticks[:-40], 5, replace=False):
+        stays = ticks[ticks >= first][: rng.integers(10, 30)]
+        for row in stays:
+            values[row + 1 :] += values[row] - values[row + 1]
+        true[stays] = 0.0
+    assert command_period(time, values) == pytest.approx(period, rel=1e-4)
+    for known in (0.0, period):
+        found = command_clock(time, values, known)
+        assert found is not None
+        np.testing.assert_allclose(found, true, atol=0.2)
+
+
+def test_another_period_is_not_followed() -> None:
+    time, values = _log(2.718 / RATE, 0.011)
+    assert command_clock(time, values, 3.1416 / RATE) is None
+    assert command_period(time, np.zeros((len(time), 1))) is None
 
 
 def test_no_clock_where_the_log_leaves_it_open() -> None:
