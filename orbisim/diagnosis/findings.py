@@ -31,27 +31,23 @@ from orbisim.shooting.hypothesis import Hypothesis
 
 
 def verdict_of(found: Attribution, settings: Settings) -> Verdict:
-    """The verdict, by what is left of the residual."""
-    before, after = found.before, found.after
-    hypothesis = after.hypothesis
+    """The verdict, by what is left of the residual.
+
+    Effects explain what they bring to the white noise. That what they leave shows no structure does
+    not say that they are all: it is a note.
+    """
+    hypothesis, least = found.hypothesis, max(NEAR, enough(settings, found.before))
     if not hypothesis.effects and not hypothesis.factors:
         return "unexplained" if _significant(found, settings) else "no_residual"
-    noise = found.left is not None and not found.left.structured
-    return (
-        "explained"
-        if noise or after.ratio <= max(NEAR, enough(settings, before))
-        else ("partly_explained" if hypothesis.effects else "unexplained")
-    )
-
-
-_FAINT = 1.15
-"""Residual over noise up to which a residual that nothing explains is not called significant."""
+    if found.after.ratio <= least:
+        return "explained"
+    return "partly_explained" if hypothesis.effects else "unexplained"
 
 
 def _significant(found: Attribution, settings: Settings) -> bool:
-    if not found.hypothesis.effects and found.left is not None and not found.left.structured:
-        return False
-    return found.before.ratio > max(_FAINT, enough(settings, found.before))
+    """Whether the declared scene leaves more than noise, white or not."""
+    noise = found.left is not None and not found.left.structured
+    return not noise and found.before.ratio > max(NEAR, enough(settings, found.before))
 
 
 def residual_of(found: Attribution, settings: Settings) -> dict[str, Any]:

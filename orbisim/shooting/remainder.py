@@ -16,8 +16,7 @@ def left_of(bench: Bench, judged: Judged) -> Remainder | None:
     """What an explanation leaves, as noise; None where that is not known: bodies touch, joints are
     added, the white noise of sensors is all, recordings are short, or the bench's time is up."""
     hypothesis = judged.hypothesis
-    white = judged.ratio <= (NEAR if hypothesis.effects else 1.0)
-    if white or bench.contacts or is_structural(hypothesis):
+    if judged.ratio <= NEAR or bench.contacts or is_structural(hypothesis):
         return None
     try:
         intervals = linearize(bench.flow(hypothesis))

@@ -141,21 +141,6 @@ def test_the_time_by_which_controls_lead_is_found() -> None:
     assert found[0].bench.lead.share == pytest.approx(0.2, abs=0.03)
 
 
-@pytest.mark.parametrize(
-    ("gains", "peak"),
-    [
-        ({0.0: 0.0, 0.05: 0.19, 0.5: 1.0}, 0.5),  # of 4 s (1 - s): where it is known
-        ({0.0: 0.0, 0.05: 3.5, 0.5: -10.0}, 0.2),  # of 80 s - 200 s²
-        ({0.0: 0.0, 0.05: 2.45, 0.5: 20.0}, 1.0),  # of 50 s - 20 s²: no further than an interval
-        ({0.0: 0.0, 0.05: -np.inf, 0.5: 1.0}, None),
-        ({0.0: 0.0, 0.05: 1.0, 0.5: 20.0}, None),  # the steeper the further: no peak
-    ],
-)
-def test_the_next_share_is_a_parabolas_peak(gains: dict[float, float], peak: float | None) -> None:
-    found = timestep.peak(gains, 0.0, 1.0)
-    assert found == (None if peak is None else pytest.approx(peak, abs=0.02))
-
-
 @pytest.mark.parametrize("true", [0.001, 0.00125, 0.0025])
 def test_the_step_that_predicts_best_is_found(true: float) -> None:
     """Not only halves of the declared one: what is left of a simulated machine's own step would be

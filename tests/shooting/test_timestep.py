@@ -1,0 +1,43 @@
+"""The timestep of a scene, as recordings take it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import orbisim
+from orbisim.motion.samples import prepare_all
+from orbisim.shooting.bench import make_bench
+from orbisim.shooting.timestep import peak, taken, typical_interval, with_timestep
+from orbisim.testing import inject_effect
+
+
+@pytest.mark.parametrize(
+    ("gains", "place"),
+    [
+        ({0.0: 0.0, 0.05: 0.19, 0.5: 1.0}, 0.5),  # of 4 s (1 - s): where it is known
+        ({0.0: 0.0, 0.05: 3.5, 0.5: -10.0}, 0.2),  # of 80 s - 200 s²
+        ({0.0: 0.0, 0.05: 2.45, 0.5: 20.0}, 1.0),  # of 50 s - 20 s²: no further than an interval
+        ({0.0: 0.0, 0.05: -np.inf, 0.5: 1.0}, None),
+        ({0.0: 0.0, 0.05: 1.0, 0.5: 20.0}, None),  # the steeper the further: no peak
+    ],
+)
+def test_the_next_share_is_a_parabolas_peak(gains: dict[float, float], place: float | None) -> None:
+    found = peak(gains, 0.0, 1.0)
+    assert found == (None if place is None else pytest.approx(place, abs=0.02))
+
+
+def test_a_sampling_interval_has_a_whole_number_of_steps(arm: orbisim.Scene) -> None:
+    runs = inject_effect(arm, [], rate=100.0, duration=1.0, episodes=1, noise=1e-3, seed=0)
+    bench = make_bench(arm, prepare_all(runs, arm), 0.3)
+    assert typical_interval(bench) == pytest.approx(0.01)
+    for asked, expected in ((0.002, 0.002), (0.003, 0.0025), (0.03, 0.01)):
+        assert taken(bench, asked) == pytest.approx(expected)
+    assert taken(bench) == pytest.approx(float(arm.model.opt.timestep))
+
+
+def test_the_scene_itself_keeps_its_timestep(arm: orbisim.Scene) -> None:
+    before = float(arm.model.opt.timestep)
+    finer = with_timestep(arm, before / 4)
+    assert finer.model.opt.timestep == pytest.approx(before / 4)
+    assert arm.model.opt.timestep == before
