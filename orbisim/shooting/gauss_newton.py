@@ -381,7 +381,9 @@ class Problem:
     def parameter_step(
         self, values: Floats, left: Floats, weighted: Floats, damping: float
     ) -> Floats:
-        """[P]: the damped step of the unknowns, zero where it would leave the bounds.
+        """[P]: the damped step of the unknowns, zero where it would leave the bounds, and for those
+        whose slopes overflow: through impacts a difference over a small step may be that of a
+        motion that flies off.
 
         Args:
           left, weighted: residuals and slopes without what the starts explain.
@@ -393,8 +395,12 @@ class Problem:
         moment = np.einsum("wdp,wd->p", weighted, left)
         moment = moment - self.precision * (values - self.centre)
         scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        scaled = gram / np.outer(scale, scale) + damping * np.eye(count)
-        step = np.linalg.lstsq(scaled, moment / scale, rcond=1e-10)[0] / scale
+        known = np.flatnonzero(np.isfinite(np.diag(gram)) & np.isfinite(moment))
+        within = np.ix_(known, known)
+        scaled = gram[within] / np.outer(scale, scale)[within] + damping * np.eye(len(known))
+        step = np.zeros(count)
+        step[known] = np.linalg.lstsq(scaled, (moment / scale)[known], rcond=1e-10)[0]
+        step[known] /= scale[known]
         blocked = ((values >= self.high) & (step > 0)) | ((values <= self.low) & (step < 0))
         step[blocked] = 0.0
         return np.asarray(step)

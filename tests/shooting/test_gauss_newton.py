@@ -45,6 +45,22 @@ def _grown(trial: Any, window: int) -> Any:
     return SimpleNamespace(cost=cost, total=float(cost.sum()) + 1.0, penalty=1.0)
 
 
+@pytest.mark.filterwarnings(
+    "ignore:.*overflow.*:RuntimeWarning", "ignore:.*invalid value.*:RuntimeWarning"
+)
+def test_slopes_that_overflow_move_nothing() -> None:
+    """A motion that flies off has differences whose squares are no numbers; others step on."""
+    shooter: Any = SimpleNamespace(data=np.array([4]))
+    unknowns = [Unknown(name, 0.0, -10.0, 10.0, 1e-3) for name in ("a", "b")]
+    problem = Problem(shooter, lambda _: Variant(None), unknowns, Hints(), None)  # type: ignore[arg-type]
+    slopes = np.zeros((1, 4, 2))
+    slopes[0, :, 0] = 1.0
+    for flown in (1e200, np.inf):
+        slopes[0, 2, 1] = flown
+        step = problem.parameter_step(np.zeros(2), np.full((1, 4), 3.0), slopes, 0.0)
+        np.testing.assert_allclose(step, [3.0, 0.0], rtol=1e-9)
+
+
 def test_starts_may_be_readings_of_a_sensor_with_an_offset() -> None:
     """True positions 2 and 3, read at half their size and 0.1 more."""
     model = SimpleNamespace(nv=1)
