@@ -112,6 +112,8 @@ class TwoMasses(Law, abc.ABC):
         self._most = float(model.actuator_forcerange[drive, 1]) if limited else np.inf
         self._inertia = float(model.dof_armature[self._dof])
         self._damping = float(np.ravel(model.dof_damping[self._dof])[0])
+        link = max(float(model.dof_M0[self._dof]) - self._inertia, 1e-12)
+        self._reduced = self._inertia * link / (self._inertia + link)
         model.dof_armature[self._dof] = 0.0
         model.dof_damping[self._dof] = 0.0
         model.actuator_gainprm[drive] = 0.0
@@ -130,10 +132,7 @@ class TwoMasses(Law, abc.ABC):
         """Through the transmission for its twist (rotor less link)."""
 
     def passive(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        twist = self._angle - float(data.qpos[self._adr])
-        rate = self._speed - float(data.qvel[self._dof])
-        self._through = self.torque(twist, rate, float(model.opt.timestep))
-        data.qfrc_passive[self._dof] += self._through
+        data.qfrc_passive[self._dof] += self._through  # one for the whole step, for both masses
 
     def advance(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         step, gear = float(model.opt.timestep), self._gear
@@ -142,6 +141,9 @@ class TwoMasses(Law, abc.ABC):
         net = gear * force - self._damping * self._speed - self._through
         self._speed += step * net / self._inertia
         self._angle += step * self._speed
+        twist = self._angle - float(data.qpos[self._adr])
+        rate = self._speed - float(data.qvel[self._dof])
+        self._through = self.torque(twist, rate, step)
 
     def shown(self, qpos: Floats, qvel: Floats) -> None:
         qpos[self._adr], qvel[self._dof] = self._angle, self._speed
@@ -164,7 +166,8 @@ class Play(TwoMasses):
     """Nothing within half the width, stiff flanks beyond; value: the width."""
 
     _ANGLE = 0.25
-    """Phase by which rotor and flank swing in a step: as stiff as the step resolves."""
+    """Phase by which rotor and link swing against each other on a flank in a step: as stiff as the
+    step resolves. By the rotor's inertia alone a light link is thrown off."""
 
     def __init__(self, joint: str, actuator: str, value: float, size: float) -> None:
         super().__init__("backlash", joint, actuator, value, size)
@@ -174,6 +177,6 @@ class Play(TwoMasses):
         if beyond <= 0:
             return 0.0
         side = float(np.sign(twist))
-        stiff = self._inertia * (self._ANGLE / step) ** 2
-        damping = self._inertia * self._ANGLE / step
+        stiff = self._reduced * (self._ANGLE / step) ** 2
+        damping = self._reduced * self._ANGLE / step
         return side * max(0.0, stiff * beyond + damping * side * rate)

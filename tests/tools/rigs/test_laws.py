@@ -39,9 +39,10 @@ def moved(
     speed: float = 0.0,
     duration: float = 0.5,
     command: float = 0.0,
+    integrator: str = "implicitfast",
 ) -> Run:
     machine = Machine("made", "hand:none")
-    truth = Truth(machine, text, Stepping(2e-4, "implicitfast"), laws)
+    truth = Truth(machine, text, Stepping(2e-4, integrator), laws)
     qvel = np.zeros(truth.model.nv)
     qvel[0] = speed
     given = np.full(truth.size, command)
@@ -117,6 +118,25 @@ def test_an_elastic_transmission_swings_at_its_frequency() -> None:
     link, rotor = INERTIA - 0.02, 0.02
     swing = np.sqrt(stiffness * (1 / link + 1 / rotor)) / (2 * np.pi)
     assert crossings == pytest.approx(swing * 0.8, abs=1.0)
+
+
+@pytest.mark.parametrize("integrator", ["implicitfast", "rk4"])
+@pytest.mark.parametrize("kind", ["play", "elastic"])
+def test_a_transmission_moves_a_light_link_like_a_heavy_one(kind: str, integrator: str) -> None:
+    """The link has a fifth of the rotor's inertia; both share a momentum that the motor gives."""
+    light = WHEEL.replace('mass="2"', 'mass="0.8"')
+    law = (
+        drives.Play("axle", "motor", 0.004, 1.0)
+        if kind == "play"
+        else drives.Elastic("axle", "motor", 60.0, 1.0, 0.02)
+    )
+    run = moved(light, [law], command=0.5, duration=1.0, integrator=integrator)
+    link, rotor = 0.8 * 0.1**2 / 2, 0.02
+    speed = np.gradient(run.qpos[:, 0], run.time)
+    momentum = rotor * speed + link * run.rate[:, 0]
+    given = 0.5 * np.clip(run.time - 0.1, 0.0, None)
+    np.testing.assert_allclose(momentum[10:-10], given[10:-10], atol=0.01 * given[-1])
+    assert np.abs(run.qpos[:, 0] - run.body[:, 0]).max() < 0.02
 
 
 def test_a_load_has_the_inertia_of_a_point_mass() -> None:
