@@ -51,6 +51,7 @@ from orbisim.host.progress import status
 from orbisim.motion.samples import Samples, prepare_all
 from orbisim.recording import Recording
 from orbisim.recording.actuators import actuators
+from orbisim.recording.derived import independent
 from orbisim.recording.split import bounded, some_of, split
 from orbisim.recording.stamps import regular
 from orbisim.recording.suspicious import refuse, within_range
@@ -118,8 +119,9 @@ def diagnose(
     loaded.spec  # noqa: B018 (raises if the scene cannot be edited)
     notes: list[str] = []
     given, kept = _loaded(recordings), None if held_out is None else _loaded(held_out)
-    given, others = regular(given, kept or ())
-    kept = None if kept is None else others
+    for sound in (regular, independent):
+        given, others = sound(given, kept or ())
+        kept = None if kept is None else others
     given = [within_range(one) for one in given]
     kept = None if kept is None else [within_range(one) for one in kept]
     for one in (*given, *(kept or ())):
