@@ -9,7 +9,8 @@ gradients through the learned model, to the 64 frames in which the cubes move mo
 states (`true`), or to what `orbisim infer` reads off the frames, controls from the joints' motion
 included (`video`). Then the learned model runs free over these frames, from the first state of the
 same source, with what was declared, what was found, and what is true, and is held against the true
-states. A file for each episode and source, which are kept, and `summary.json`.
+states. A file for each episode and source, which are kept, and `summary.json`; of a video also what
+was read off it (`video_NNN.npz`), which takes longer than the fit and is not read off twice.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import json
 import os
 import time
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -100,15 +102,18 @@ def one(
     begun = time.time()
     line: dict[str, Any] = {"episode": number, "source": source}
     try:
-        measure(data, line, checkpoint, dynamics)
+        measure(data, line, checkpoint, dynamics, path.with_suffix(".npz"))
     except RecordingError as error:  # what the frames do not show cannot be fitted
         line["failed"] = str(error)
     line["seconds"] = round(time.time() - begun, 1)
     path.write_text(json.dumps(line) + "\n")
 
 
-def measure(data: Path, line: dict[str, Any], checkpoint: Path, dynamics: str) -> None:
+def measure(data: Path, line: dict[str, Any], checkpoint: Path, dynamics: str, kept: Path) -> None:
     """Fits and runs the episode and source that `line` names; adds what came out to it.
+
+    Args:
+      kept: where what is read off a video stays, or is from an earlier run.
 
     Raises:
       RecordingError: the source does not have what a fit needs.
@@ -140,7 +145,8 @@ def measure(data: Path, line: dict[str, Any], checkpoint: Path, dynamics: str) -
             held = np.concatenate([ctrl, ctrl[-1:]])
             recording = Recording(time_, {"qpos": qpos, "ctrl": held}, source=f"episode {number}")
         else:
-            recording = watched(declared, arrays["frames/side"][rows], checkpoint)
+            frames = arrays["frames/side"][rows]
+            recording = read_once(kept, lambda: watched(declared, frames, checkpoint))
             recording, first = from_where_all_is_seen(recording)
             qpos = qpos[first:]
             line["frames"] = len(qpos)
@@ -181,6 +187,15 @@ def busiest(qpos: Floats, cubes: list[int]) -> slice:
     return slice(start, start + count)
 
 
+def read_once(kept: Path, read: Callable[[], Recording]) -> Recording:
+    """What `read` returns, or what it returned in an earlier run and the file has."""
+    if not kept.exists():
+        part = kept.with_name(f"part_{kept.name}")  # a run that is ended leaves no half of a file
+        read().save(part)
+        part.replace(kept)
+    return Recording.load(kept)
+
+
 def watched(scene: Scene, frames: npt.NDArray[np.uint8], checkpoint: Path) -> Recording:
     """As `orbisim infer` does."""
     point, model = load_inference(checkpoint)
@@ -193,24 +208,21 @@ def watched(scene: Scene, frames: npt.NDArray[np.uint8], checkpoint: Path) -> Re
 
 def rollout(
     scene: Scene, recording: Recording, true: Floats, cubes: list[int], dynamics: str
-) -> dict[str, float] | None:
+) -> dict[str, Any]:
     """Errors over the window of a free run from its first state, against the true states.
 
-    None where a joint is not seen in the beginning, so that there is no state to begin from, or
-    where the model's state became infinite on the way.
+    `none` alone, with the reason, where the model's state became infinite on the way.
     """
     prepared = prepare(bind(recording, scene), 0.0)
     backend: Any = make_backend(dynamics, scene, device="cpu", compiled=False)
     windows = grid([prepared], backend.timestep)
-    began = windows.qpos[0]
-    if not (np.isfinite(began).all() and np.isfinite(windows.ctrl[0]).all()):
-        return None
     rows = prepared.windows[0]  # it begins where all is seen
-    state = State(np.zeros(1), began[None], windows.qvel[:1], windows.act[:1])
+    state = State(np.zeros(1), windows.qpos[:1], windows.qvel[:1], windows.act[:1])
     with torch.no_grad():
         path = np.asarray(backend.rollout(state, windows.ctrl[:1]).qpos)[0]
     if not np.isfinite(path).all():
-        return None
+        steps = int(np.isfinite(path).all(axis=1).argmin())
+        return {"none": f"infinite after {steps} of {len(path)} states"}
     truth = true[rows.start + 1 : rows.start + 1 + windows.ctrl.shape[1]]
     found = path[-windows.ctrl.shape[1] :][: len(truth)]
     places = [np.linalg.norm(found[:, a : a + 3] - truth[:, a : a + 3], axis=1) for a in cubes]
@@ -256,8 +268,10 @@ def summary(out: Path) -> dict[str, Any]:
                 else None
             )
         for which in ("declared", "found", "true"):
-            runs = [line[f"rollout_{which}"] for line in lines if line[f"rollout_{which}"]]
-            part[f"rollouts_{which}"] = {"runs": len(runs), "none": len(lines) - len(runs)} | {
+            every = {line["episode"]: line[f"rollout_{which}"] for line in lines}
+            runs = [run for run in every.values() if "none" not in run]
+            none = {episode: run["none"] for episode, run in every.items() if "none" in run}
+            part[f"rollouts_{which}"] = {"runs": len(runs), "none": none} | {
                 unit: _statistics([run[unit] for run in runs]) for unit in ("mm", "degrees")
             }
         found[source] = part

@@ -28,6 +28,7 @@ from orbisim_diffusion.resting import (
 )
 from orbisim_diffusion.solids import rays
 from orbisim_diffusion.synthesis import FINE, Eye
+from orbisim_diffusion.turns import Turns
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -40,8 +41,6 @@ _SEEN_PIXELS, _SEEN_SHARE, EXPLAINED = 6.0, 0.15, 0.5
 """What counts as seen: at least so many pixels (of 128 x 128) of an object that are right with it
 and wrong without, that share of its outline, and that share of the improvement which a perfect
 match would be."""
-_SAME_PIXELS = 0.02
-"""Drawings whose pixels differ by less are of what looks the same: 5 of 255, below the noise."""
 _RIGHT = 0.1
 """Difference of a pixel's value from which on it is wrong."""
 _BIAS, _WANDER = 0.2, 0.08
@@ -109,8 +108,8 @@ class Refiner:
 
     def __init__(self, scene: Scene, camera: int, size: int) -> None:
         self.eye, self.model, self.size = Eye(scene, camera, size), scene.model, size
-        keyed = scene.model.nkey > 0
-        self.rest = np.array(scene.model.key_qpos[0] if keyed else scene.model.qpos0)
+        self.keyed = scene.model.nkey > 0
+        self.rest = np.array(scene.model.key_qpos[0] if self.keyed else scene.model.qpos0)
         self.bodies = tuple(free_bodies(self.eye))
         self.scalar = scalar_joints(scene.model)
         self.surfaces = surfaces(self.eye)
@@ -118,6 +117,7 @@ class Refiner:
         entity = self.eye.entity
         self._fixed = torch.nonzero(entity <= ROBOT)[:, 0]
         self._robot = entity == ROBOT
+        self.turns = Turns(self.eye, self.rest, self.scalar, self.shown([]))
         self.view = self.eye.placed(scene.model.qpos0[None])[1]
         self._ray = rays(self.view, size, size)[0].double().numpy()
         self._eye = self.view.pos[0].double().numpy()
@@ -132,27 +132,20 @@ class Refiner:
           places: for each body, poses [7] of what the
             network sees that it might be; none is fine, too.
         """
-        return self._frame(frame, joints, None, places, None)
+        found = self._frame(frame, joints, None, places, None)
+        return self._held(frame, found) if self.keyed else found
 
-    def half_turned(self, joints: Floats) -> Floats:
-        """The joints, those that look the same after half a turn as near to rest as they can be.
-
-        No image tells such turns of a gripper apart. A network knows how the arm is held from what
-        it was trained on; without one the scene's first keyframe (or `qpos0`) decides.
-        """
-        qpos, found = np.array(self.rest), np.array(joints)
-        for i, column in enumerate(self.scalar.qpos):
-            turns = np.round((self.rest[column] - found[i]) / np.pi) if self.scalar.hinge[i] else 0
-            turned = found.copy()
-            turned[i] += turns * np.pi
-            if not turns or not self.scalar.low[i] <= turned[i] <= self.scalar.high[i]:
-                continue
-            states = np.stack([qpos, qpos])
-            states[:, self.scalar.qpos] = found, turned
-            one, other = self.eye.draw(states, self._all, self.shown([])).pixels
-            if float((one - other).abs().max()) < _SAME_PIXELS:
-                found = turned
-        return found
+    def _held(self, frame: npt.NDArray[np.uint8], found: Frame) -> Frame:
+        """The frame with joints in the turns that are probable, of those that look the same."""
+        columns, qpos = self.scalar.qpos, found.qpos.copy()
+        qpos[columns] = self.turns.held(qpos[columns], found.joints_std)
+        halves = np.round((qpos - found.qpos)[columns] / np.pi)
+        if not (halves % 2).any():
+            return found._replace(qpos=qpos)
+        image = torch.as_tensor(frame).double() / 255.0  # fitted: fingers have changed sides
+        present = [i for i, pose in enumerate(found.objects) if pose.seen]
+        qpos, std = self._arm(image, qpos, present, steps=6)
+        return found._replace(qpos=qpos, joints_std=std)
 
     def following(
         self,

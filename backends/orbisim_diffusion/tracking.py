@@ -66,7 +66,7 @@ def follow(refiner: Refiner, frames: npt.NDArray[np.uint8], read: Reading | None
         places = [places_of(read, t, body) for body in refiner.bodies]
         if not found:
             guess = None if read is None else read.joints[t]
-            joints = refiner.half_turned(start(refiner, frame)) if guess is None else guess
+            joints = refiner.turns.held(start(refiner, frame)) if guess is None else guess
             one = refiner.first(frame, joints, places)
         else:
             joints = _expected(found, refiner.scalar.qpos)

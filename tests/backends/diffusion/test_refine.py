@@ -182,6 +182,75 @@ def test_joints_stay_in_their_ranges() -> None:
 def test_of_turns_that_look_the_same_the_one_near_rest_is_taken() -> None:
     bar = TABLE.replace('<geom type="box" size="0.01 0.05 0.04" pos="0 -0.05 0.06"',
                         '<geom type="box" size="0.01 0.05 0.04" pos="0 0 0.06"')  # fmt: skip
-    for text, wanted in ((bar, 0.3), (TABLE, 0.3 + np.pi)):  # the post is to one side of its axis
-        refiner = Refiner(load_scene(text), 0, SIZE)
-        assert refiner.half_turned(np.array([0.3 + np.pi]))[0] == pytest.approx(wanted)
+    for text, wanted in ((bar, 0.3), (TABLE, 0.3 - np.pi)):  # the post is to one side of its axis
+        turns = Refiner(load_scene(text), 0, SIZE).turns
+        assert turns.held(np.array([0.3 + np.pi]))[0] == pytest.approx(wanted)
+
+
+ARM = """
+<mujoco>
+  <worldbody>
+    <light pos="0.2 -0.5 1.6" dir="-0.1 0.3 -1"/>
+    <camera name="side" pos="0 -0.42 0.4" xyaxes="1 0 0 0 0.69 0.72"/>
+    <geom type="box" size="0.3 0.3 0.02" pos="0 0 -0.02" rgba="0.76 0.66 0.52 1"/>
+    <body name="arm" pos="0 0.1 0.05">
+      <joint name="pan" axis="0 0 1" range="-180 180"/>
+      <geom type="box" size="0.01 0.07 0.01" pos="0 -0.07 0" rgba="0.3 0.3 0.35 1"/>
+      <body name="hand" pos="0 -0.14 0.04">
+        <joint name="wrist" axis="0 0 1" range="-360 360"/>
+        <geom type="box" size="0.06 0.015 0.015" rgba="0.2 0.4 0.8 1"/>
+        <body name="left" pos="0.04 0 0.03">
+          <joint name="left" type="slide" axis="1 0 0" range="0 0.02"/>
+          <geom type="box" size="0.01 0.015 0.02" rgba="0.8 0.8 0.3 1"/>
+        </body>
+        <body name="right" pos="-0.04 0 0.03">
+          <joint name="right" type="slide" axis="-1 0 0" range="0 0.02"/>
+          <geom type="box" size="0.01 0.015 0.02" rgba="0.8 0.8 0.3 1"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <keyframe><key qpos="0 0 0 0"/></keyframe>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="module")
+def arm() -> Refiner:
+    return Refiner(load_scene(ARM), 0, SIZE)
+
+
+def test_a_hand_is_held_as_in_the_keyframe_wherever_the_arm_reaches(arm: Refiner) -> None:
+    held = np.array([1.4, -1.8, 0.004, 0.0])  # the wrist is more than a quarter turn from rest
+    for turns in (-1, 0, 1, 2):
+        for std in (None, np.full(4, 0.01)):
+            start = held + [0.0, turns * np.pi, 0.0, 0.0]
+            np.testing.assert_allclose(arm.turns.held(start, std), held, atol=1e-9)
+
+
+def test_a_networks_turn_stays_where_the_keyframe_hardly_says_which(arm: Refiner) -> None:
+    def wrist(beyond: float, std: float | None) -> float:
+        joints = np.array([0.0, np.pi / 2 + beyond, 0.0, 0.0])
+        return float(arm.turns.held(joints, None if std is None else np.full(4, std))[1])
+
+    assert wrist(0.02, 0.01) == pytest.approx(np.pi / 2 + 0.02)
+    assert wrist(0.02, None) == pytest.approx(-np.pi / 2 + 0.02)
+    assert wrist(0.2, 0.01) == pytest.approx(-np.pi / 2 + 0.2)
+    assert wrist(0.2, np.inf) == pytest.approx(np.pi / 2 + 0.2)  # nothing of it is seen
+
+
+def test_a_hand_that_looks_otherwise_turned_is_not_turned() -> None:
+    marked = ARM.replace('<geom type="box" size="0.06 0.015 0.015"',
+                         '<geom type="box" size="0.06 0.015 0.015" pos="0.03 0 0"')  # fmt: skip
+    joints = np.array([0.0, 2.5, 0.0, 0.0])
+    turns = Refiner(load_scene(marked), 0, SIZE).turns
+    np.testing.assert_allclose(turns.held(joints, np.full(4, 0.01)), joints)
+
+
+@pytest.mark.slow
+def test_a_first_frame_read_half_a_turn_off_is_put_right(arm: Refiner) -> None:
+    true = np.array([0.7, -1.2, 0.0, 0.012])
+    read = true + [0.03, np.pi - 0.04, 0.012, -0.012]  # fingers are seen on the other sides
+    found = arm.first(drawn(arm, true), read, [])
+    np.testing.assert_allclose(found.qpos, true, atol=0.02)
+    assert abs(found.qpos[2:] - true[2:]).max() < 3e-3
