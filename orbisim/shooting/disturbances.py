@@ -61,6 +61,10 @@ _ROUNDS = 60
 """Steps of the optimiser at most; it needs 15 to 40."""
 _NOTHING = 1e-4
 """Of its unit, a standard deviation below which a noise is none."""
+_WHITE = (0.1, 1e3)
+"""Of its guess, which takes unknown motion for noise, and leaves out noise that lasts."""
+_FORCE = 1e5
+"""Of its unit: a slow force has no bound that matters."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -243,7 +247,6 @@ def likeliest(
     model = _Model(data, slow)
     unit = np.concatenate([data.noise, *[data.noise] * len(LASTING), data.unit])
     unit = np.concatenate([unit, data.unit]) if slow else unit
-    best: dict[str, Floats] = {}
 
     def loss(logs: Floats) -> tuple[float, Floats]:
         deadline.check()
@@ -251,16 +254,11 @@ def likeliest(
         score, slope = model.score(variances)
         if not np.isfinite(score).all():
             return np.inf, np.zeros_like(logs)
-        best["score"] = score
         return -float(score.sum()), -2.0 * slope * variances
 
-    bounds = [(np.log(0.1), np.log(1e3))] * len(data.noise)
-    bounds += [(np.log(_NOTHING), np.log(_WANDER))] * len(data.noise) * len(LASTING)
-    most = np.log(np.maximum(data.drive / data.unit, _NOTHING))  # a drive errs by what it gives
-    bounds += [(np.log(_NOTHING), float(one)) for one in most]
-    bounds += [(np.log(_NOTHING), np.log(1e5))] * (len(unit) - len(bounds))
+    bounds = np.log(_limits(data, slow))
     start = _begun(data, unit, beside, loss)
-    start = np.clip(start, [low for low, _ in bounds], [high for _, high in bounds])
+    start = np.clip(start, *bounds.T)
     found = scipy.optimize.minimize(
         loss,
         start,
@@ -269,8 +267,18 @@ def likeliest(
         bounds=bounds,
         options={"maxiter": _ROUNDS, "ftol": _CLOSE},
     ).x
-    loss(found)
-    return model.told(best["score"], unit * np.exp(found))
+    score = model.score((unit * np.exp(found)) ** 2)[0]
+    return model.told(score, unit * np.exp(found))
+
+
+def _limits(data: Stretches, slow: bool) -> Floats:
+    """[P, 2]: least and most of each standard deviation, in its unit."""
+    ny, nv = len(data.noise), data.B.shape[3]
+    white = [_WHITE] * ny
+    lasting = [(_NOTHING, _WANDER)] * (ny * len(LASTING))
+    # a drive errs by no more than what it gives
+    push = [(_NOTHING, float(max(one, _NOTHING))) for one in data.drive / data.unit]
+    return np.array(white + lasting + push + ([(_NOTHING, _FORCE)] * nv if slow else []))
 
 
 def _begun(

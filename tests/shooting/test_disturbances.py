@@ -1,5 +1,6 @@
 """Noise of sensors and drives, told apart from a force that a scene lacks."""
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -136,6 +137,18 @@ def test_a_missing_force_is_no_noise(arm: orbisim.Scene) -> None:
         assert remainder(_stretches(arm, runs)).structured, effect
         lasting = [_changed(one, _lasting) for one in runs]
         assert remainder(_stretches(arm, lasting)).structured, effect
+
+
+def test_random_forces_are_no_larger_than_the_drive(arm: orbisim.Scene) -> None:
+    """Friction that only a push could make up for, without one in its place."""
+    dry = EffectInstance("coulomb_friction", "elbow", {"torque": 0.3})
+    data = _stretches(arm, _runs(arm, [dry]))
+    assert (data.drive > 0.05).all()
+    free = likeliest(data)
+    weak = likeliest(dataclasses.replace(data, drive=np.array([0.01, 0.0])))
+    assert free.push[1] > 0.05
+    assert weak.push[0] <= 0.01 * (1 + 1e-9) and weak.push[1] <= 1e-3 * data.unit[1]
+    assert weak.score.sum() < free.score.sum()
 
 
 def test_recordings_that_are_too_short_tell_nothing(arm: orbisim.Scene) -> None:
