@@ -109,6 +109,23 @@ def fit(
     return Fit(at, cost, curvature + prior)
 
 
+def cost(
+    eye: Eye,
+    image: torch.Tensor,
+    pixels: torch.Tensor,
+    state: Floats,
+    *,
+    noise: float,
+    prior: Floats,
+    centre: Floats,
+    geoms: torch.Tensor | None = None,
+) -> float:
+    """What `fit` minimises, where it begins: at a state [nq]; see there."""
+    wanted = image.reshape(-1, 3)[pixels].double().numpy().reshape(-1)
+    problem = _Problem(eye, wanted, pixels, geoms, noise, 1)
+    return float((problem.cost(state[None]) + _quadratic(-centre[None], prior))[0])
+
+
 class _Problem:
     """Costs of states, and their first two derivatives along directions."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from orbisim.scene import Scene
 from orbisim.scene.visible import ROBOT
-from orbisim_diffusion.levenberg import Fit, fit, losses
+from orbisim_diffusion.levenberg import Fit, cost, fit, losses
 from orbisim_diffusion.resting import (
     MARGIN,
     Body,
@@ -52,6 +52,9 @@ _LIES, _FREE = 0.9, 0.15
 anywhere, if that lowers the cost by such a share."""
 _ROBOT_PIXELS = 700
 """Pixels that a robot's fit looks at, at most."""
+_FOLLOWING, _REACHED = 6, 3.0
+"""Steps of a robot's fit from where it goes; and pixels, what the secants of a fit bridge: where a
+network reads it so near to where that fit ends, another one from there hardly ends elsewhere."""
 _CERTAIN = 3.0
 """Standard deviations by which two objects must be within each other to be called impossible."""
 _SURE, _LESS, _SAME = 0.75, 0.05, 0.015
@@ -155,15 +158,19 @@ class Refiner:
         before: Frame,
         known: Floats | None = None,
         ahead: Sequence[Floats | None] = (),
+        read: Floats | None = None,
     ) -> Frame:
         """The next frame of a video.
 
         Args:
-          frame, joints, places: see `first`. before: the frame before it. known: joints that need
-            no fit. ahead: for each body, the pose [7] that it has if it goes on as it moved; None
-            where that is not known.
+          frame, places: see `first`. joints: [joints] if they go on as they moved. before: the
+            frame before it. known: joints that need no fit. ahead: for each body, the pose [7] that
+            it has if it goes on as it moved; None where that is not known.
+          read: [joints] as a network reads this frame by itself. Where the frame is drawn better
+            from there, the motion included, they are taken: joints that a frame has lost would
+            else go on at the speed at which they were lost.
         """
-        return self._frame(frame, joints, known, places, before, ahead)
+        return self._frame(frame, joints, known, places, before, ahead, read)
 
     def _frame(
         self,
@@ -173,6 +180,7 @@ class Refiner:
         places: Sequence[Sequence[Floats]],
         before: Frame | None,
         ahead: Sequence[Floats | None] = (),
+        read: Floats | None = None,
     ) -> Frame:
         image = torch.as_tensor(frame).double() / 255.0
         qpos = np.array(self.rest if before is None else before.qpos)
@@ -184,7 +192,11 @@ class Refiner:
         if before is not None:
             present = [i for i, pose in enumerate(before.objects) if pose.seen]
         if known is None and len(joints):
-            qpos, std = self._arm(image, qpos, present, steps=20 if before is None else 6)
+            if read is None or not np.isfinite(read).all():
+                steps = 20 if before is None else _FOLLOWING
+                qpos, std = self._arm(image, qpos, present, steps)
+            else:
+                qpos, std = self._either(image, qpos, read, present)
         found: list[Pose | None] = [None] * len(self.bodies)
         order = self._order(before)
         for i in order:
@@ -271,37 +283,79 @@ class Refiner:
     def _arm(
         self, image: torch.Tensor, qpos: Floats, present: list[int], steps: int
     ) -> tuple[Floats, Floats]:
-        """The joints, and their standard deviations."""
+        """The state [nq] with joints near those of `qpos`, and their standard deviations."""
         geoms = self.shown(present)
-        static = self.unmoved(geoms)
-        drawn = self.eye.draw(qpos[None], self._all, geoms)
-        without = self.eye.draw(qpos[None], self._all, static)
-        touched = (drawn.pixels - without.pixels).abs().amax(-1)[0] > 0.03
+        pixels = self._touched(qpos[None], geoms)
+        if not len(pixels):
+            return qpos, np.full(len(self.scalar.qpos), np.inf)
+        return self._joined(self._joints(image, qpos, qpos, geoms, pixels, steps))
+
+    def _either(
+        self, image: torch.Tensor, expected: Floats, read: Floats, present: list[int]
+    ) -> tuple[Floats, Floats]:
+        """See `_arm`; from where motion has the joints or where a network reads them.
+
+        Both fits are of the same pixels and have the motion's prior: the lower cost is kept.
+
+        Args:
+          image: [H, W, 3]. expected: [nq] by the motion. read: [joints]. present: objects there.
+        """
+        columns, geoms = self.scalar.qpos, self.shown(present)
+        started = expected.copy()
+        started[columns] = self.turns.nearest(read, expected[columns])
+        pixels = self._touched(np.stack([expected, started]), geoms)
+        if not len(pixels):
+            return expected, np.full(len(columns), np.inf)
+        found = self._joints(image, expected, expected, geoms, pixels, _FOLLOWING)
+        if self.eye.apart(found.qpos[0], started, self._robot) < _REACHED:
+            # a glance: what is near and drawn worse is on the way to the same end
+            there = cost(
+                self.eye, image, pixels, started, **self._about(started, expected), geoms=geoms
+            )
+            if there >= found.cost[0]:
+                return self._joined(found)
+        other = self._joints(image, started, expected, geoms, pixels, _FOLLOWING)
+        return self._joined(other if other.cost[0] < found.cost[0] else found)
+
+    def _joints(
+        self,
+        image: torch.Tensor,
+        start: Floats,
+        expected: Floats,
+        geoms: torch.Tensor,
+        pixels: torch.Tensor,
+        steps: int,
+    ) -> Fit:
+        """From one state [nq]; the joints' prior is about another one [nq]."""
+        directions = np.zeros((1, self.model.nv, len(self.scalar.dof)))
+        directions[0, self.scalar.dof, np.arange(len(self.scalar.dof))] = 1.0
+        about = self._about(start, expected)
+        return fit(
+            self.eye, image, pixels, start[None], directions, **about, geoms=geoms, steps=steps
+        )
+
+    def _about(self, start: Floats, expected: Floats) -> _Prior:
+        """Of the joints' fit from one state [nq], about another one [nq]."""
+        # noise grows with the stride: fewer pixels say as much as they stand for
+        noise, prior = float(NOISE * np.sqrt(ALIKE)), np.diag(self.scalar.prior**-2.0)
+        return {"noise": noise, "prior": prior, "centre": (expected - start)[self.scalar.qpos]}
+
+    def _joined(self, found: Fit) -> tuple[Floats, Floats]:
+        """The state [nq] of a fit with joints in their ranges, and their standard deviations."""
+        best, columns = found.qpos[0], self.scalar.qpos
+        best[columns] = np.clip(best[columns], self.scalar.low, self.scalar.high)
+        return best, np.sqrt(np.diag(np.linalg.inv(found.precision[0])))
+
+    def _touched(self, states: Floats, geoms: torch.Tensor) -> torch.Tensor:
+        """Pixels, not too many, that joints change in some states [S, nq], and those around."""
+        drawn = self.eye.draw(states, self._all, geoms)
+        without = self.eye.draw(states[:1], self._all, self.unmoved(geoms))
+        touched = ((drawn.pixels - without.pixels).abs().amax(-1) > 0.03).any(0)
         near = ndimage.binary_dilation(
             touched.reshape(self.size, self.size).numpy(), iterations=MARGIN
         )
         pixels = torch.as_tensor(np.flatnonzero(near))
-        pixels = pixels[:: max(1, len(pixels) // _ROBOT_PIXELS)]
-        if not len(pixels):
-            return qpos, np.full(len(self.scalar.qpos), np.inf)
-        directions = np.zeros((1, self.model.nv, len(self.scalar.dof)))
-        directions[0, self.scalar.dof, np.arange(len(self.scalar.dof))] = 1.0
-        # noise grows with the stride: fewer pixels say as much as they stand for
-        prior = np.diag(self.scalar.prior**-2.0)
-        found = fit(
-            self.eye,
-            image,
-            pixels,
-            qpos[None],
-            directions,
-            noise=NOISE * np.sqrt(ALIKE),
-            prior=prior,
-            geoms=geoms,
-            steps=steps,
-        )
-        best, columns = found.qpos[0], self.scalar.qpos
-        best[columns] = np.clip(best[columns], self.scalar.low, self.scalar.high)
-        return best, np.sqrt(np.diag(np.linalg.inv(found.precision[0])))
+        return pixels[:: max(1, len(pixels) // _ROBOT_PIXELS)]
 
     # -- objects -----------------------------------------------------------------------------------
 
@@ -513,6 +567,14 @@ class Refiner:
     def unmoved(self, geoms: torch.Tensor) -> torch.Tensor:
         """Those of some geoms that no scalar joint moves."""
         return geoms[~self._robot[geoms]]
+
+
+class _Prior(TypedDict):
+    """What a fit of joints is told beside the image; see `levenberg.fit`."""
+
+    noise: float
+    prior: Floats
+    centre: Floats
 
 
 class _Around(NamedTuple):

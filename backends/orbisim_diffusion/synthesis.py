@@ -152,15 +152,26 @@ class Eye:
         change = _SMALL * directions.transpose(0, 2, 1)
         after = self.moved(qpos[:, None].repeat(k, 1), change).reshape(count * k, -1)
         solids, view = self.placed(np.concatenate([qpos, after]))
-        pos, rot = solids.pos[:count].repeat_interleave(k, 0), solids.rot[:count]
+        found = self._shifts(solids, view, k) / _SMALL
+        fastest: Floats = found.amax(1).clamp_min(1e-3).reshape(count, k).numpy()
+        return fastest
+
+    def apart(self, one: Floats, other: Floats, geoms: Tensor) -> float:
+        """Pixels between two states [nq] of the geom that moves farthest, of some: mask [G]."""
+        solids, view = self.placed(np.stack([one, other]))
+        moved = self._shifts(solids, view, 1)[0, geoms]
+        return float(moved.max()) if len(moved) else 0.0
+
+    def _shifts(self, solids: Solids, view: View, k: int) -> Tensor:
+        """[B * k, G] pixels that geoms move from each of B states to k others that come after."""
+        count = len(solids.pos) // (k + 1)
+        pos, rot = (field[:count].repeat_interleave(k, 0) for field in (solids.pos, solids.rot))
         gone = (solids.pos[count:] - pos).norm(dim=-1)
-        turned = (solids.rot[count:] - rot.repeat_interleave(k, 0)).flatten(2).norm(dim=-1)
+        turned = (solids.rot[count:] - rot).flatten(2).norm(dim=-1)
         reach = solids.size[count:].clamp(max=1.0).norm(dim=-1)
         depth = (view.pos[:count, None] - solids.pos[:count]).norm(dim=-1).clamp_min(0.05)
         scale = self.size * view.focal[:count, 1:] / depth  # pixels for a metre
-        found = (gone + turned * reach) * scale.repeat_interleave(k, 0) / _SMALL
-        fastest: Floats = found.amax(1).clamp_min(1e-3).reshape(count, k).numpy()
-        return fastest
+        return (gone + turned * reach) * scale.repeat_interleave(k, 0)
 
 
 def _parts(pixels: Tensor, size: int, fine: int) -> Tensor:

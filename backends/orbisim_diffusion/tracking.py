@@ -59,19 +59,19 @@ def follow(refiner: Refiner, frames: npt.NDArray[np.uint8], read: Reading | None
       refiner: of the scene and the camera. frames: [T, H, W, 3] of its size.
       read: what a network reads off the same frames. Without one, joints start from where the
         first frame is drawn best (`starting.start`), objects from where the image has their
-        colours.
+        colours, and joints that the fit has lost stay lost.
     """
     found: list[Frame] = []
     for t, frame in enumerate(track(frames, "fitting frames", len(frames))):
         places = [places_of(read, t, body) for body in refiner.bodies]
+        guess = None if read is None else read.joints[t]
         if not found:
-            guess = None if read is None else read.joints[t]
             joints = refiner.turns.held(start(refiner, frame)) if guess is None else guess
             one = refiner.first(frame, joints, places)
         else:
             joints = _expected(found, refiner.scalar.qpos)
             ahead = [_ahead(found, i) for i in range(len(refiner.bodies))]
-            one = refiner.following(frame, joints, places, found[-1], ahead=ahead)
+            one = refiner.following(frame, joints, places, found[-1], ahead=ahead, read=guess)
         if len(refiner.scalar.qpos):
             present = [i for i, pose in enumerate(one.objects) if pose.seen]
             one = one._replace(joints_seen=shows_joints(refiner, frame, one.qpos, present))

@@ -77,6 +77,26 @@ class Turns:
                 found = found if whole is None else whole
         return found
 
+    def nearest(self, joints: Floats, to: Floats) -> Floats:
+        """The joints [joints], turned as no image tells to where others [joints] are nearest.
+
+        What a network reads of one frame has no memory of the turns of the frames before. Joints
+        are clipped to their ranges first; whole turns and, where they look the same, half turns
+        stay in them.
+        """
+        found: Floats = np.clip(joints, self.scalar.low, self.scalar.high)
+        for i in np.flatnonzero(self.scalar.hinge).tolist():
+            halves = int(np.round((to[i] - found[i]) / np.pi))
+            whole = 2 * int(np.round((to[i] - found[i]) / (2.0 * np.pi)))
+            for turns in dict.fromkeys((halves, whole)):
+                other = found.copy()
+                other[i] += turns * np.pi
+                held = self.scalar.low[i] <= other[i] <= self.scalar.high[i]
+                if held and (turns % 2 == 0 or self._alike(found, other, i)):
+                    found = other
+                    break
+        return found
+
     def _turned(self, joints: Floats, i: int, halves: int) -> Floats | None:
         """After an even (0) or odd (1) number of half turns: nearest to rest within the range."""
         best = None

@@ -93,7 +93,9 @@ class Sight:
                 self._before = refiner.first(frame, start, places)
             else:  # at the speed of the last two
                 ahead = 2.0 * last[-1] - last[0] if len(last) > 1 else last[-1]
-                self._before = refiner.following(frame, ahead[columns], places, self._before, known)
+                self._before = refiner.following(
+                    frame, ahead[columns], places, self._before, known, read=read.joints[0]
+                )
             qpos = np.array(self._before.qpos)
             if known is not None:
                 qpos[columns] = known

@@ -11,7 +11,7 @@ from orbisim_diffusion.refine import Frame, Pose, Refiner
 from orbisim_diffusion.starting import shows_joints, start
 from orbisim_diffusion.symmetry import angle, rotation_error
 from orbisim_diffusion.synthesis import FINE
-from orbisim_diffusion.tracking import follow, recording_of
+from orbisim_diffusion.tracking import Reading, follow, recording_of
 from scipy.spatial.transform import Rotation
 
 from orbisim import make_renderer
@@ -138,6 +138,45 @@ def test_a_fast_body_is_followed(refiner: Refiner, step: float, turn: float) -> 
         assert turned(pose.qpos[3:], true[4:]) < 1.0
 
 
+def before(qpos: npt.NDArray[np.float64]) -> Frame:
+    """A frame before another one, with the cube where it is."""
+    cube = Pose(qpos[1:8], True, 0.95, np.full(6, 1e-3))
+    return Frame(qpos, np.full(1, 0.01), (cube,))
+
+
+def test_joints_that_motion_has_lost_are_found_where_a_network_reads_them(
+    refiner: Refiner,
+) -> None:
+    true, last = state(0.12, 0.05, 0.3, swing=0.9), before(state(0.12, 0.05, 0.3, swing=-0.8))
+    image, lost, read = drawn(refiner, true), np.array([-1.0]), np.array([0.95])
+    alone = refiner.following(image, lost, [[]], last)
+    assert abs(alone.qpos[0] - 0.9) > 0.5  # the motion's fit is not enough
+    both = refiner.following(image, lost, [[]], last, read=read)
+    assert abs(both.qpos[0] - 0.9) < 0.02
+    assert both.objects[0].seen
+
+
+@pytest.mark.slow
+def test_a_network_that_misreads_a_frame_does_not_move_joints(refiner: Refiner) -> None:
+    true, last = state(0.12, 0.05, 0.3, swing=0.9), before(state(0.12, 0.05, 0.3, swing=0.8))
+    image, expected = drawn(refiner, true), np.array([0.85])
+    for read in (-1.0, 0.9 + 2.0 * np.pi, np.nan):
+        found = refiner.following(image, expected, [[]], last, read=np.array([read]))
+        assert abs(found.qpos[0] - 0.9) < 0.02
+
+
+@pytest.mark.slow
+def test_a_film_whose_first_frame_is_misread_finds_its_joints_again(refiner: Refiner) -> None:
+    states = [state(0.12, 0.05, 0.3, swing=0.9 + 0.02 * i) for i in range(3)]
+    joints = np.array([[-1.0], [0.95], [0.97]])
+    none = np.zeros((3, 0, 3))
+    read = Reading(joints, np.zeros((3, 0, 7)), none, none, np.zeros((3, 0)))
+    found = follow(refiner, np.stack([drawn(refiner, one) for one in states]), read)
+    off = [abs(one.qpos[0] - true[0]) for one, true in zip(found, states, strict=True)]
+    assert off[0] > 0.5  # else nothing was lost
+    assert max(off[1:]) < 0.02
+
+
 def test_of_two_bodies_in_one_place_the_less_explained_is_not_seen() -> None:
     cube = """<body name="second"><freejoint/>
       <geom type="box" size="0.03 0.03 0.03"/></body></worldbody>"""
@@ -237,6 +276,14 @@ def test_a_networks_turn_stays_where_the_keyframe_hardly_says_which(arm: Refiner
     assert wrist(0.02, None) == pytest.approx(-np.pi / 2 + 0.02)
     assert wrist(0.2, 0.01) == pytest.approx(-np.pi / 2 + 0.2)
     assert wrist(0.2, np.inf) == pytest.approx(np.pi / 2 + 0.2)  # nothing of it is seen
+
+
+def test_a_reading_is_turned_to_the_film_as_no_image_tells(arm: Refiner) -> None:
+    film = np.array([3.0, -2.0, 0.0, 0.0])
+    read = film + [-2.0 * np.pi - 0.1, np.pi + 0.05, 0.0, 0.03]  # out of two ranges
+    np.testing.assert_allclose(arm.turns.nearest(read, film), [np.pi, -1.95, 0.0, 0.02], atol=1e-9)
+    misread = film + [0.0, -1.0, 0.0, 0.0]  # no half turn: what was read is kept
+    np.testing.assert_allclose(arm.turns.nearest(misread, film), misread)
 
 
 def test_a_hand_that_looks_otherwise_turned_is_not_turned() -> None:
