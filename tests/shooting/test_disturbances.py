@@ -128,14 +128,12 @@ def test_noise_that_lasts_is_noise(arm: orbisim.Scene) -> None:
 
 
 def test_a_missing_force_is_no_noise(arm: orbisim.Scene) -> None:
-    """Dry friction and a spring, each also under noise that lasts."""
+    """Dry friction and a spring, under noise that lasts."""
     for effect in (
         EffectInstance("coulomb_friction", "elbow", {"torque": 0.1}),
         EffectInstance("joint_spring", "shoulder", {"stiffness": 1.0, "rest_position": 0.3}),
     ):
-        runs = _runs(arm, [effect])
-        assert remainder(_stretches(arm, runs)).structured, effect
-        lasting = [_changed(one, _lasting) for one in runs]
+        lasting = [_changed(one, _lasting) for one in _runs(arm, [effect])]
         assert remainder(_stretches(arm, lasting)).structured, effect
 
 

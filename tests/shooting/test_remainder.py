@@ -55,6 +55,7 @@ def test_coloured_noise_is_no_residual(arm: orbisim.Scene) -> None:
     assert any("it is noise (noise of qpos/shoulder" in note for note in result.notes)
 
 
+@pytest.mark.slow
 def test_friction_beside_coloured_noise_is_found(arm: orbisim.Scene) -> None:
     dry = EffectInstance("coulomb_friction", "elbow", {"torque": 0.1})
     result = orbisim.diagnose(arm, _runs(arm, [dry], 3), settings=FEW, progress=False)
