@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.recording import Recording, names
-from orbisim.recording.command_clock import Lead
+from orbisim.recording.command_clock import Lead, command_period
 
 Floats = npt.NDArray[np.float64]
 
@@ -67,7 +67,8 @@ def thinned(recordings: Sequence[Recording], window: float, notes: list[str]) ->
 def bridged(recordings: Sequence[Recording], notes: list[str]) -> list[Recording]:
     """Recordings whose controls and torques are means where samples are missing: what they were in
     between is not known, and to hold the last one drives a machine on that had long been told
-    otherwise. A mean is that of a course in equal steps from the last known one to the next.
+    otherwise. A mean is that of a course in equal steps from the last known one to the next. Those
+    that follow a clock of their own stay: when they change, the log as it is says.
 
     Args:
       notes: gets a line if anything is missing.
@@ -79,11 +80,13 @@ def bridged(recordings: Sequence[Recording], notes: list[str]) -> list[Recording
         rows = np.flatnonzero(count > _GAP)
         changed: dict[str, Floats] = {}
         for name, values in one.signals.items():
-            if len(rows) and names.split(name)[0] in names.HELD:
+            wide = np.array(values, np.float64).reshape(len(one), -1)
+            held = len(rows) and names.split(name)[0] in names.HELD
+            if held and command_period(one.time, wide) is None:
                 share = (np.round(count[rows]) - 1) / (2 * np.round(count[rows]))
-                share = share.reshape(-1, *[1] * (values.ndim - 1))
-                changed[name] = np.array(values, np.float64)
-                changed[name][rows] += share * (values[rows + 1] - values[rows])
+                step = share[:, None] * (wide[rows + 1] - wide[rows])
+                wide[rows] += np.where(np.isfinite(step), step, 0.0)  # the next may be missing, too
+                changed[name] = wide.reshape(values.shape)
         if any(not np.array_equal(one.signals[n], v, equal_nan=True) for n, v in changed.items()):
             missing += len(rows)
             one = one.replace(signals={**one.signals, **changed})

@@ -90,3 +90,15 @@ def test_recordings_without_gaps_or_with_steady_controls_stay_as_they_are() -> N
         a is b for a, b in zip(bridged([whole, steady], notes), [whole, steady], strict=True)
     )
     assert not notes
+
+
+def test_a_known_control_stays_where_the_next_is_missing_or_has_a_clock() -> None:
+    kept = np.delete(np.arange(400), [5, 200])
+    lost = 1.0 * kept
+    lost[kept == 6] = np.nan
+    ticks = np.floor((0.01 * kept - 0.004) / 0.0273)  # a clock of its own
+    one = Recording(0.01 * kept, {"qpos/a": lost, "ctrl/lost": lost, "ctrl/clock": ticks})
+    (found,) = bridged([one], [])
+    assert found["ctrl/lost"][kept == 4] == 4.0
+    assert found["ctrl/lost"][kept == 199] == pytest.approx(199.5)
+    assert np.array_equal(found["ctrl/clock"], ticks)
