@@ -119,8 +119,8 @@ def diagnose(
     loaded.spec  # noqa: B018 (raises if the scene cannot be edited)
     notes: list[str] = []
     given, kept = _loaded(recordings), None if held_out is None else _loaded(held_out)
-    for sound in (regular, independent):
-        given, others = sound(given, kept or ())
+    for repaired in (regular, independent):  # a grid of stamps, no velocities made of positions
+        given, others = repaired(given, kept or ())
         kept = None if kept is None else others
     given = [within_range(one) for one in given]
     kept = None if kept is None else [within_range(one) for one in kept]
