@@ -50,12 +50,13 @@ def diagnose_forces(
       RecordingError: a recording does not fit the scene.
       InputError: there are too few usable samples.
     """
-    samples, unseen = prepare_all(fit, scene), prepare_all(held, scene)
-    found = attribute_forces(scene, samples, settings, say, deadline)
+    bare = scene.without_visuals()
+    samples, unseen = prepare_all(fit, bare), prepare_all(held, bare)
+    found = attribute_forces(bare, samples, settings, say, deadline)
     if deadline.passed:
         notes = [*notes, "the search was ended as its time was up; more may be found"]
     say("checking on held-out data")
-    fitted, kept = _Errors(scene, samples), _Errors(scene, unseen)
+    fitted, kept = _Errors(bare, samples), _Errors(bare, unseen)
     return Diagnosis(
         scene=scene,
         source=source,

@@ -61,6 +61,7 @@ from orbisim.sensing.faults import Sensed
 from orbisim.shooting.bench import Bench, Noise, make_bench
 from orbisim.shooting.cutting import touches, windows_enough
 from orbisim.shooting.horizon import telling_window
+from orbisim.shooting.timestep import with_timestep
 
 Source = Recording | str | Path
 
@@ -183,13 +184,14 @@ def _by_motion(
     held = some_of(held, window, enough, notes)
     fit, held = bridged(fit, notes), bridged(held, [])
     fewer = thinned(fit, window, notes)
-    bench = make_bench(scene, prepare_all(bounded(fewer, notes), scene), window)
+    bare = scene.without_visuals()  # the search compiles it thousands of times
+    bench = make_bench(bare, prepare_all(bounded(fewer, notes), bare), window)
     if all(map(operator.is_, fewer, fit)):  # else samples are close, and controls are means already
         bench = asked(bench)
     notes += [note for note in (disabled(scene),) if note is not None]
     limit = Deadline(start + _SEARCH * settings.patience)
     bench = dataclasses.replace(bench, deadline=limit)
-    unseen = _held_back(scene, bounded(thinned(held, window, notes), notes), window, bench.noise)
+    unseen = _held_back(bare, bounded(thinned(held, window, notes), notes), window, bench.noise)
     found = attribute(bench, settings, say, Deadline(start + _FITS * settings.patience))
     if found.cut_short:
         notes.append(f"the search was ended after {settings.patience:g} s; more may be found")
@@ -330,7 +332,8 @@ def _result(
     notes: list[str],
     sensed: Sensed,
 ) -> Diagnosis:
-    hypothesis, stepped = found.after.hypothesis, found.bench.scene
+    hypothesis, step = found.after.hypothesis, float(found.bench.scene.model.opt.timestep)
+    stepped = scene if step == scene.model.opt.timestep else with_timestep(scene, step)
     augmented = hypothesis.scene(stepped)
     measuring = [e for e in hypothesis.effects if find(e.effect).measurement]
     measuring += sensed.instances

@@ -134,6 +134,24 @@ class Scene:
             )
         return self._spec.copy()
 
+    def without_visuals(self) -> Scene:
+        """The same physics without textures, materials and geoms that touch nothing.
+
+        To compile a scene takes a hundred times as long with a skybox. Geoms without a name are
+        named by their numbers, which change. The scene itself where MuJoCo cannot leave these out
+        (`inertiafromgeom="true"`) or where there is no document.
+        """
+        if self._spec is None:
+            return self
+        spec = self._spec.copy()
+        spec.compiler.discardvisual = True
+        for number, geom in enumerate(spec.geoms):
+            geom.name = geom.name or f"geom{number}"
+        try:
+            return Scene.from_spec(spec, source=self.source, unsupported=self.unsupported)
+        except SceneError:
+            return self
+
     @property
     def editable(self) -> bool:
         """Whether the scene has a document (`spec`, `to_xml`, `save` work)."""
