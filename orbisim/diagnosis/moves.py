@@ -20,13 +20,12 @@ from orbisim.diagnosis.explanations import (
     done,
     fitted_from,
     names_of,
-    possible_of,
     winner,
 )
 from orbisim.diagnosis.force_search import attribute_forces, common_forces
 from orbisim.diagnosis.glances import generalizations
 from orbisim.diagnosis.proposals import additions, begin, pairs
-from orbisim.diagnosis.simplification import Sure, pruned
+from orbisim.diagnosis.reselection import fitted_set
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.together import propose
 from orbisim.diagnosis.worth import gains, worth
@@ -34,7 +33,7 @@ from orbisim.effects import EffectInstance, find
 from orbisim.errors import InputError
 from orbisim.host.deadline import Deadline, TimeIsUpError
 from orbisim.shooting.hypothesis import Hypothesis
-from orbisim.shooting.judge import Judge, Judged
+from orbisim.shooting.judge import Judged
 
 Kind = Callable[[Found, int, Sequence[Judged]], Iterator[Judged]]
 
@@ -251,25 +250,16 @@ def _together(
 ) -> Iterator[Judged]:
     """Many at once: on a real machine each looks wrong as long as the others are missing. Without
     what is not surely worth it: a dozen cost too much to be compared with one."""
-    context, bench = found.context, found.context.bench
-    if number > 1 or bench.rugged:
+    context = found.context
+    if number > 1 or context.bench.rugged:
         return
     context.say("several effects at once")
-    windows = context.settings.windows
-    judge = Judge(bench, context.intervals, (), None, windows, True, context.chance)
-
-    def refit(less: Hypothesis, now: Judged) -> Judged | None:
-        return judge.judge(less, begin=judge.begin(now))
-
     try:
         effects = proposed(context)
     except InputError:  # too few samples with accelerations
         return
-    together = Hypothesis(effects).in_parts()
-    judged = judge.judge(together, _ITERATIONS) if effects else None
-    possible = None if judged is None else possible_of(bench, judge, judged, _ITERATIONS)
-    if possible is not None:
-        yield from _last(pruned(context, possible, refit))
+    if effects:
+        yield from fitted_set(context, Hypothesis(effects).in_parts())
 
 
 def _by_windows(context: Context) -> tuple[EffectInstance, ...]:
@@ -289,18 +279,3 @@ def _by_forces(context: Context) -> tuple[EffectInstance, ...]:
     bench, until = context.bench, Deadline.after(_OF_TIME * context.deadline.left)
     found = attribute_forces(bench.scene, bench.samples, context.settings, deadline=until)
     return found.hypothesis.effects[: context.settings.most_effects]
-
-
-def _last(every: Iterator[Sure]) -> Iterator[Judged]:
-    """The last; that which they had come to when the time was up, where it was."""
-    last: Sure | None = None
-    try:
-        for last in every:  # noqa: B007
-            pass
-    finally:
-        if last is not None:
-            yield last.judged
-
-
-_ITERATIONS = 8
-"""Of a fit of many effects at once, which begins far off."""

@@ -16,14 +16,12 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.context import Context
-from orbisim.diagnosis.glances import generalizations, shortlist, usual
-from orbisim.diagnosis.screening import screen
+from orbisim.diagnosis.glances import generalizations, shortlist
 from orbisim.diagnosis.suspects import Screening, Suspect
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.effects.base import index_of, names_of_kind
 from orbisim.effects.unnamed import UNNAMED
 from orbisim.errors import OrbiSimError
-from orbisim.motion.linear import linearize
 from orbisim.scene import Scene
 from orbisim.shooting.hypothesis import Hypothesis, clean
 from orbisim.shooting.judge import Judged, is_structural
@@ -180,71 +178,16 @@ def exchanges(
     declared = [one for one in context.tunables if (one.kind, one.target) == same]
     if declared:
         yield fewer.hypothesis.tuned([*(one for one, _ in fewer.hypothesis.factors), *declared])
-    if len(current.hypothesis.effects) < 2 or is_structural(current.hypothesis):
+    several = len(current.hypothesis.effects) > 1 and not is_structural(current.hypothesis)
+    if not (several and context.bench.contacts):  # else all are selected anew together
         return
-    for suspect in _screened(context, fewer)[:_FEW]:
+    for suspect in context.screen(fewer).suspects[:_FEW]:
         if suspect.place not in seen:
             yield begin(context, fewer, suspect)
 
 
 def _numbers(scene: Scene, one: EffectInstance) -> int:
     return len(find(one.effect).free_parameters(scene.model, one.target))
-
-
-def merged(context: Context, current: Judged, one: int, other: int) -> Iterator[Hypothesis]:
-    """One effect in the place of two: what a payload does is found in parts, a force first, and
-    none of the parts gives way to it alone."""
-    effects = current.hypothesis.effects
-    begin = context.judge.begin(current)
-    fewer = context.judge.judge(current.hypothesis.without(other).without(one), 3, begin=begin)
-    if fewer is None:
-        return
-    taken = {(e.effect, e.target) for e in effects}
-    bodies = _bodies(context.bench.scene.model, (effects[one], effects[other]))
-    loads = usual(context, bodies)
-    begin = context.judge.begin(fewer)
-    first: dict[tuple[str, str], EffectInstance] = {}
-    left = {id(c): context.judge.glance(fewer.hypothesis.plus(c.instance), begin) for c in loads}
-    for candidate in sorted(loads, key=lambda c: left[id(c)]):
-        first.setdefault(candidate.place, candidate.instance)
-    ranked = [suspect.instance for suspect in _screened(context, fewer)[:_FEW]]
-    for instance in [*ranked, *list(first.values())[:_FEW]]:
-        if (instance.effect, instance.target) not in taken and context.allowed(instance):
-            yield fewer.hypothesis.plus(instance)
-
-
-def _screened(context: Context, fewer: Judged) -> Sequence[Suspect]:
-    """Suspects on top of a hypothesis, along its own motion."""
-    if context.bench.contacts:
-        return context.screen(fewer).suspects
-    intervals = linearize(context.bench.flow(fewer.hypothesis))
-    found = screen(
-        context.bench, fewer.hypothesis, intervals, context.settings.effects, context.columns
-    )
-    return found.tuned if fewer.hypothesis.factors else found.suspects
-
-
-def _bodies(model: mujoco.MjModel, parts: Sequence[EffectInstance]) -> list[EffectInstance]:
-    """Every effect of the inertia of the bodies that some effects act on."""
-    bodies: list[str] = []
-    for one in parts:
-        kind = find(one.effect).kind
-        if kind == "joint":
-            body = model.jnt_bodyid[index_of(model, "joint", one.target)]
-            bodies.append(names_of_kind(model, "body")[body])
-        elif kind == "body":
-            bodies.append(one.target)
-    names = [n for n in effect_names() if find(n).family == _INERTIA and find(n).kind == "body"]
-    both = itertools.product(names, dict.fromkeys(bodies))
-    return [
-        EffectInstance(name, body, dict(values))
-        for name, body in both
-        if body in find(name).targets(model)
-        for values in find(name).trials(model, body)[:1]
-    ]
-
-
-_INERTIA = "mass"
 
 
 def laws(context: Context, current: Judged) -> Iterator[Hypothesis]:

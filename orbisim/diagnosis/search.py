@@ -18,6 +18,7 @@ from orbisim.diagnosis.context import Context, Progress, begun
 from orbisim.diagnosis.discretization import Other, earlier, settled
 from orbisim.diagnosis.explanations import EVEN, Found, done, quiet
 from orbisim.diagnosis.moves import best_move
+from orbisim.diagnosis.reselection import reselected
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.simplification import in_form, named, removed, simplified
 from orbisim.diagnosis.worth import gains, worth
@@ -56,7 +57,7 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
             later = _round(found, number)
             if later.late:
                 return later
-            ended, found = later.best is found.best, later
+            ended, found = _ended(found, later), later
             if ended:
                 return named(found)
     except TimeIsUpError:
@@ -64,18 +65,25 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
     return found
 
 
+def _ended(found: Found, later: Found) -> bool:
+    """Whether a round has changed nothing, or no more than values where nothing is left."""
+    places = [[(e.effect, e.target) for e in one.best.hypothesis.effects] for one in (found, later)]
+    same = places[0] == places[1] and done(later.context, later.best)
+    return later.best is found.best or same
+
+
 def _round(found: Found, number: int) -> Found:
     """One move more, in the form of the data that predicts best without it, and what the move makes
     superfluous gone; where no addition is surely worth it, one that puts others in the place of
     what is there. The same if there is none."""
     found.context.say(f"round {number}: {found.best.ratio:.3g} times the noise")
-    full = len(found.best.hypothesis.effects) >= found.context.settings.most_effects
-    if done(found.context, found.best) or full:
-        return simplified(found, number)
     if number > 1:
-        found = _in_best_form(found)
-        if found.late or done(found.context, found.best):
-            return found
+        found = reselected(_in_best_form(found))
+    full = len(found.best.hypothesis.effects) >= found.context.settings.most_effects
+    if not found.late and (done(found.context, found.best) or full):
+        return simplified(found, number)
+    if found.late:
+        return found
     lead = earlier(found.context, found.best)
     if lead is not None and done(*lead):
         return in_form(found, lead)

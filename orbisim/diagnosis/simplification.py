@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
@@ -21,7 +20,7 @@ from orbisim.diagnosis.explanations import (
     names_of,
     winner,
 )
-from orbisim.diagnosis.proposals import exchanges, laws, merged
+from orbisim.diagnosis.proposals import exchanges, laws
 from orbisim.diagnosis.worth import apart, gains, sized, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.unnamed import POWERS
@@ -29,16 +28,15 @@ from orbisim.evidence import NEAR, Gain
 from orbisim.host.deadline import TimeIsUpError
 from orbisim.shooting.fits import Fit
 from orbisim.shooting.hypothesis import Hypothesis
-from orbisim.shooting.judge import Judged, is_structural
+from orbisim.shooting.judge import Judged
 
 
 def simplified(found: Found, number: int) -> Found:
     """Without effects that are not surely worth it beside the others, with others in their places
-    where these are better, one in the place of two, and timestep and controls as they were where
-    that is worth no less."""
+    where these are better, and timestep and controls as they were where that is worth no less."""
     if not found.best.hypothesis.effects:
         return found
-    for change in (_as_declared, _exchanged, _united, removed):
+    for change in (_as_declared, _exchanged, removed):
         try:
             found = change(found, number)
         except TimeIsUpError:
@@ -217,20 +215,6 @@ def _exchanged(found: Found, number: int) -> Found:
             lost = Tried(best, number, gain, f"it explains less than {names_of(better)}")
             found, best = dataclasses.replace(found, tried=(*found.tried, lost)), better
     return dataclasses.replace(found, best=best)
-
-
-def _united(found: Found, number: int) -> Found:
-    context, best = found.context, found.best
-    count = len(best.hypothesis.effects)
-    if count < 2 or context.bench.contacts or is_structural(best.hypothesis):
-        return found
-    for one, other in itertools.combinations(range(count), 2):
-        context.say("looking for one effect instead of two")
-        others = _all(context, merged(context, best, one, other), best)
-        better = [one for one in others if worth(context.bench, best, one).total > EVEN]
-        if better:
-            return dataclasses.replace(found, best=best_few(context, best, better)[0])
-    return found
 
 
 def _all(context: Context, every: Iterable[Hypothesis], start: Judged) -> list[Judged]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
@@ -14,13 +15,15 @@ from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.effects.screening import Candidate
 from orbisim.evidence import Blocks, Gain, counted, independent_share
 from orbisim.host.deadline import NEVER, Deadline
-from orbisim.motion.linear import Intervals, missing_force
+from orbisim.motion.linear import Intervals, linearize, missing_force
 from orbisim.motion.regressors import MotionView
 from orbisim.motion.samples import Samples, extent
 from orbisim.scene import Scene
+from orbisim.shooting.along import along
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.holding import holding
 from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.judge import Judged, is_structural
 from orbisim.shooting.regress import Normal
 from orbisim.shooting.windows import evenly
 
@@ -87,26 +90,33 @@ def left_of(chosen: Selected, columns: Floats, target: Floats) -> Floats:
 
 
 def propose(
-    bench: Bench, intervals: Intervals, only: Sequence[str] | None, most: int
+    bench: Bench,
+    intervals: Intervals,
+    only: Sequence[str] | None,
+    most: int,
+    base: Hypothesis | None = None,
+    known: Sequence[Floats] | None = None,
 ) -> tuple[EffectInstance, ...]:
     """Effects that together predict windows they were not fitted to, those that bring most first.
 
     Args:
-      intervals: the linear system along the declared scene.
+      intervals: the linear system along the declared scene, or that of `base`.
       only: names of the effects to consider; all if None.
       most: effects at most.
+      base: what is there in any case; nothing if None.
+      known: for each recording what is measured beside what columns of effects say, [T, 2 nv].
     """
-    declared = Hypothesis()
-    flow = bench.flow(declared)
+    base = base or Hypothesis()
+    flow = bench.flow(base)
     force = missing_force(intervals)
     view = MotionView(flow, bench.samples, force)
     names = [n for n in effect_names() if (only is None or n in only) and not find(n).stated]
-    found = list(candidates_of(view, bench, declared, flow, names))
+    found = list(candidates_of(view, bench, base, flow, names))
     if not found:
         return ()
     columns = [column for candidate in found for column in candidate.columns]
     windows = bench.windows.some(evenly(bench.fit, _MOST_WINDOWS))
-    data = holding(bench, intervals, windows, columns)
+    data = holding(bench, intervals, windows, columns, known)
     # dry friction may hold a joint at rest with any force that is usual of it
     normals = data.normals(3 * np.sqrt(np.nanmean(force**2, axis=0)) + 1e-12)
 
@@ -125,6 +135,47 @@ def propose(
         bench.scene, bench.samples, found, _SHARE, blocks, after, settled, most, bench.deadline
     )
     return tuple(one for one, _ in instances(bench.scene, chosen))
+
+
+def propose_anew(
+    bench: Bench, judged: Judged, only: Sequence[str] | None, most: int
+) -> Hypothesis | None:
+    """As if the effects of an explanation had not been chosen yet, along its own free runs: chosen
+    along the recordings, where late sensors and missing forces bend the motion, several may stand
+    for one. None where an added joint hides the motion, or nothing is chosen.
+    """
+    there = judged.hypothesis
+    kept = tuple(one for one in there.effects if find(one.effect).stated)
+    base = dataclasses.replace(there, effects=kept, frozen=frozenset())
+    seen = None if is_structural(there) else along(bench, there, judged.windows, judged.fit.start)
+    if seen is None:
+        return None
+    local, _ = seen
+    flow = local.flow(base)
+    intervals = linearize(flow)
+    known = _beyond(local, there, MotionView(flow, local.samples, missing_force(intervals)))
+    found = propose(local, intervals, only, most, base, known)
+    return dataclasses.replace(base, effects=(*kept, *found)).in_parts() if found else None
+
+
+def _beyond(bench: Bench, hypothesis: Hypothesis, view: MotionView) -> list[Floats]:
+    """What measurement effects of a hypothesis add to each recording beyond their columns, [T, 2
+    nv], at the ends of intervals: a delay of many samples is no velocity times a number."""
+    known = bench.known_signal(hypothesis)
+    names = {(one.effect, one.target) for one in hypothesis.effects if find(one.effect).measurement}
+    found = [one for name, target in names for one in find(name).screen(view, target)]
+    columns = [c.values for one in found for c in one.columns if c.kind == "signal"]
+    recording = np.tile(view.flow.recording, 2)
+    row = np.concatenate([view.flow.row, view.flow.row + 1])
+    signal = np.array([known[i][r] for i, r in zip(recording, row, strict=True)])
+    if columns:
+        design = np.array([np.nan_to_num(c).ravel() for c in columns]).T
+        said = design @ np.linalg.lstsq(design, signal.ravel(), rcond=None)[0]
+        signal = signal - said.reshape(signal.shape)
+    beyond = [np.zeros_like(one) for one in known]
+    for i, r, value in zip(recording, row, signal, strict=True):
+        beyond[i][r] = value
+    return beyond
 
 
 _MOST_WINDOWS = 120

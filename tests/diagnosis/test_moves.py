@@ -5,7 +5,7 @@ from typing import Any, cast
 
 import pytest
 
-from orbisim.diagnosis.moves import _last
+from orbisim.diagnosis.reselection import _last
 from orbisim.diagnosis.simplification import Sure
 from orbisim.host.deadline import TimeIsUpError
 

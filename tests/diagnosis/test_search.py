@@ -15,7 +15,7 @@ from orbisim.diagnosis.conclusion import _as_found, _best_first, attribute, conc
 from orbisim.diagnosis.context import begun
 from orbisim.diagnosis.explanations import Found, Tried, best_few
 from orbisim.diagnosis.moves import _generalized
-from orbisim.diagnosis.proposals import events, exchanges, merged
+from orbisim.diagnosis.proposals import events, exchanges
 from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.simplification import plain
@@ -137,20 +137,6 @@ def test_no_effect_is_proposed_twice_at_a_target(arm: orbisim.Scene) -> None:
     for judged in _generalized(context, fewer, [both]):
         places = [(e.effect, e.target) for e in judged.hypothesis.effects]
         assert len(set(places)) == len(places)
-
-
-def test_a_payload_is_proposed_for_two_parts_of_it(arm: orbisim.Scene) -> None:
-    settings = Settings(effects=("payload", "armature"))
-    context = begun(bench_of(arm, DAMPING), settings, lambda _: None)
-    down = {"magnitude": 1.0, "x": 0.0, "y": 0.0, "z": -1.0}
-    parts = (
-        EffectInstance("constant_force", "upper_arm", down),
-        EffectInstance("armature", "shoulder", {"inertia": 0.005}),
-    )
-    both = context.judge.judge(Hypothesis(parts), 1)
-    assert both is not None
-    loads = {(e.effect, e.target) for h in merged(context, both, 0, 1) for e in h.effects}
-    assert ("payload", "upper_arm") in loads
 
 
 def test_events_are_tried_where_something_is_left(arm: orbisim.Scene) -> None:

@@ -1,0 +1,79 @@
+"""Sets of effects, fitted together and without what they do not need; and another set in the place
+of what is there."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+from orbisim.diagnosis.context import Context
+from orbisim.diagnosis.discretization import settled
+from orbisim.diagnosis.explanations import Found, possible_of
+from orbisim.diagnosis.simplification import Sure, in_form, pruned
+from orbisim.diagnosis.together import propose_anew
+from orbisim.diagnosis.worth import worth
+from orbisim.host.deadline import TimeIsUpError
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.judge import Judge, Judged
+
+
+def reselected(found: Found) -> Found:
+    """With another set of effects in the place of several, if that is surely worth more; in the
+    form of the data that predicts best with it.
+
+    What is chosen while much is left is chosen along a motion that late sensors and missing forces
+    bend, and beside a timestep that makes up for a part. Along the free runs of what was found, all
+    effects are selected once more, as if none had been: one that does what several did is then
+    seen, which exchanges of one for another do not reach.
+    """
+    context, best = found.context, found.best
+    if len(best.hypothesis.effects) < 2 or context.bench.contacts:
+        return found
+    context.say("effects selected anew")
+    settings = context.settings
+    try:
+        other = propose_anew(context.bench, best, settings.effects, settings.most_effects)
+        for judged in () if other is None else fitted_set(context, other, best):
+            form = settled(context, judged) or (context, judged)
+            if worth(form[0].bench, best, form[1]).sure > 0:
+                return in_form(found, form)
+    except TimeIsUpError:
+        return dataclasses.replace(found, late=True)
+    return found
+
+
+def fitted_set(
+    context: Context, together: Hypothesis, begin: Judged | None = None
+) -> Iterator[Judged]:
+    """Many effects, fitted together, without those that are not surely worth it beside the others:
+    a dozen cost too much to be compared with one. None if they cannot be simulated.
+
+    Args:
+      begin: where windows start as there; as measured if None.
+    """
+    bench, windows = context.bench, context.settings.windows
+    judge = Judge(bench, context.intervals, (), None, windows, True, context.chance)
+
+    def refit(less: Hypothesis, now: Judged) -> Judged | None:
+        return judge.judge(less, begin=judge.begin(now))
+
+    start = None if begin is None else judge.begin(begin)
+    judged = judge.judge(together, _ITERATIONS, begin=start)
+    possible = None if judged is None else possible_of(bench, judge, judged, _ITERATIONS)
+    if possible is not None:
+        yield from _last(pruned(context, possible, refit))
+
+
+def _last(every: Iterator[Sure]) -> Iterator[Judged]:
+    """The last; that which they had come to when the time was up, where it was."""
+    last: Sure | None = None
+    try:
+        for last in every:  # noqa: B007
+            pass
+    finally:
+        if last is not None:
+            yield last.judged
+
+
+_ITERATIONS = 8
+"""Of a fit of many effects at once, which begins far off."""
