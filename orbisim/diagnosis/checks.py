@@ -64,11 +64,19 @@ def between_samples(bench: Bench) -> str | None:
             "taken there"
         )
     share, interval = bench.lead.share, typical_interval(bench)
+    place, why = (
+        "before",
+        (
+            "commands of a slower rate than the log's or beside its clock, or a simulated machine whose "
+            "steps apply controls in another order"
+        ),
+    )
+    if share < 0:
+        place, why = "after", "they arrive late, in the drives or on the way to them"
     return (
-        f"free runs predict surely better where controls change {1e3 * share * interval:.2g} "
-        f"ms ({share:.0%} of a sampling interval) before the sample at which they are logged: "
-        "between two samples a mean of both was taken (commands of a slower rate than the log's or "
-        "beside its clock, or a simulated machine whose steps apply controls in another order)"
+        f"free runs predict surely better where controls change {1e3 * abs(share) * interval:.2g} "
+        f"ms ({abs(share):.0%} of a sampling interval) {place} the sample at which they are logged "
+        f"({why}); between two samples a mean of both was taken"
     )
 
 

@@ -184,7 +184,7 @@ def _clocked(context: Context, judged: Judged) -> Other | None:
 def _shared(context: Context, judged: Judged) -> Other | None:
     if context.bench.lead is None or context.bench.lead:
         return None
-    return _led_best(context, judged, Lead(), _SHARES, (0.0, 1.0))
+    return _led_best(context, judged, Lead(), _SHARES, (-1.0, 1.0))
 
 
 def _led_best(
@@ -201,8 +201,8 @@ def _led_best(
         return _led(bench, dataclasses.replace(lead, share=share))
 
     gains, found, gain = _line(context, judged, change, () if lead.clock else (0.0,))
-    if max(gain(share) for share in tried) <= 0:
-        return None
+    for share in tried:
+        gain(share)
     for _ in range(_REFINED):  # a model that is linear in its controls has nearly a parabola
         share = peak(gains, *bounds)
         if share is None or min(abs(share - one) for one in gains) < _CLOSE:
@@ -237,9 +237,9 @@ def asked(bench: Bench) -> Bench:
     return bench
 
 
-_SHARES = (0.05, 0.5)
-"""Of an interval, tried first: half a step of a simulation with ten steps a sample, and changes
-anywhere between two samples."""
+_SHARES = (-0.5, 0.05, 0.5)
+"""Of an interval, tried first: commands that arrive late, half a step of a simulation with ten
+steps a sample, and changes anywhere between two samples."""
 _REFINED = 3
 """Shares tried after these: a parabola's peak lies within `_CLOSE` by then."""
 _CLOSE = 0.02

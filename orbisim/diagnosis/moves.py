@@ -24,7 +24,7 @@ from orbisim.diagnosis.explanations import (
 )
 from orbisim.diagnosis.force_search import attribute_forces, common_forces
 from orbisim.diagnosis.glances import generalizations
-from orbisim.diagnosis.proposals import additions, begin, pairs
+from orbisim.diagnosis.proposals import additions, begin
 from orbisim.diagnosis.reselection import fitted_set
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.together import propose
@@ -40,10 +40,10 @@ Kind = Callable[[Found, int, Sequence[Judged]], Iterator[Judged]]
 
 def best_move(found: Found, number: int) -> tuple[Judged | None, list[Tried], bool]:
     """The explanation that is worth most, if it surely is better; all that were tried; and whether
-    the time was up. Kinds of moves are tried in turns until one reaches the noise, or a share of
-    the time is over and one is sure: the next round sees more from there. In the first round, each
-    kind has such a share: one effect that does little may do much beside declared parameters that
-    are a little off, or beside others."""
+    the time was up. Kinds of moves are tried in turns until one takes most of what is left, or a
+    share of the time is over and one is sure: the next round sees more from there. In the first
+    round, each kind has such a share: one effect that does little may do much beside declared
+    parameters that are a little off, or beside others."""
     context, current = found.context, found.best
     fitted: list[Judged] = []
     best: Judged | None = None
@@ -51,13 +51,14 @@ def best_move(found: Found, number: int) -> tuple[Judged | None, list[Tried], bo
     share = _OF_TIME * context.deadline.left
     until = Deadline.after(share)
     sets = (functools.partial(_together, one) for one in (_by_windows, _usual, _by_forces))
-    kinds: list[Kind] = [_added, _retuned, *sets, _two]
+    kinds: list[Kind] = [_added, _retuned, *sets]
     for kind in kinds:
-        if best is not None and (number > 1 or kind is _two):
-            if until.passed or _enough_for_now(context, current, best):
-                continue
-        else:
+        if best is not None and _enough_for_now(context, current, best):
+            break
+        if best is None or number == 1:
             until = Deadline.after(share)
+        elif until.passed:
+            break
         try:
             for judged in kind(found, number, fitted):
                 fitted.append(judged)
@@ -220,26 +221,6 @@ def _retuned(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Ju
             both = (current, tuned), (first[0], judged)
             if all(b is None or worth(context.bench, a, b).total <= 0 for a, b in both):
                 return  # worth nothing alone nor beside the best: nor beside the others
-
-
-def _two(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
-    """Two effects at once."""
-    context, current = found.context, found.best
-    if number > 1 or found.screening is None:
-        return
-    own: list[Judged] = []
-    for hypothesis in pairs(context, found.screening):
-        context.say(f"fitting {' and '.join(e.effect for e in hypothesis.effects)}")
-        judged = fitted_from(context, hypothesis, current)
-        if judged is not None:
-            own.append(judged)
-            yield judged
-            if sum(done(context, one) for one in own) > 1:
-                break
-    for judged in best_few(context, current, own):
-        closer = context.judge.closer(judged)
-        if closer is not judged:
-            yield closer
 
 
 def _together(

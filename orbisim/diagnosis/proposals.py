@@ -138,12 +138,6 @@ def _least(
     return best
 
 
-def pairs(context: Context, screening: Screening) -> Iterator[Hypothesis]:
-    """Two effects at once: each may look small as long as the other is missing."""
-    for one, other in screening.pairs[: context.settings.shortlist]:
-        yield Hypothesis((one.instance, other.instance))
-
-
 def exchanges(
     context: Context,
     current: Judged,

@@ -18,8 +18,8 @@ from orbisim.shooting.judge import Judge, Judged
 
 
 def reselected(found: Found) -> Found:
-    """With another set of effects in the place of several, if that is surely worth more; in the
-    form of the data that predicts best with it.
+    """With another set of effects in the place of what is there, if that is surely worth more, in
+    the form of the data that predicts best with it.
 
     What is chosen while much is left is chosen along a motion that late sensors and missing forces
     bend, and beside a timestep that makes up for a part. Along the free runs of what was found, all
@@ -27,7 +27,7 @@ def reselected(found: Found) -> Found:
     seen, which exchanges of one for another do not reach.
     """
     context, best = found.context, found.best
-    if len(best.hypothesis.effects) < 2 or context.bench.contacts:
+    if not best.hypothesis.effects or context.bench.contacts:
         return found
     context.say("effects selected anew")
     settings = context.settings

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
@@ -84,7 +83,6 @@ def screen(
         suspects=tuple(suspects),
         shares=_shares(normal, first, len(columns) - first),
         tuned=tuple(tuned),
-        pairs=tuple(_pairs(found, normal, bench)),
     )
 
 
@@ -208,47 +206,6 @@ def _bic(left: float, numbers: int, normal: Normal) -> float:
     if before > normal.count:
         return float(normal.count * np.log(after / before) + penalty)
     return float(left - normal.square + penalty)
-
-
-def _pairs(
-    found: Sequence[Candidate], normal: Normal, bench: Bench
-) -> list[tuple[Suspect, Suspect]]:
-    """Two effects at once, best first: each may look small as long as the other is missing."""
-    best: dict[tuple[str, ...], _Form] = {}
-    for form in _forms(found, normal):
-        if form.key not in best or form.left < best[form.key].left:
-            best[form.key] = form
-    few = sorted(best.values(), key=lambda one: one.left)[:_PAIRED]
-    result: list[tuple[float, Suspect, Suspect]] = []
-    for (a, at_a, _, _), (b, at_b, _, _) in itertools.combinations(few, 2):
-        if (a.effect, a.target) == (b.effect, b.target):
-            continue
-        both, left = _together(a, at_a, b, at_b, normal)
-        if not np.isfinite(left):
-            continue
-        one = _instance(bench.scene, a, both[: len(at_a)])
-        other = _instance(bench.scene, b, both[len(at_a) :])
-        if one is not None and other is not None:
-            bic = _bic(left, _numbers(a, bench) + _numbers(b, bench), normal)
-            result.append((bic, Suspect(one, bic), Suspect(other, bic)))
-    result.sort(key=lambda pair: pair[0])
-    return [(one, other) for _, one, other in result[:_PAIRED]]
-
-
-def _together(
-    a: Candidate, at_a: list[int], b: Candidate, at_b: list[int], normal: Normal
-) -> tuple[Floats, float]:
-    """Coefficients of two candidates' columns and what is left; those of fixed ones are 1."""
-    fixed = [i for one, at in ((a, at_a), (b, at_b)) if one.fixed for i in at]
-    free = [i for one, at in ((a, at_a), (b, at_b)) if not one.fixed for i in at]
-    found, left = fit(with_ones(normal, fixed), free)
-    both = np.ones(len(at_a) + len(at_b))
-    both[[k for k, i in enumerate([*at_a, *at_b]) if i in free]] = found
-    return both, left
-
-
-_PAIRED = 14
-"""Effects of which all pairs are looked at, and pairs that are kept."""
 
 
 def _solve(candidate: Candidate, normal: Normal, index: list[int]) -> tuple[Floats, float]:

@@ -386,7 +386,8 @@ class _Search:
             own = slice(start, start + len(group.index))
             start = own.stop
             y = x[own] * scale[own]
-            found[id(group)] = float(y @ np.linalg.solve(inverse[own, own], y))
+            # columns of a group may be one beside the others: a puck's centre of mass by height
+            found[id(group)] = float(y @ np.linalg.pinv(inverse[own, own], hermitian=True) @ y)
         return [found.get(id(group), 0.0) for group in chosen]
 
     def add(self) -> bool:

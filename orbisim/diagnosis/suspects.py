@@ -48,13 +48,11 @@ class Screening:
       suspects: best first, one for each effect, target and options.
       shares: [nv] share of the residual that a missing force at each degree of freedom explains.
       tuned: suspects when declared parameters may be retuned too.
-      pairs: of effects, best first.
     """
 
     suspects: tuple[Suspect, ...]
     shares: Floats
     tuned: tuple[Suspect, ...] = ()
-    pairs: tuple[tuple[Suspect, Suspect], ...] = ()
 
 
 def merged(one: Screening, other: Screening) -> Screening:
@@ -63,9 +61,6 @@ def merged(one: Screening, other: Screening) -> Screening:
         one,
         suspects=in_turns(one.suspects, other.suspects, lambda s: key_of(s.instance)),
         tuned=in_turns(one.tuned, other.tuned, lambda s: key_of(s.instance)),
-        pairs=in_turns(
-            one.pairs, other.pairs, lambda p: (key_of(p[0].instance), key_of(p[1].instance))
-        ),
     )
 
 

@@ -25,9 +25,9 @@ class Lead:
     """By how much commands change before the sample that logs them.
 
     Attributes:
-      share: of a sampling interval, 0 to 1: 0.5 for changes anywhere between two samples, which
-        come half an interval before on average. With a clock, how much earlier than it ticks
-        (negative: later).
+      share: of a sampling interval, -1 to 1: 0.5 for changes anywhere between two samples, which
+        come half an interval before on average; negative where commands arrive late. With a clock,
+        how much earlier than it ticks.
       clock: whether commands change by the clock that the log shows; where it shows none, they are
         as they were logged.
       period: of that clock, s, where other logs of the machine show it; 0 if each shows its own.

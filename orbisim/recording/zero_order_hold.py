@@ -25,16 +25,20 @@ def filled(values: Floats) -> Floats:
 
 
 def led(values: Floats, share: float | Floats) -> Floats:
-    """[T, ...]: means between samples of a signal that changes before the sample that logs it.
+    """[T, ...]: means between samples of a signal that changes before the sample that logs it, or
+    after.
 
     Args:
       values: [T, ...] the signal at the samples.
-      share: of a sampling interval, 0 to 1, by which each change comes before its sample: of all,
-        or [T - 1, ...] of each. The last value stays, and so does one beside a missing one (NaN).
+      share: of a sampling interval, -1 to 1, by which each change comes before its sample: of all,
+        or [T - 1, ...] of each. The last value stays, the first one does where changes come after
+        their samples, and so does one beside a missing one (NaN).
     """
     found = np.array(values, np.float64)
     change = found[1:] - found[:-1]
-    found[:-1] += share * np.where(np.isfinite(change), change, 0.0)
+    known = np.where(np.isfinite(change), change, 0.0)
+    found[:-1] += np.maximum(share, 0.0) * known
+    found[1:] += np.minimum(share, 0.0) * known
     return found
 
 

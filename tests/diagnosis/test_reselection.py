@@ -24,7 +24,9 @@ def found_of(
     arm: orbisim.Scene, true: tuple[EffectInstance, ...], named: tuple[EffectInstance, ...]
 ) -> Found:
     runs = inject_effect(arm, list(true), duration=4.0, episodes=3, noise=1e-4, seed=4)
-    context = begun(make_bench(arm, prepare_all(runs, arm), 0.5), Settings(effects=FEW), lambda _: None)
+    context = begun(
+        make_bench(arm, prepare_all(runs, arm), 0.5), Settings(effects=FEW), lambda _: None
+    )
     declared, best = (context.judge.judge(Hypothesis(some)) for some in ((), named))
     assert declared is not None and best is not None
     context = context.along(best)
