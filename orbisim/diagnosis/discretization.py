@@ -49,10 +49,11 @@ def settled(context: Context, judged: Judged) -> Other | None:
 
 
 def earlier(context: Context, judged: Judged) -> Other | None:
-    """The same explanation with controls that lead their samples by the share of an interval that
-    predicts best, if that is surely better; None if not. As long as an effect is missing, a share
-    may stand in for a part of it."""
-    return _surest(context, judged, (_shared(context, judged),))
+    """The same explanation with controls that lead (or follow) their samples by the share of an
+    interval that predicts best, and the step that then does, if that is surely better; None if not.
+    As long as an effect is missing, a share may stand in for a part of it."""
+    found = _surest(context, judged, (_shared(context, judged),))
+    return found and (settled(*found) or found)
 
 
 def _surest(context: Context, judged: Judged, tried: Iterable[Other | None]) -> Other | None:
@@ -110,8 +111,7 @@ def _finer(context: Context, judged: Judged) -> Other | None:
     between these. None where the step as it is predicts best.
 
     The error of MuJoCo's integrators falls as the step does (what they hold over a step, they hold
-    for a time of its length): half the step changes as much as it leaves, and the log score is
-    nearly a parabola in the step. Where most windows have impacts no step is finer: what a contact
+    for a time of its length): half the step changes as much as it leaves. Where most windows have impacts no step is finer: what a contact
     does depends on it by definition."""
     if context.bench.rugged:
         return None
@@ -122,7 +122,7 @@ def _finer(context: Context, judged: Judged) -> Other | None:
         step, most, error = step / 2.0, max(gains.values()), error / 2.0
         if not gain(step) > most:
             break
-    place = peak(gains, min(gains), max(gains))
+    place = peak(_squares(gains), min(gains), max(gains))
     if place is not None:
         between = interval / round(interval / place)
         if not any(np.isclose(between, one) for one in gains):
@@ -151,6 +151,12 @@ def _line(
         return gains[place]
 
     return gains, found, gain
+
+
+def _squares(gains: dict[float, float]) -> dict[float, float]:
+    """What is left of mean squares, negative: in a model that is linear in its controls a parabola
+    in their share, and nearly one in the step, which the logarithm is not far from its peak."""
+    return {place: -float(np.exp(-gain)) for place, gain in gains.items()}
 
 
 def _stepped(bench: Bench, timestep: float) -> Bench:
@@ -203,11 +209,11 @@ def _led_best(
     gains, found, gain = _line(context, judged, change, () if lead.clock else (0.0,))
     for share in tried:
         gain(share)
-    for _ in range(_REFINED):  # a model that is linear in its controls has nearly a parabola
-        share = peak(gains, *bounds)
-        if share is None or min(abs(share - one) for one in gains) < _CLOSE:
+    for _ in range(_REFINED):
+        place = peak(_squares(gains), *bounds)
+        if place is None or min(abs(place - one) for one in gains) < _CLOSE:
             break
-        gain(share)
+        gain(place)
     return found.get(max(gains, key=lambda share: gains[share]))
 
 
