@@ -7,6 +7,11 @@ sensor's noise, and a few blocks that nothing predicts count by their logarithm 
 outweighing all others, or having to be left out. Neighbouring samples are not independent; a block
 counts as many data as the autocorrelation of what is left allows.
 
+Where bodies touch, a window whose impact comes out otherwise than the machine's is off by what that
+does to the state, and by nothing else: what exceeds the scale of all windows counts as many data as
+a state has numbers. With all of its samples, a single impact that happens to come out better would
+outweigh a hundred windows.
+
 What is left of a real machine is structure that returns in every window, so that windows are not
 independent either. What effects that are not in an explanation explain of its rest says how many
 data there are (an empirical null; Efron, J. Am. Stat. Assoc. 99, 2004): of n independent ones, r
@@ -50,12 +55,15 @@ class Blocks:
       signal: [B] number of the signal: each has a scale of its own.
       floor: [B] least scale: that of the measurement noise.
       power: [B] or one for all: by which the likelihood of a block counts.
+      beyond: data of a block by which what exceeds its signal's scale counts; infinite for as many
+        as there are.
     """
 
     size: Floats
     signal: Ints
     floor: Floats
     power: Floats | float = 1.0
+    beyond: float = np.inf
 
     @property
     def count(self) -> float:
@@ -63,15 +71,17 @@ class Blocks:
         return max(float((self.power * self.size).sum()), 2.0)
 
 
-def counted(data: npt.NDArray[np.generic], share: float, most: float = np.inf) -> Blocks:
+def counted(
+    data: npt.NDArray[np.generic], share: float, most: float = np.inf, beyond: float = np.inf
+) -> Blocks:
     """Blocks of one signal in units of its noise, if such a share of their data is independent.
 
     Args:
-      data: [B] their numbers. most: how many count in all, at most.
+      data: [B] their numbers. most: how many count in all, at most. beyond: as of `Blocks`.
     """
     size = np.maximum(share * np.asarray(data, np.float64), 1.0)
     power = min(1.0, most / float(size.sum())) if len(size) else 1.0
-    return Blocks(size, np.zeros(len(size), np.int64), np.ones(len(size)), power)
+    return Blocks(size, np.zeros(len(size), np.int64), np.ones(len(size)), power, beyond)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,7 +121,7 @@ def scales(squares: Floats, blocks: Blocks) -> Floats:
         least = float(np.mean(blocks.floor[own] ** 2))
         for _ in range(_ROUNDS):
             variance = max(float((size * weight * left).sum() / size.sum()), least)
-            weight = (FREEDOM + size) / (FREEDOM + size * left / variance)
+            weight = _weight(size, left / variance, blocks.beyond)
         found[own] = np.sqrt(variance)
     return found
 
@@ -122,14 +132,29 @@ _ROUNDS = 25  # of reweighting, which hardly moves after the first few
 def weights(squares: Floats, blocks: Blocks) -> Floats:
     """[B]: by which squares count in a fit that makes the likelihood largest."""
     size, variance = blocks.size, scales(squares, blocks) ** 2
-    return np.asarray((FREEDOM + size) / (FREEDOM + size * squares / variance) / variance)
+    return _weight(size, squares / variance, blocks.beyond) / variance
+
+
+def _weight(size: Floats, squares: Floats, beyond: float) -> Floats:
+    """[B]: by which squares in units of the scale count, from one for those at the scale on."""
+    least, above = _beyond(size, squares, beyond)
+    found = (FREEDOM + size) / (FREEDOM + size * squares)
+    return np.asarray(np.where(squares > 1, least / (least + above), found))
+
+
+def _beyond(size: Floats, squares: Floats, beyond: float) -> tuple[Floats, Floats]:
+    """[B]: by how many data what exceeds the scale counts, with those of the distribution, and by
+    how much it exceeds that, in units of the scale and over all data of a block."""
+    return FREEDOM + np.minimum(size, beyond), size * np.maximum(squares - 1, 0.0)
 
 
 def scores(squares: Floats, blocks: Blocks) -> Floats:
     """[B]: log predictive score of each block, but for a constant of the block."""
     size, variance = blocks.size, scales(squares, blocks) ** 2
-    spread = np.log1p(size * squares / (FREEDOM * variance))
-    return np.asarray(blocks.power * (-size * np.log(variance) - (FREEDOM + size) * spread) / 2)
+    least, above = _beyond(size, squares / variance, blocks.beyond)
+    spread = (FREEDOM + size) * np.log1p(size * np.minimum(squares / variance, 1) / FREEDOM)
+    spread += least * np.log1p(above / least)
+    return np.asarray(blocks.power * (-size * np.log(variance) - spread) / 2)
 
 
 def gain(before: Floats, after: Floats, blocks: Blocks, prior: float = 0.0) -> Gain:

@@ -64,12 +64,10 @@ def between_samples(bench: Bench) -> str | None:
             "taken there"
         )
     share, interval = bench.lead.share, typical_interval(bench)
-    place, why = (
-        "before",
-        (
-            "commands of a slower rate than the log's or beside its clock, or a simulated machine whose "
-            "steps apply controls in another order"
-        ),
+    place = "before"
+    why = (
+        "commands of a slower rate than the log's or beside its clock, or a simulated machine "
+        "whose steps apply controls in another order"
     )
     if share < 0:
         place, why = "after", "they arrive late, in the drives or on the way to them"

@@ -111,8 +111,8 @@ def _finer(context: Context, judged: Judged) -> Other | None:
     between these. None where the step as it is predicts best.
 
     The error of MuJoCo's integrators falls as the step does (what they hold over a step, they hold
-    for a time of its length): half the step changes as much as it leaves. Where most windows have impacts no step is finer: what a contact
-    does depends on it by definition."""
+    for a time of its length): half the step changes as much as it leaves. Where most windows have
+    impacts no step is finer: what a contact does depends on it by definition."""
     if context.bench.rugged:
         return None
     interval, step = typical_interval(context.bench), taken(context.bench)

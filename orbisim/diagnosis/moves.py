@@ -201,7 +201,8 @@ def _retuned(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Ju
     tuned = fitted_from(context, current.hypothesis.tuned(context.tunables), current)
     if tuned is None:
         return
-    yield tuned
+    if tuned.hypothesis.factors:  # else it is what there is
+        yield tuned
     context.say("effects with declared parameters retuned")
     first = best_few(context, current, fitted)
     near = [one.hypothesis for one in first]

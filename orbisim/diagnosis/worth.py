@@ -38,7 +38,7 @@ def gains(bench: Bench, before: Judged, others: Sequence[Judged]) -> list[Gain]:
       bench: the data. before, others: judged on the same windows.
     """
     best = min([before, *others], key=lambda one: one.loss)
-    blocks = blocks_of(best)
+    blocks = blocks_of(best, 2 * bench.scene.model.nv if bench.contacts else np.inf)
     size, data = blocks.size, blocks.count
     least = np.maximum(blocks.power * size, 1.0)
     starts = 0.5 * float(np.log(least).sum())  # of one number more in each window
@@ -53,11 +53,16 @@ def gains(bench: Bench, before: Judged, others: Sequence[Judged]) -> list[Gain]:
     ]
 
 
-def blocks_of(judged: Judged) -> Blocks:
-    """How the data of all windows count, by what an explanation leaves of them."""
+def blocks_of(judged: Judged, beyond: float = np.inf) -> Blocks:
+    """How the data of all windows count, by what an explanation leaves of them.
+
+    Args:
+      beyond: as of `Blocks`.
+    """
     share = independent_share(courses(judged.fit, judged.windows.length))
     own, every = data_in([judged.fit]), _all_data(judged)
-    return counted(every, share, judged.independent * every.sum() / max(own.sum(), 1.0))
+    most = judged.independent * every.sum() / max(own.sum(), 1.0)
+    return counted(every, share, most, beyond)
 
 
 def _all_data(judged: Judged) -> Floats:
