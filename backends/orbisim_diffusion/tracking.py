@@ -67,7 +67,7 @@ def follow(refiner: Refiner, frames: npt.NDArray[np.uint8], read: Reading | None
         guess = None if read is None else read.joints[t]
         if not found:
             joints = refiner.turns.held(start(refiner, frame)) if guess is None else guess
-            one = refiner.first(frame, joints, places)
+            one = refiner.first(frame, joints, places, read=guess)
         else:
             joints = _expected(found, refiner.scalar.qpos)
             ahead = [_ahead(found, i) for i in range(len(refiner.bodies))]

@@ -90,7 +90,9 @@ class Sight:
         else:
             if self._before is None:
                 start = read.joints[0] if known is None else known
-                self._before = refiner.first(frame, start, places)
+                self._before = refiner.first(
+                    frame, start, places, read.joints[0] if known is None else None
+                )
             else:  # at the speed of the last two
                 ahead = 2.0 * last[-1] - last[0] if len(last) > 1 else last[-1]
                 self._before = refiner.following(
