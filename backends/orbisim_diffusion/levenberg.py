@@ -23,7 +23,7 @@ _FIRST, _DOWN, _UP, _MOST = 1e-2, 0.3, 5.0, 1e4
 """Damping at first, its factors after a step that helps and after one that does not, and where a
 start is given up."""
 _SETTLED = 1e-3
-"""A step that lowers the cost by a smaller share is the last."""
+"""A step that lowers the cost by a smaller share is the last; one that promises less is not tried."""
 
 
 class Prior(NamedTuple):
@@ -121,6 +121,13 @@ def fit(
         scale = damping[rows, None] * np.maximum(diagonal, 1e-9 * diagonal.max(1, keepdims=True))
         damped = matrix + np.einsum("si,ij->sij", scale + 1e-9, np.eye(k))
         move = -np.linalg.solve(damped, slope[..., None])[..., 0]
+        promised = -np.einsum("sk,sk->s", slope, move)
+        promised -= 0.5 * np.einsum("sk,skl,sl->s", move, matrix, move)
+        there = (width[rows] <= _NARROW) & (promised < _SETTLED * cost[rows])
+        active[rows[there]] = False
+        rows, move = rows[~there], move[~there]
+        if not len(rows):
+            continue
         trial = eye.moved(at[rows], np.einsum("svk,sk->sv", directions[rows], move))
         new = problem.cost(trial) + sum(prior.cost(x[rows] + move) for prior in priors)
         better, gain = new < cost[rows], 1.0 - new / cost[rows]

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from orbisim.scene import visible
-from orbisim_diffusion.raycast import Surfaces, unblocked
+from orbisim_diffusion.raycast import Surfaces, in_the_way, unblocked
 from orbisim_diffusion.solids import Lamps, Solids, View
 
 _SPECULAR, _SHININESS = 0.5, 0.5
@@ -103,6 +103,18 @@ class Lighting:
             tint = tint + light * self._diffuse[number] * cosine.clamp_min(0.0)
             gloss = gloss + light * self._specular[number] * bright * (cosine > 0)
         return (seen.colour * tint + shine * gloss).clamp(0.0, 1.0)
+
+    def shaded(self, seen: Surfaces, solids: Solids, view: View, height: int) -> Tensor:
+        """[G]: which geoms come near the way from what rays see to a lamp; see `colours`."""
+        there = seen.weight.sum(1)[..., None].clamp_min(1e-3)
+        normal = seen.normal @ view.rot.transpose(-1, -2)
+        normal = normal / normal.norm(dim=-1, keepdim=True).clamp_min(1e-6)
+        size = seen.depth / there[..., 0] / (height * view.focal[:, 1:])
+        lamps = Lamps(self.lamps.rows[:, self.lamps.shadow[0] > 0].expand(len(size), -1, -1))
+        if not lamps.rows.shape[1]:
+            return torch.zeros_like(solids.kind[0], dtype=torch.bool)
+        near = in_the_way(seen.point / there, normal, size, solids, lamps)
+        return near.any(-1).any(0)
 
     def _reach(self, number: int, way: Tensor) -> Tensor:
         """[B, P] of a lamp's light that its distance and its cone leave."""

@@ -400,12 +400,13 @@ class Refiner:
 
     def _touched(self, states: Floats, geoms: torch.Tensor) -> torch.Tensor:
         """Pixels, not too many, that joints change in some states [S, nq], and those around."""
-        drawn = self.eye.draw(states, self._all, geoms)
-        without = self.eye.draw(states[:1], self._all, self.unmoved(geoms))
-        touched = ((drawn.pixels - without.pixels).abs().amax(-1) > 0.03).any(0)
-        near = ndimage.binary_dilation(
-            touched.reshape(self.size, self.size).numpy(), iterations=MARGIN
-        )
+        grid = self._all.reshape(self.size, self.size)[::2, ::2]
+        drawn = self.eye.draw(states, grid.reshape(-1), geoms)
+        without = self.eye.draw(states[:1], grid.reshape(-1), self.unmoved(geoms))
+        touched = np.zeros((self.size, self.size), bool)
+        changed = ((drawn.pixels - without.pixels).abs().amax(-1) > 0.03).any(0)
+        touched[::2, ::2] = changed.reshape(grid.shape).numpy()
+        near = ndimage.binary_dilation(touched, iterations=MARGIN)
         pixels = torch.as_tensor(np.flatnonzero(near))
         return pixels[:: max(1, len(pixels) // _ROBOT_PIXELS)]
 
@@ -526,7 +527,7 @@ class Refiner:
         steps: int,
         fine: int = 1,
     ) -> Fit:
-        """From poses [S, 7]; see `levenberg.fit`."""
+        """From poses [S, 7]; see `levenberg.fit`. Fine fits begin where others have ended."""
         body = self.bodies[scene.number]
         states = np.repeat(scene.qpos[None], len(starts), 0)
         states[:, body.qpos : body.qpos + 7] = starts
@@ -540,6 +541,7 @@ class Refiner:
             noise=NOISE,
             geoms=geoms,
             steps=steps,
+            wide=fine == 1,
             fine=fine,
         )
 
@@ -548,18 +550,9 @@ class Refiner:
         body = self.bodies[scene.number]
         state = scene.qpos[None].copy()
         state[:, body.qpos : body.qpos + 7] = pose
-        geoms, few = self.shown([*scene.others, scene.number]), pixels[::4]
-        base = self.eye.draw(state, few, geoms)
-        own = set(body.geoms.tolist())
-        kept = geoms.tolist()
-        for place, geom in enumerate(geoms.tolist()):
-            if geom in own or float(base.weight[0, place].max()) > 1e-2:
-                continue
-            less = torch.tensor([g for g in kept if g != geom])
-            drawn = self.eye.draw(state, few, less)
-            if float((drawn.pixels - base.pixels).abs().max()) < 0.01:
-                kept.remove(geom)
-        return torch.tensor(kept)
+        geoms = self.shown([*scene.others, scene.number])
+        near = self.eye.met(state, pixels[::4], geoms)
+        return geoms[near | torch.isin(geoms, body.geoms)]
 
     def _judged(
         self, scene: _Around, state: Floats, geoms: torch.Tensor, pixels: torch.Tensor
