@@ -22,8 +22,9 @@ not met yet."""
 _FIRST, _DOWN, _UP, _MOST = 1e-2, 0.3, 5.0, 1e4
 """Damping at first, its factors after a step that helps and after one that does not, and where a
 start is given up."""
-_SETTLED = 1e-3
-"""A step that lowers the cost by a smaller share is the last; one that promises less is not tried."""
+SETTLED = 1e-3
+"""A step that lowers the cost by a smaller share is the last; one that promises less is not tried.
+"""
 
 
 class Prior(NamedTuple):
@@ -85,6 +86,7 @@ def fit(
     priors: Sequence[Prior] = (),
     geoms: torch.Tensor | None = None,
     steps: int = 12,
+    settled: float = SETTLED,
     wide: bool = True,
     fine: int = 1,
 ) -> Fit:
@@ -98,7 +100,7 @@ def fit(
       starts: [S, nq]. directions: [S, nv, k] of coordinates that may change.
       noise: standard deviation of a pixel's value. priors: what is known beside the image.
       geoms: that matter in these pixels; all if None.
-      steps: at most. wide: whether starts may be pixels off. fine: see `Eye.draw`.
+      steps: at most. settled: see `SETTLED`. wide: whether starts may be pixels off. fine: see `Eye.draw`.
     """
     count, k = len(starts), directions.shape[-1]
     wanted = image.reshape(-1, 3)[pixels].double().numpy().reshape(-1)
@@ -123,7 +125,7 @@ def fit(
         move = -np.linalg.solve(damped, slope[..., None])[..., 0]
         promised = -np.einsum("sk,sk->s", slope, move)
         promised -= 0.5 * np.einsum("sk,skl,sl->s", move, matrix, move)
-        there = (width[rows] <= _NARROW) & (promised < _SETTLED * cost[rows])
+        there = (width[rows] <= _NARROW) & (promised < settled * cost[rows])
         active[rows[there]] = False
         rows, move = rows[~there], move[~there]
         if not len(rows):
@@ -142,7 +144,7 @@ def fit(
                 at[renewed], directions[renewed], width[renewed]
             )
         damping[rows] *= np.where(better, _DOWN, _UP)
-        active[rows[better & narrowest & (gain < _SETTLED)]] = False
+        active[rows[better & narrowest & (gain < settled)]] = False
         active &= damping < _MOST
     known = sum((prior.weight(x) for prior in priors), np.zeros((count, k)))
     return Fit(at, cost, curvature + known[:, :, None] * np.eye(k))

@@ -90,10 +90,10 @@ class Lighting:
         ambient, diffuse, specular = self._head
         tint = glow + ambient + self._ambient.sum(0) + diffuse * facing
         gloss = specular * facing.clamp_min(1e-6) ** sharp
+        lamps = Lamps(self.lamps.rows.expand(len(point), -1, -1))
+        free, ways = unblocked(point, normal, size, solids, lamps, meshes)
         for number in range(len(self._diffuse)):
-            row = self.lamps.rows[:, number : number + 1].expand(len(point), 1, -1)
-            free, ways = unblocked(point, normal, size, solids, Lamps(row), meshes)
-            open_, way = free[:, 0], ways[:, 0]
+            open_, way = free[:, number], ways[:, number]
             light = (open_ * self._reach(number, way))[..., None]
             way = way / way.norm(dim=-1, keepdim=True)
             cosine = (normal * way).sum(-1, keepdim=True)

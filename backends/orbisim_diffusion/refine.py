@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from orbisim.scene import Scene
 from orbisim.scene.visible import ROBOT
-from orbisim_diffusion.levenberg import Fit, Prior, cost, fit, losses
+from orbisim_diffusion.levenberg import SETTLED, Fit, Prior, cost, fit, losses
 from orbisim_diffusion.resting import (
     MARGIN,
     Body,
@@ -72,6 +72,8 @@ much more; places so near, m, are one."""
 _STEADY, _ROUNDS = 1.0, 3
 """Pixels from which on a motion counts: the window that a fit looks at moves along, so often at
 most."""
+_BEGUN = 0.01
+"""A fit that a finer one goes on with is settled earlier (see `levenberg.SETTLED`)."""
 _ROUGH, _STEPS = 6, 12
 """Steps of a fit that shows whether a place is worth it, and of one to the end."""
 
@@ -541,6 +543,7 @@ class Refiner:
             noise=NOISE,
             geoms=geoms,
             steps=steps,
+            settled=SETTLED if fine > 1 else _BEGUN,
             wide=fine == 1,
             fine=fine,
         )
