@@ -100,7 +100,8 @@ def fit(
       starts: [S, nq]. directions: [S, nv, k] of coordinates that may change.
       noise: standard deviation of a pixel's value. priors: what is known beside the image.
       geoms: that matter in these pixels; all if None.
-      steps: at most. settled: see `SETTLED`. wide: whether starts may be pixels off. fine: see `Eye.draw`.
+      steps: at most. settled: see `SETTLED`. wide: whether starts may be pixels off. fine: see
+        `Eye.draw`.
     """
     count, k = len(starts), directions.shape[-1]
     wanted = image.reshape(-1, 3)[pixels].double().numpy().reshape(-1)
@@ -221,4 +222,3 @@ def weights(error: Floats) -> Floats:
     """Weights of squares that have the same gradient as `losses`."""
     found: Floats = np.minimum(1.0, _HUBER / np.maximum(np.abs(error), 1e-12))
     return found
-

@@ -197,9 +197,7 @@ def unblocked(
     return 1.0 - lamps.shadow[..., None] * (1.0 - passed), ray
 
 
-def in_the_way(
-    point: Tensor, normal: Tensor, size: Tensor, solids: Solids, lamps: Lamps
-) -> Tensor:
+def in_the_way(point: Tensor, normal: Tensor, size: Tensor, solids: Solids, lamps: Lamps) -> Tensor:
     """[B, G, L P]: geoms that come near the way from a point to a light; see `unblocked`."""
     eye, ray, size = _to_lamps(point, normal, size, lamps)
     return _near(solids, eye.flatten(1, 2), ray.flatten(1, 2), slack=_SOFT * size, end=1.0)
@@ -323,26 +321,23 @@ def _near(
     apart = pos.square().sum(-1, keepdim=True) - 2.0 * pos @ eye.mT
     apart = apart + eye.square().sum(-1)[:, None]
     nearest = dot / square
-    reach = _radius(solids)[..., None] + slack + growth * nearest.abs()
+    radius, wider = _sphere(solids)
+    reach = radius[..., None] + wider[..., None] * (slack + growth * nearest.abs())
     along = reach * square.sqrt()
     near = (apart - nearest * dot < reach.square()) & (dot > -along) & (dot < end * square + along)
     return near & (solids.entity != ABSENT)[..., None]
 
 
-def _radius(solids: Solids) -> Tensor:
-    """[B, G], m: of a sphere about each primitive; infinite about planes."""
+def _sphere(solids: Solids) -> tuple[Tensor, Tensor]:
+    """[B, G] radii, m, of spheres about primitives, infinite about planes; and how many m a ray
+    passes them by for each m that `inside` falls: more than one of an ellipsoid's flat side."""
     x, y, _ = solids.size.unbind(-1)
-    kinds = {
-        2: x,
-        3: x + y,
-        4: solids.size.amax(-1),
-        5: x.hypot(y),
-        6: solids.size.norm(dim=-1),
-    }
-    found = torch.full_like(x, torch.inf)
-    for kind, radius in kinds.items():
-        found = torch.where(solids.kind == kind, radius, found)
-    return found
+    longest, shortest = solids.size.amax(-1), solids.size.amin(-1).clamp_min(1e-6)
+    kinds = {2: x, 3: x + y, 4: longest, 5: x.hypot(y), 6: solids.size.norm(dim=-1)}
+    radius = torch.full_like(x, torch.inf)
+    for kind, value in kinds.items():
+        radius = torch.where(solids.kind == kind, value, radius)
+    return radius, torch.where(solids.kind == 4, longest / shortest, 1.0)
 
 
 def _meet_alike(

@@ -154,9 +154,7 @@ class Refiner:
         found = self._frame(frame, joints, None, places, None, read=read)
         return self._held(frame, found, read) if self.keyed else found
 
-    def _held(
-        self, frame: npt.NDArray[np.uint8], found: Frame, read: Floats | None
-    ) -> Frame:
+    def _held(self, frame: npt.NDArray[np.uint8], found: Frame, read: Floats | None) -> Frame:
         """The frame with joints in the turns that are probable, of those that look the same."""
         columns, qpos = self.scalar.qpos, found.qpos.copy()
         qpos[columns] = self.turns.held(qpos[columns], found.joints_std)
@@ -358,7 +356,7 @@ class Refiner:
         started[columns] = known[0].centre
         pixels = self._touched(np.stack([expected, started]), geoms)
         if not len(pixels):
-            return expected, np.full(len(columns), np.inf)
+            return started, np.full(len(columns), np.inf)
         found = self._joints(image, expected, known, geoms, pixels, _FOLLOWING)
         if self.eye.apart(found.qpos[0], started, self._robot) < _REACHED:
             # a glance: what is near and drawn worse is on the way to the same end
