@@ -84,10 +84,9 @@ def main() -> None:
         for source in options.source or ("true", "video")
     ]
     with quiet_engine():
-        for _ in pool.run(one, jobs, options.workers):
-            pass
-    found = summary(options.out)
-    (options.out / "summary.json").write_text(json.dumps(found, indent=1) + "\n")
+        for _ in pool.run(one, jobs, options.workers):  # a run may be ended from outside
+            found = summary(options.out)
+            (options.out / "summary.json").write_text(json.dumps(found, indent=1) + "\n")
     print(json.dumps(found))
 
 
