@@ -37,9 +37,11 @@ NOISE = 0.02
 """Of a pixel's value, 0 to 1; what drawing cannot say of a rendered image is 0.03 rms."""
 ALIKE = 4.0
 """Neighbouring pixels err together: so many count as one where uncertainties are stated."""
-_TOGETHER = 10.0
-"""An arm's pixels err together all over it: its joints are so many times as far off as `NOISE` and
-`ALIKE` make them (8 to 11, each of six joints in 112 frames of three episodes of `push`)."""
+_TOGETHER = 5.0
+"""An arm's pixels err together all over it: its joints are 8 to 11 times as far off as `NOISE` and
+`ALIKE` make them (each of six joints in 112 frames of three episodes of `push`). Half of that
+leaves less say to a network that misreads how a gripper is turned (0.05 rad off instead of 0.08 in
+24 such frames), and is as good elsewhere."""
 _SEEN_PIXELS, _SEEN_SHARE, EXPLAINED = 6.0, 0.15, 0.5
 """What counts as seen: at least so many pixels (of 128 x 128) of an object that are right with it
 and wrong without, that share of its outline, and that share of the improvement which a perfect
@@ -483,15 +485,20 @@ class Refiner:
                 break
             centre, best = reached, reached[None]  # the window was about another place
         place = upright.qpos[upright.best, body.qpos : body.qpos + 7]
+        seen, explained = self._judged(scene, upright.qpos[upright.best], geoms, pixels)
+        if not seen:  # nor will it be by parts of a pixel
+            return Pose(place, False, explained, np.full(6, np.inf))
         upright = self._fit(scene, place[None], geoms, pixels, True, _STEPS, FINE)
         chosen, k, row = upright, 3, upright.best
         seen, explained = self._judged(scene, upright.qpos[row], geoms, pixels)
         if explained < _LIES:
             best = upright.qpos[row, body.qpos : body.qpos + 7]
-            loose = self._fit(scene, best[None], geoms, pixels, False, _STEPS, FINE)
+            loose = self._fit(scene, best[None], geoms, pixels, False, _STEPS, FINE, _FREE / 3.0)
             if loose.cost[0] < (1.0 - _FREE) * upright.cost[row]:
-                chosen, k, row = loose, 6, 0
-                seen, explained = self._judged(scene, loose.qpos[0], geoms, pixels)
+                best = loose.qpos[0, body.qpos : body.qpos + 7]
+                chosen = self._fit(scene, best[None], geoms, pixels, False, _STEPS, FINE)
+                k, row = 6, 0
+                seen, explained = self._judged(scene, chosen.qpos[0], geoms, pixels)
         variance = np.linalg.inv(chosen.precision[row] + 1e-6 * np.eye(k))
         spread = np.sqrt(ALIKE * np.diag(variance))
         if k == 3:  # how a body at rest lies is known
@@ -526,6 +533,7 @@ class Refiner:
         upright: bool,
         steps: int,
         fine: int = 1,
+        settled: float = SETTLED,
     ) -> Fit:
         """From poses [S, 7]; see `levenberg.fit`. Fine fits begin where others have ended."""
         body = self.bodies[scene.number]
@@ -541,7 +549,7 @@ class Refiner:
             noise=NOISE,
             geoms=geoms,
             steps=steps,
-            settled=SETTLED if fine > 1 else _BEGUN,
+            settled=settled if fine > 1 else _BEGUN,
             wide=fine == 1,
             fine=fine,
         )
