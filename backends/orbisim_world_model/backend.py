@@ -192,6 +192,7 @@ class LearnedBackend(Backend):
             return self._trajectory(state, controls, [], np.full(state.nworld, -1), sensors)
         with self._first_time():
             path = self.stepping.run(state, controls, nstep)
+        self.watch.controls(state, controls, path, nstep, self.timestep)
         verdict = self.watch.verdict(state, path, self.timestep)
         if raise_on_divergence and verdict.error is not None:
             raise verdict.error
