@@ -198,7 +198,7 @@ def one(
 ) -> dict[str, Any]:
     """Errors in one frame, of the network's answer and of the fit."""
     places = [places_of(read, i, body) for body in refiner.bodies]
-    fitted = refiner.first(frame, read.joints[i], places)
+    fitted = refiner.first(frame, read.joints[i], places, read.joints[i])
     columns = refiner.scalar.qpos
     objects = []
     for body, place, pose in zip(refiner.bodies, places, fitted.objects, strict=True):

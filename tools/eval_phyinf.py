@@ -33,11 +33,12 @@ from orbisim_diffusion.refine import Refiner
 from orbisim_diffusion.symmetry import angle, rotation_error
 from orbisim_diffusion.tracking import follow, reading, recording_of
 from orbisim_diffusion.zoo import FOLDER
+from orbisim_world_model.watch import OutsideTrainingWarning, UncertainPredictionWarning
 from scipy.spatial.transform import Rotation
 
 from orbisim import make_backend
 from orbisim.cli.common import quiet_engine
-from orbisim.errors import RecordingError
+from orbisim.errors import DivergedError, RecordingError
 from orbisim.identification import identify
 from orbisim.identification.parameters import free_bodies, parameters, patched
 from orbisim.identification.windows import grid
@@ -83,10 +84,9 @@ def main() -> None:
         for source in options.source or ("true", "video")
     ]
     with quiet_engine():
-        for _ in pool.run(one, jobs, options.workers):
-            pass
-    found = summary(options.out)
-    (options.out / "summary.json").write_text(json.dumps(found, indent=1) + "\n")
+        for _ in pool.run(one, jobs, options.workers):  # a run may be ended from outside
+            found = summary(options.out)
+            (options.out / "summary.json").write_text(json.dumps(found, indent=1) + "\n")
     print(json.dumps(found))
 
 
@@ -103,7 +103,7 @@ def one(
     line: dict[str, Any] = {"episode": number, "source": source}
     try:
         measure(data, line, checkpoint, dynamics, path.with_suffix(".npz"))
-    except RecordingError as error:  # what the frames do not show cannot be fitted
+    except (RecordingError, DivergedError) as error:  # what is not shown cannot be fitted
         line["failed"] = str(error)
     line["seconds"] = round(time.time() - begun, 1)
     path.write_text(json.dumps(line) + "\n")
@@ -211,18 +211,21 @@ def rollout(
 ) -> dict[str, Any]:
     """Errors over the window of a free run from its first state, against the true states.
 
-    `none` alone, with the reason, where the model's state became infinite on the way.
+    `none` alone, with the reason, where the model's state diverged on the way. `outside` says what
+    left the model's training data.
     """
     prepared = prepare(bind(recording, scene), 0.0)
     backend: Any = make_backend(dynamics, scene, device="cpu", compiled=False)
     windows = grid([prepared], backend.timestep)
     rows = prepared.windows[0]  # it begins where all is seen
     state = State(np.zeros(1), windows.qpos[:1], windows.qvel[:1], windows.act[:1])
-    with torch.no_grad():
-        path = np.asarray(backend.rollout(state, windows.ctrl[:1]).qpos)[0]
-    if not np.isfinite(path).all():
-        steps = int(np.isfinite(path).all(axis=1).argmin())
-        return {"none": f"infinite after {steps} of {len(path)} states"}
+    with torch.no_grad(), warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", OutsideTrainingWarning)
+        try:
+            path = backend.rollout(state, windows.ctrl[:1], raise_on_divergence=True)
+        except DivergedError as error:
+            return {"none": f"of {windows.ctrl.shape[1]} steps: {error}", "outside": _said(said)}
+    path = np.asarray(path.qpos)[0]
     truth = true[rows.start + 1 : rows.start + 1 + windows.ctrl.shape[1]]
     found = path[-windows.ctrl.shape[1] :][: len(truth)]
     places = [np.linalg.norm(found[:, a : a + 3] - truth[:, a : a + 3], axis=1) for a in cubes]
@@ -233,7 +236,18 @@ def rollout(
         "mm": round(1e3 * float(np.mean(places)), 3),
         "mm_last": round(1e3 * float(np.mean([p[-1] for p in places])), 3),
         "degrees": round(float(np.mean(turns)), 3),
+        "outside": _said(said),
     }
+
+
+def _said(caught: list[warnings.WarningMessage]) -> list[str]:
+    """Of states outside the training data; that a prediction is unsure is another matter."""
+    kinds = OutsideTrainingWarning, UncertainPredictionWarning
+    return [
+        str(one.message)
+        for one in caught
+        if issubclass(one.category, kinds[0]) and not issubclass(one.category, kinds[1])
+    ]
 
 
 def _turned(scene: Scene, number: int, found: Floats, true: Floats) -> Floats:

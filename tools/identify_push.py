@@ -54,7 +54,7 @@ from orbisim.identification.classical import (  # noqa: E402
     simulated,
 )
 from orbisim.identification.estimate import LARGE, estimate  # noqa: E402
-from orbisim.identification.learned import simulation  # noqa: E402
+from orbisim.identification.learned import Simulation  # noqa: E402
 from orbisim.identification.parameters import parameters, patched  # noqa: E402
 from orbisim.identification.windows import Grid  # noqa: E402
 
@@ -201,7 +201,7 @@ def learned(pack: Any, problems: dict[int, Problem], options: Any) -> dict[str, 
         f"learned:{options.checkpoint}", scene, device=options.device, compiled=False
     )
     episodes = torch.tensor(numbers)[group]
-    run = simulation(_Sized(backend, pack, episodes), wanted, windows, options.device)
+    run = Simulation(_Sized(backend, pack, episodes), wanted, windows, options.device)
     start = torch.tensor([[p.declared for p in wanted]], dtype=torch.float64)
     low, high = (
         torch.tensor([getattr(p, end) for p in wanted], dtype=torch.float64).to(options.device)

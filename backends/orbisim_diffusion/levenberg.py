@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,8 +22,39 @@ not met yet."""
 _FIRST, _DOWN, _UP, _MOST = 1e-2, 0.3, 5.0, 1e4
 """Damping at first, its factors after a step that helps and after one that does not, and where a
 start is given up."""
-_SETTLED = 1e-3
-"""A step that lowers the cost by a smaller share is the last."""
+SETTLED = 1e-3
+"""A step that lowers the cost by a smaller share is the last; one that promises less is not tried.
+"""
+
+
+class Prior(NamedTuple):
+    """What is known of each coordinate of a change [k] beside the image.
+
+    Attributes:
+      centre, std: [k]. tails: degrees of freedom of Student's distribution; a normal one if
+        infinite.
+    """
+
+    centre: Floats
+    std: Floats
+    tails: float = np.inf
+
+    def cost(self, x: Floats) -> Floats:
+        """[S] of changes [S, k]: minus the logarithm of the density, 0 at the centre."""
+        squares = ((x - self.centre) / self.std) ** 2
+        if np.isinf(self.tails):
+            found: Floats = 0.5 * squares.sum(-1)
+        else:
+            found = 0.5 * (self.tails + 1.0) * np.log1p(squares / self.tails).sum(-1)
+        return found
+
+    def weight(self, x: Floats) -> Floats:
+        """[S, k]: of a square about the centre that has the same slope."""
+        found: Floats = np.broadcast_to(self.std**-2.0, x.shape)
+        if not np.isinf(self.tails):
+            squares = ((x - self.centre) / self.std) ** 2
+            found = found * (self.tails + 1.0) / (self.tails + squares)
+        return found
 
 
 class Fit(NamedTuple):
@@ -51,47 +83,56 @@ def fit(
     directions: Floats,
     *,
     noise: float,
-    prior: Floats | None = None,
-    centre: Floats | None = None,
+    priors: Sequence[Prior] = (),
     geoms: torch.Tensor | None = None,
     steps: int = 12,
+    settled: float = SETTLED,
     wide: bool = True,
     fine: int = 1,
 ) -> Fit:
     """The states near the starts whose image is most like one that was seen.
 
-    Minimises sum(rho(drawn - seen)) / noise^2 + (x - centre)' prior (x - centre), x the change
-    along the directions since the start.
+    Minimises sum(rho(drawn - seen)) / noise^2 and what priors add, of the change x along the
+    directions since the start.
 
     Args:
       eye: draws. image: [H, W, 3], 0 to 1. pixels: [P] numbers of those that count.
       starts: [S, nq]. directions: [S, nv, k] of coordinates that may change.
-      noise: standard deviation of a pixel's value. prior: [k, k], centre: [k].
+      noise: standard deviation of a pixel's value. priors: what is known beside the image.
       geoms: that matter in these pixels; all if None.
-      steps: at most. wide: whether starts may be pixels off. fine: see `Eye.draw`.
+      steps: at most. settled: see `SETTLED`. wide: whether starts may be pixels off. fine: see
+        `Eye.draw`.
     """
     count, k = len(starts), directions.shape[-1]
-    prior = np.zeros((k, k)) if prior is None else prior
-    centre = np.zeros(k) if centre is None else centre
     wanted = image.reshape(-1, 3)[pixels].double().numpy().reshape(-1)
     problem = _Problem(eye, wanted, pixels, geoms, noise, fine)
     at, x, damping = starts.copy(), np.zeros((count, k)), np.full(count, _FIRST)
     width = np.full(count, _WIDE if wide else _NARROW)
     cost, gradient, curvature = problem.linear(at, directions, width)
-    cost = cost + _quadratic(x - centre, prior)
+    cost = cost + sum(prior.cost(x) for prior in priors)
     active = np.ones(count, bool)
     for _ in range(steps):
         rows = np.flatnonzero(active)
         if not len(rows):
             break
-        slope = gradient[rows] + (x[rows] - centre) @ prior
-        matrix = curvature[rows] + prior
+        slope, matrix = gradient[rows], curvature[rows]
+        for prior in priors:
+            weight = prior.weight(x[rows])
+            slope = slope + weight * (x[rows] - prior.centre)
+            matrix = matrix + weight[:, :, None] * np.eye(k)
         diagonal = np.einsum("sii->si", matrix)
         scale = damping[rows, None] * np.maximum(diagonal, 1e-9 * diagonal.max(1, keepdims=True))
         damped = matrix + np.einsum("si,ij->sij", scale + 1e-9, np.eye(k))
         move = -np.linalg.solve(damped, slope[..., None])[..., 0]
+        promised = -np.einsum("sk,sk->s", slope, move)
+        promised -= 0.5 * np.einsum("sk,skl,sl->s", move, matrix, move)
+        there = (width[rows] <= _NARROW) & (promised < settled * cost[rows])
+        active[rows[there]] = False
+        rows, move = rows[~there], move[~there]
+        if not len(rows):
+            continue
         trial = eye.moved(at[rows], np.einsum("svk,sk->sv", directions[rows], move))
-        new = problem.cost(trial) + _quadratic(x[rows] + move - centre, prior)
+        new = problem.cost(trial) + sum(prior.cost(x[rows] + move) for prior in priors)
         better, gain = new < cost[rows], 1.0 - new / cost[rows]
         narrowest = width[rows] <= _NARROW
         narrower = np.maximum(_NARROW, _SHRINK * width[rows])
@@ -104,9 +145,10 @@ def fit(
                 at[renewed], directions[renewed], width[renewed]
             )
         damping[rows] *= np.where(better, _DOWN, _UP)
-        active[rows[better & narrowest & (gain < _SETTLED)]] = False
+        active[rows[better & narrowest & (gain < settled)]] = False
         active &= damping < _MOST
-    return Fit(at, cost, curvature + prior)
+    known = sum((prior.weight(x) for prior in priors), np.zeros((count, k)))
+    return Fit(at, cost, curvature + known[:, :, None] * np.eye(k))
 
 
 def cost(
@@ -116,14 +158,14 @@ def cost(
     state: Floats,
     *,
     noise: float,
-    prior: Floats,
-    centre: Floats,
+    priors: Sequence[Prior],
     geoms: torch.Tensor | None = None,
 ) -> float:
     """What `fit` minimises, where it begins: at a state [nq]; see there."""
     wanted = image.reshape(-1, 3)[pixels].double().numpy().reshape(-1)
     problem = _Problem(eye, wanted, pixels, geoms, noise, 1)
-    return float((problem.cost(state[None]) + _quadratic(-centre[None], prior))[0])
+    known = sum(float(prior.cost(np.zeros((1, len(prior.centre))))[0]) for prior in priors)
+    return float(problem.cost(state[None])[0]) + known
 
 
 class _Problem:
@@ -179,9 +221,4 @@ def losses(error: Floats) -> Floats:
 def weights(error: Floats) -> Floats:
     """Weights of squares that have the same gradient as `losses`."""
     found: Floats = np.minimum(1.0, _HUBER / np.maximum(np.abs(error), 1e-12))
-    return found
-
-
-def _quadratic(x: Floats, matrix: Floats) -> Floats:
-    found: Floats = 0.5 * np.einsum("sk,kl,sl->s", x, matrix, x)
     return found

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from orbisim.scene import visible
-from orbisim_diffusion.raycast import Surfaces, unblocked
+from orbisim_diffusion.raycast import Surfaces, in_the_way, unblocked
 from orbisim_diffusion.solids import Lamps, Solids, View
 
 _SPECULAR, _SHININESS = 0.5, 0.5
@@ -90,10 +90,10 @@ class Lighting:
         ambient, diffuse, specular = self._head
         tint = glow + ambient + self._ambient.sum(0) + diffuse * facing
         gloss = specular * facing.clamp_min(1e-6) ** sharp
+        lamps = Lamps(self.lamps.rows.expand(len(point), -1, -1))
+        free, ways = unblocked(point, normal, size, solids, lamps, meshes)
         for number in range(len(self._diffuse)):
-            row = self.lamps.rows[:, number : number + 1].expand(len(point), 1, -1)
-            free, ways = unblocked(point, normal, size, solids, Lamps(row), meshes)
-            open_, way = free[:, 0], ways[:, 0]
+            open_, way = free[:, number], ways[:, number]
             light = (open_ * self._reach(number, way))[..., None]
             way = way / way.norm(dim=-1, keepdim=True)
             cosine = (normal * way).sum(-1, keepdim=True)
@@ -103,6 +103,18 @@ class Lighting:
             tint = tint + light * self._diffuse[number] * cosine.clamp_min(0.0)
             gloss = gloss + light * self._specular[number] * bright * (cosine > 0)
         return (seen.colour * tint + shine * gloss).clamp(0.0, 1.0)
+
+    def shaded(self, seen: Surfaces, solids: Solids, view: View, height: int) -> Tensor:
+        """[G]: which geoms come near the way from what rays see to a lamp; see `colours`."""
+        there = seen.weight.sum(1)[..., None].clamp_min(1e-3)
+        normal = seen.normal @ view.rot.transpose(-1, -2)
+        normal = normal / normal.norm(dim=-1, keepdim=True).clamp_min(1e-6)
+        size = seen.depth / there[..., 0] / (height * view.focal[:, 1:])
+        lamps = Lamps(self.lamps.rows[:, self.lamps.shadow[0] > 0].expand(len(size), -1, -1))
+        if not lamps.rows.shape[1]:
+            return torch.zeros_like(solids.kind[0], dtype=torch.bool)
+        near = in_the_way(seen.point / there, normal, size, solids, lamps)
+        return near.any(-1).any(0)
 
     def _reach(self, number: int, way: Tensor) -> Tensor:
         """[B, P] of a lamp's light that its distance and its cone leave."""

@@ -15,7 +15,7 @@ from scipy.optimize import linear_sum_assignment
 
 from orbisim.errors import UnsupportedSceneError
 from orbisim_diffusion.estimate import SURE
-from orbisim_diffusion.levenberg import fit
+from orbisim_diffusion.levenberg import Prior, fit
 from orbisim_diffusion.likeness import unlikeness
 from orbisim_diffusion.refine import ALIKE, NOISE, Frame, Refiner
 from orbisim_diffusion.resting import Body, at_rest, directions, window
@@ -163,7 +163,7 @@ class LookFitter:
             scale = float(np.exp(np.log(half / body.half).mean())) if self.sizes else 1.0
             self.set_look(i, scale, colour.clip(_DULL, 1.0) if self.colours else body.colour)
             places[i] = [read.places[t, slot]]
-        found = self.refiner.first(frame, read.joints[t], places)
+        found = self.refiner.first(frame, read.joints[t], places, read.joints[t])
         looks = [self._unseen(i) for i in range(len(self.declared))]
         for k in range(_ROUNDS):
             for i, pose in enumerate(found.objects):
@@ -175,7 +175,7 @@ class LookFitter:
         # poses once more with the looks that were found
         places = [[pose.qpos] for pose in found.objects]
         joints = found.qpos[self.refiner.scalar.qpos]
-        return self.refiner.first(frame, joints, places), tuple(looks)
+        return self.refiner.first(frame, joints, places, read.joints[t]), tuple(looks)
 
     def slots(
         self, read: Reading, t: int, before: Sequence[Look] | None = None
@@ -274,7 +274,7 @@ class LookFitter:
             np.append(start, 0.0)[None],
             ways,
             noise=NOISE,
-            prior=np.diag([0.0] * count + [_SCALE**-2.0]),
+            priors=[Prior(np.zeros(count + 1), np.array([np.inf] * count + [_SCALE]))],
             geoms=geoms,
             steps=_STEPS,
             wide=wide,

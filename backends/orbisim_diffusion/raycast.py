@@ -20,6 +20,8 @@ LAYERS = 3
 """Surfaces along a ray that are put over each other; at an outline there are two."""
 _EDGE = 0.35
 """Width of a soft outline, pixels: it falls from 0.95 to 0.05 within two."""
+_SOFT = 7.0 * _EDGE
+"""Pixels beyond an outline at which nothing is left of it: 1e-3."""
 _NEAR = 1e-3
 """What is nearer is not seen, m; of the way to a light: what is nearer casts no shadow."""
 _PAIRS = 2**25
@@ -105,25 +107,29 @@ def look(
     kinds: tuple[int, ...] | None = None,
 ) -> Surfaces:
     """What some rays [B, P, 3] from the cameras see, in an image of `height` pixels."""
-    eye = view.pos[:, None].expand_as(ray)
-    t, inside, normal = _meet(solids, eye, ray, meshes or {}, primitives, kinds)  # [B, G, P (, 3)]
-    pixel = t.abs() / (height * view.focal[:, None, 1:])  # m at that depth
+    eye, per_metre = view.pos[:, None].expand_as(ray), height * view.focal[:, None, 1:]
+    if kinds is None and not torch.is_grad_enabled():
+        meet = _meet_near(solids, eye, ray, meshes or {}, primitives, growth=_SOFT / per_metre)
+    else:
+        meet = _meet(solids, eye, ray, meshes or {}, primitives, kinds)
+    t, inside, normal = meet  # [B, G, P (, 3)]
+    pixel = t.abs() / per_metre  # m at that depth
     cover = torch.sigmoid(inside / (_EDGE * pixel.clamp_min(1e-6)))
     seen = (t > _NEAR) & (cover > 1e-3)
     weights, order = _layers(torch.where(seen, t, torch.inf), torch.where(seen, cover, 0.0))
 
     def blended(values: Tensor) -> Tensor:
-        """Of [B, G, P, C] to [B, P, C]."""
-        index = order[..., None].expand(*order.shape, values.shape[-1])
-        return (weights[..., None] * values.gather(1, index)).sum(1)
+        """Of [B, LAYERS, P, C] to [B, P, C]."""
+        return (weights[..., None] * values).sum(1)
 
-    colour = solids.colour[:, :, None].expand(-1, -1, ray.shape[1], -1)
-    point = view.pos[:, None, None] + t[..., None] * ray[:, None]
+    index = order[..., None].expand(*order.shape, 3)
+    depth = t.gather(1, order)[..., None]
+    colour = solids.colour.gather(1, index.flatten(1, 2)).unflatten(1, order.shape[1:])
     return Surfaces(
-        depth=blended(t[..., None])[..., 0],
-        normal=blended(normal @ view.rot[:, None]),
+        depth=blended(depth)[..., 0],
+        normal=blended(normal.gather(1, index)) @ view.rot,
         colour=blended(colour),
-        point=blended(point),
+        point=blended(view.pos[:, None, None] + depth * ray[:, None]),
         weight=torch.zeros_like(t).scatter_add(1, order, weights),
     )
 
@@ -180,16 +186,31 @@ def unblocked(
     Returns:
       The share [B, L, P] that nothing is in the way of, and the way to the lights [B, L, P, 3], m.
     """
+    eye, ray, size = _to_lamps(point, normal, size, lamps)
+    among = solids, eye.flatten(1, 2), ray.flatten(1, 2), meshes or {}, primitives
+    if kinds is None and not torch.is_grad_enabled():
+        t, inside, _ = _meet_near(*among, slack=_SOFT * size, end=1.0, normals=False)
+    else:
+        t, inside, _ = _meet(*among, kinds, False)
+    blocked = torch.where((t > _NEAR) & (t < 1.0), torch.sigmoid(inside / (_EDGE * size)), 0.0)
+    passed = (1.0 - blocked).prod(1).unflatten(-1, ray.shape[1:3])
+    return 1.0 - lamps.shadow[..., None] * (1.0 - passed), ray
+
+
+def in_the_way(point: Tensor, normal: Tensor, size: Tensor, solids: Solids, lamps: Lamps) -> Tensor:
+    """[B, G, L P]: geoms that come near the way from a point to a light; see `unblocked`."""
+    eye, ray, size = _to_lamps(point, normal, size, lamps)
+    return _near(solids, eye.flatten(1, 2), ray.flatten(1, 2), slack=_SOFT * size, end=1.0)
+
+
+def _to_lamps(
+    point: Tensor, normal: Tensor, size: Tensor, lamps: Lamps
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Starts and ways [B, L, P, 3] from points to lights, and sizes [B, 1, L P] of pixels there."""
     start = (point + _LIFT * normal)[:, None]
     far = -_FAR * lamps.direction[:, :, None]
     ray = torch.where(lamps.directional[..., None, None] > 0, far, lamps.pos[:, :, None] - start)
-    shape = ray.shape[:3]
-    eye = start.expand_as(ray).flatten(1, 2)
-    t, inside, _ = _meet(solids, eye, ray.flatten(1, 2), meshes or {}, primitives, kinds, False)
-    width = _EDGE * size[:, None].expand(shape).flatten(1)[:, None]
-    blocked = torch.where((t > _NEAR) & (t < 1.0), torch.sigmoid(inside / width), 0.0)
-    passed = (1.0 - blocked).prod(1).unflatten(-1, shape[1:])
-    return 1.0 - lamps.shadow[..., None] * (1.0 - passed), ray
+    return start.expand_as(ray), ray, size[:, None].expand(ray.shape[:3]).flatten(1)[:, None]
 
 
 def _layers(t: Tensor, cover: Tensor) -> tuple[Tensor, Tensor]:
@@ -241,6 +262,82 @@ def _meet(
         if normals:
             normal = normal.index_put(where, (found[2] @ solids.rot[b, g].T)[None])
     return t, inside, normal
+
+
+def _meet_near(
+    solids: Solids,
+    eye: Tensor,
+    ray: Tensor,
+    meshes: Mapping[int, Tensor],
+    primitives: Mapping[int, Meet],
+    slack: Tensor | float = 0.0,
+    growth: Tensor | float = 0.0,
+    end: float = torch.inf,
+    normals: bool = True,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """`_meet` of the rays alone that come near a geom: most pass most geoms by far.
+
+    Args:
+      slack: [B, 1, P], m, by which a ray may pass the sphere about a geom. growth: [B, 1, 1], what
+        is added for a length of the ray. end: of what lies beyond so many lengths nothing is said.
+    """
+    shape = (*solids.kind.shape, ray.shape[1])
+    t, inside = ray.new_zeros(shape), ray.new_full(shape, -1.0)
+    normal = ray.new_zeros((*(shape if normals else [1] * 3), 3))
+    there, pos = solids.entity != ABSENT, solids.pos
+    pairs = _near(solids, eye, ray, slack, growth, end).nonzero()
+    kinds = solids.kind[pairs[:, 0], pairs[:, 1]]
+    for kind, meet in primitives.items():
+        index = pairs[kinds == kind].unbind(1)
+        b, g, p = index
+        if not len(b):
+            continue
+        rot = solids.rot[b, g]
+        origin, local = (eye[b, p] - pos[b, g])[:, None] @ rot, ray[b, p][:, None] @ rot
+        found = meet(origin, local, solids.size[b, g])
+        t[index], inside[index] = found[0][:, 0], found[1][:, 0]
+        if normals:
+            normal[index] = (found[2] @ rot.mT)[:, 0]
+    for b, g in ((solids.kind == MESH) & there).nonzero().tolist():
+        rot = solids.rot[b, g]
+        found = mesh((eye[b] - pos[b, g]) @ rot, ray[b] @ rot, meshes[g])
+        t[b, g], inside[b, g] = found[:2]
+        if normals:
+            normal[b, g] = found[2] @ rot.T
+    return t, inside, normal
+
+
+def _near(
+    solids: Solids,
+    eye: Tensor,
+    ray: Tensor,
+    slack: Tensor | float = 0.0,
+    growth: Tensor | float = 0.0,
+    end: float = torch.inf,
+) -> Tensor:
+    """[B, G, P]: whether rays come near geoms, up to `end` of their length; see `_meet_near`."""
+    square, pos = ray.square().sum(-1)[:, None], solids.pos
+    dot = pos @ ray.mT - (eye * ray).sum(-1)[:, None]  # [B, G, P]
+    apart = pos.square().sum(-1, keepdim=True) - 2.0 * pos @ eye.mT
+    apart = apart + eye.square().sum(-1)[:, None]
+    nearest = dot / square
+    radius, wider = _sphere(solids)
+    reach = radius[..., None] + wider[..., None] * (slack + growth * nearest.abs())
+    along = reach * square.sqrt()
+    near = (apart - nearest * dot < reach.square()) & (dot > -along) & (dot < end * square + along)
+    return near & (solids.entity != ABSENT)[..., None]
+
+
+def _sphere(solids: Solids) -> tuple[Tensor, Tensor]:
+    """[B, G] radii, m, of spheres about primitives, infinite about planes; and how many m a ray
+    passes them by for each m that `inside` falls: more than one of an ellipsoid's flat side."""
+    x, y, _ = solids.size.unbind(-1)
+    longest, shortest = solids.size.amax(-1), solids.size.amin(-1).clamp_min(1e-6)
+    kinds = {2: x, 3: x + y, 4: longest, 5: x.hypot(y), 6: solids.size.norm(dim=-1)}
+    radius = torch.full_like(x, torch.inf)
+    for kind, value in kinds.items():
+        radius = torch.where(solids.kind == kind, value, radius)
+    return radius, torch.where(solids.kind == 4, longest / shortest, 1.0)
 
 
 def _meet_alike(

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from orbisim.scene import Scene
 from orbisim.scene.visible import ROBOT
-from orbisim_diffusion.levenberg import Fit, cost, fit, losses
+from orbisim_diffusion.levenberg import SETTLED, Fit, Prior, cost, fit, losses
 from orbisim_diffusion.resting import (
     MARGIN,
     Body,
@@ -37,10 +37,21 @@ NOISE = 0.02
 """Of a pixel's value, 0 to 1; what drawing cannot say of a rendered image is 0.03 rms."""
 ALIKE = 4.0
 """Neighbouring pixels err together: so many count as one where uncertainties are stated."""
+_TOGETHER = 5.0
+"""An arm's pixels err together all over it: its joints are 8 to 11 times as far off as `NOISE` and
+`ALIKE` make them (each of six joints in 112 frames of three episodes of `push`). Half of that
+leaves less say to a network that misreads how a gripper is turned (0.05 rad off instead of 0.08 in
+24 such frames), and is as good elsewhere."""
 _SEEN_PIXELS, _SEEN_SHARE, EXPLAINED = 6.0, 0.15, 0.5
 """What counts as seen: at least so many pixels (of 128 x 128) of an object that are right with it
 and wrong without, that share of its outline, and that share of the improvement which a perfect
 match would be."""
+_TAILS = 4.0
+"""Degrees of freedom of Student's distribution about what a network reads, and about where motion
+has a joint: mostly near, at times far off (a network by 0.1 to 0.4 rad, of a gripper near a quarter
+turn), which a normal one would pull the fit to."""
+_ALIKE = 0.1
+"""Likeness of a pixel's colour from which on it may be the object's."""
 _RIGHT = 0.1
 """Difference of a pixel's value from which on it is wrong."""
 _BIAS, _WANDER = 0.2, 0.08
@@ -63,6 +74,8 @@ much more; places so near, m, are one."""
 _STEADY, _ROUNDS = 1.0, 3
 """Pixels from which on a motion counts: the window that a fit looks at moves along, so often at
 most."""
+_BEGUN = 0.01
+"""A fit that a finer one goes on with is settled earlier (see `levenberg.SETTLED`)."""
 _ROUGH, _STEPS = 6, 12
 """Steps of a fit that shows whether a place is worth it, and of one to the end."""
 
@@ -90,7 +103,7 @@ class Frame(NamedTuple):
     """What one frame shows.
 
     Attributes:
-      qpos: [nq] of the scene; objects that are not seen stay where they were looked for.
+      qpos: [nq] of the scene; objects that are not seen stay where they were seen last.
       joints_std: [joints] of the scalar joints, rad or m. objects: of each free body in order.
       joints_seen: whether the frame shows what the joints move.
     """
@@ -126,7 +139,11 @@ class Refiner:
         self._eye = self.view.pos[0].double().numpy()
 
     def first(
-        self, frame: npt.NDArray[np.uint8], joints: Floats, places: Sequence[Sequence[Floats]]
+        self,
+        frame: npt.NDArray[np.uint8],
+        joints: Floats,
+        places: Sequence[Sequence[Floats]],
+        read: Floats | None = None,
     ) -> Frame:
         """A frame by itself.
 
@@ -134,11 +151,12 @@ class Refiner:
           frame: [H, W, 3]. joints: [joints] of the scalar joints, nearly.
           places: for each body, poses [7] of what the
             network sees that it might be; none is fine, too.
+          read: see `following`.
         """
-        found = self._frame(frame, joints, None, places, None)
-        return self._held(frame, found) if self.keyed else found
+        found = self._frame(frame, joints, None, places, None, read=read)
+        return self._held(frame, found, read) if self.keyed else found
 
-    def _held(self, frame: npt.NDArray[np.uint8], found: Frame) -> Frame:
+    def _held(self, frame: npt.NDArray[np.uint8], found: Frame, read: Floats | None) -> Frame:
         """The frame with joints in the turns that are probable, of those that look the same."""
         columns, qpos = self.scalar.qpos, found.qpos.copy()
         qpos[columns] = self.turns.held(qpos[columns], found.joints_std)
@@ -147,7 +165,8 @@ class Refiner:
             return found._replace(qpos=qpos)
         image = torch.as_tensor(frame).double() / 255.0  # fitted: fingers have changed sides
         present = [i for i, pose in enumerate(found.objects) if pose.seen]
-        qpos, std = self._arm(image, qpos, present, steps=6)
+        known = self._known(qpos[columns], read)
+        qpos, std = self._arm(image, qpos, present, known, steps=6)
         return found._replace(qpos=qpos, joints_std=std)
 
     def following(
@@ -166,9 +185,9 @@ class Refiner:
           frame, places: see `first`. joints: [joints] if they go on as they moved. before: the
             frame before it. known: joints that need no fit. ahead: for each body, the pose [7] that
             it has if it goes on as it moved; None where that is not known.
-          read: [joints] as a network reads this frame by itself. Where the frame is drawn better
-            from there, the motion included, they are taken: joints that a frame has lost would
-            else go on at the speed at which they were lost.
+          read: [joints] as a network reads this frame by itself. What the frame does not show of
+            the joints stays there, and the fit begins there, too: joints that a frame has lost, or
+            does not show, would else go on at the speed at which they were lost.
         """
         return self._frame(frame, joints, known, places, before, ahead, read)
 
@@ -191,12 +210,14 @@ class Refiner:
         present: list[int] = []
         if before is not None:
             present = [i for i, pose in enumerate(before.objects) if pose.seen]
+        about = self._known(qpos[self.scalar.qpos], read, before)
         if known is None and len(joints):
-            if read is None or not np.isfinite(read).all():
-                steps = 20 if before is None else _FOLLOWING
-                qpos, std = self._arm(image, qpos, present, steps)
+            if before is None:
+                qpos, std = self._arm(image, qpos, present, about, steps=20)
+            elif len(about) > 1:
+                qpos, std = self._either(image, qpos, present, about)
             else:
-                qpos, std = self._either(image, qpos, read, present)
+                qpos, std = self._arm(image, qpos, present, about, _FOLLOWING)
         found: list[Pose | None] = [None] * len(self.bodies)
         order = self._order(before)
         for i in order:
@@ -211,7 +232,7 @@ class Refiner:
             present = sorted({*others, *([i] if pose.seen else [])})
         if before is None and len(present):
             if known is None and len(joints):
-                qpos, std = self._arm(image, qpos, present, steps=6)
+                qpos, std = self._arm(image, qpos, present, about, steps=6)
             for i in present:
                 others = [j for j in present if j != i]
                 body = self.bodies[i]
@@ -219,7 +240,18 @@ class Refiner:
                 found[i] = self._object(image, qpos, i, others, [here], found[i])
                 qpos[body.qpos : body.qpos + 7] = found[i].qpos  # type: ignore[union-attr]
         shown = Frame(qpos, std, tuple(pose for pose in found if pose is not None))
-        return self.possible(self._exchanged(image, shown) if before is None else shown)
+        if before is None:
+            return self.possible(self._exchanged(image, shown))
+        return self._kept(self.possible(shown), before)
+
+    def _kept(self, frame: Frame, before: Frame) -> Frame:
+        """The frame with what is not seen where it was before: nothing says that it has moved."""
+        qpos, objects = frame.qpos.copy(), list(frame.objects)
+        for i, (pose, last) in enumerate(zip(objects, before.objects, strict=True)):
+            if not pose.seen:
+                objects[i] = pose._replace(qpos=last.qpos, rests=last.rests)
+                qpos[self.bodies[i].qpos :][:7] = last.qpos
+        return frame._replace(qpos=qpos, objects=tuple(objects))
 
     def possible(self, frame: Frame) -> Frame:
         """The frame without what is within another object: of two, what explains less is not seen.
@@ -280,65 +312,87 @@ class Refiner:
 
     # -- the robot ---------------------------------------------------------------------------------
 
+    def _known(
+        self, joints: Floats, read: Floats | None, before: Frame | None = None
+    ) -> tuple[Prior, ...]:
+        """What is known of the joints before a frame is looked at.
+
+        Args:
+          joints: [joints] where they go, about. read: see `following`. before: the frame before.
+        """
+        if read is None or not np.isfinite(read).all():
+            return (Prior(joints, self.scalar.prior),)
+        found = [Prior(self.turns.nearest(read, joints), self.scalar.read, _TAILS)]
+        if before is not None:  # two frames have the speed
+            std = np.hypot(np.sqrt(5.0) * before.joints_std, self.scalar.gone)
+            found.append(Prior(joints, std, _TAILS))
+        return tuple(found)
+
     def _arm(
-        self, image: torch.Tensor, qpos: Floats, present: list[int], steps: int
+        self,
+        image: torch.Tensor,
+        qpos: Floats,
+        present: list[int],
+        known: Sequence[Prior],
+        steps: int,
     ) -> tuple[Floats, Floats]:
         """The state [nq] with joints near those of `qpos`, and their standard deviations."""
         geoms = self.shown(present)
         pixels = self._touched(qpos[None], geoms)
         if not len(pixels):
             return qpos, np.full(len(self.scalar.qpos), np.inf)
-        return self._joined(self._joints(image, qpos, qpos, geoms, pixels, steps))
+        return self._joined(self._joints(image, qpos, known, geoms, pixels, steps))
 
     def _either(
-        self, image: torch.Tensor, expected: Floats, read: Floats, present: list[int]
+        self, image: torch.Tensor, expected: Floats, present: list[int], known: Sequence[Prior]
     ) -> tuple[Floats, Floats]:
         """See `_arm`; from where motion has the joints or where a network reads them.
 
-        Both fits are of the same pixels and have the motion's prior: the lower cost is kept.
+        Both fits are of the same pixels and have the same prior: the lower cost is kept.
 
         Args:
-          image: [H, W, 3]. expected: [nq] by the motion. read: [joints]. present: objects there.
+          image: [H, W, 3]. expected: [nq] by the motion. present: objects there.
         """
         columns, geoms = self.scalar.qpos, self.shown(present)
         started = expected.copy()
-        started[columns] = self.turns.nearest(read, expected[columns])
+        started[columns] = known[0].centre
         pixels = self._touched(np.stack([expected, started]), geoms)
         if not len(pixels):
-            return expected, np.full(len(columns), np.inf)
-        found = self._joints(image, expected, expected, geoms, pixels, _FOLLOWING)
+            return started, np.full(len(columns), np.inf)
+        found = self._joints(image, expected, known, geoms, pixels, _FOLLOWING)
         if self.eye.apart(found.qpos[0], started, self._robot) < _REACHED:
             # a glance: what is near and drawn worse is on the way to the same end
             there = cost(
-                self.eye, image, pixels, started, **self._about(started, expected), geoms=geoms
+                self.eye, image, pixels, started, **self._about(started, known), geoms=geoms
             )
             if there >= found.cost[0]:
                 return self._joined(found)
-        other = self._joints(image, started, expected, geoms, pixels, _FOLLOWING)
+        other = self._joints(image, started, known, geoms, pixels, _FOLLOWING)
         return self._joined(other if other.cost[0] < found.cost[0] else found)
 
     def _joints(
         self,
         image: torch.Tensor,
         start: Floats,
-        expected: Floats,
+        known: Sequence[Prior],
         geoms: torch.Tensor,
         pixels: torch.Tensor,
         steps: int,
     ) -> Fit:
-        """From one state [nq]; the joints' prior is about another one [nq]."""
+        """From one state [nq]."""
         directions = np.zeros((1, self.model.nv, len(self.scalar.dof)))
         directions[0, self.scalar.dof, np.arange(len(self.scalar.dof))] = 1.0
-        about = self._about(start, expected)
+        about = self._about(start, known)
         return fit(
             self.eye, image, pixels, start[None], directions, **about, geoms=geoms, steps=steps
         )
 
-    def _about(self, start: Floats, expected: Floats) -> _Prior:
-        """Of the joints' fit from one state [nq], about another one [nq]."""
+    def _about(self, start: Floats, known: Sequence[Prior]) -> _Told:
+        """The same about a change from one state [nq]."""
         # noise grows with the stride: fewer pixels say as much as they stand for
-        noise, prior = float(NOISE * np.sqrt(ALIKE)), np.diag(self.scalar.prior**-2.0)
-        return {"noise": noise, "prior": prior, "centre": (expected - start)[self.scalar.qpos]}
+        noise, joints = float(_TOGETHER * NOISE * np.sqrt(ALIKE)), start[self.scalar.qpos]
+        priors = [prior._replace(centre=prior.centre - joints) for prior in known]
+        return {"noise": noise, "priors": priors}
 
     def _joined(self, found: Fit) -> tuple[Floats, Floats]:
         """The state [nq] of a fit with joints in their ranges, and their standard deviations."""
@@ -348,12 +402,13 @@ class Refiner:
 
     def _touched(self, states: Floats, geoms: torch.Tensor) -> torch.Tensor:
         """Pixels, not too many, that joints change in some states [S, nq], and those around."""
-        drawn = self.eye.draw(states, self._all, geoms)
-        without = self.eye.draw(states[:1], self._all, self.unmoved(geoms))
-        touched = ((drawn.pixels - without.pixels).abs().amax(-1) > 0.03).any(0)
-        near = ndimage.binary_dilation(
-            touched.reshape(self.size, self.size).numpy(), iterations=MARGIN
-        )
+        grid = self._all.reshape(self.size, self.size)[::2, ::2]
+        drawn = self.eye.draw(states, grid.reshape(-1), geoms)
+        without = self.eye.draw(states[:1], grid.reshape(-1), self.unmoved(geoms))
+        touched = np.zeros((self.size, self.size), bool)
+        changed = ((drawn.pixels - without.pixels).abs().amax(-1) > 0.03).any(0)
+        touched[::2, ::2] = changed.reshape(grid.shape).numpy()
+        near = ndimage.binary_dilation(touched, iterations=MARGIN)
         pixels = torch.as_tensor(np.flatnonzero(near))
         return pixels[:: max(1, len(pixels) // _ROBOT_PIXELS)]
 
@@ -382,12 +437,11 @@ class Refiner:
             if near.seen and as_well and (near.rests or not last.rests):
                 return near
             tried.append(near)
-        spots = [place for place in places if np.isfinite(place).all()]
-        spots += self._alike(scene)
-        if last is not None:
-            spots.append(last.qpos)
+        spots = [] if last is None else [last.qpos]  # it is still there, if nothing has moved it
+        spots += [place for place in places if np.isfinite(place).all()]
+        left = self._left(scene, [pose for pose in tried if pose.seen])
         rough: list[tuple[float, Floats]] = []
-        for spot in spots:
+        for spot in self._worth(scene, left, spots + self._peaks(scene, left)):
             if any(np.linalg.norm(spot[:3] - pose[0, :3]) < _SAME for _, pose in rough):
                 continue
             rough.append(self._upright(scene, spot))
@@ -431,15 +485,20 @@ class Refiner:
                 break
             centre, best = reached, reached[None]  # the window was about another place
         place = upright.qpos[upright.best, body.qpos : body.qpos + 7]
+        seen, explained = self._judged(scene, upright.qpos[upright.best], geoms, pixels)
+        if not seen:  # nor will it be by parts of a pixel
+            return Pose(place, False, explained, np.full(6, np.inf))
         upright = self._fit(scene, place[None], geoms, pixels, True, _STEPS, FINE)
         chosen, k, row = upright, 3, upright.best
         seen, explained = self._judged(scene, upright.qpos[row], geoms, pixels)
         if explained < _LIES:
             best = upright.qpos[row, body.qpos : body.qpos + 7]
-            loose = self._fit(scene, best[None], geoms, pixels, False, _STEPS, FINE)
+            loose = self._fit(scene, best[None], geoms, pixels, False, _STEPS, FINE, _FREE / 3.0)
             if loose.cost[0] < (1.0 - _FREE) * upright.cost[row]:
-                chosen, k, row = loose, 6, 0
-                seen, explained = self._judged(scene, loose.qpos[0], geoms, pixels)
+                best = loose.qpos[0, body.qpos : body.qpos + 7]
+                chosen = self._fit(scene, best[None], geoms, pixels, False, _STEPS, FINE)
+                k, row = 6, 0
+                seen, explained = self._judged(scene, chosen.qpos[0], geoms, pixels)
         variance = np.linalg.inv(chosen.precision[row] + 1e-6 * np.eye(k))
         spread = np.sqrt(ALIKE * np.diag(variance))
         if k == 3:  # how a body at rest lies is known
@@ -474,8 +533,9 @@ class Refiner:
         upright: bool,
         steps: int,
         fine: int = 1,
+        settled: float = SETTLED,
     ) -> Fit:
-        """From poses [S, 7]; see `levenberg.fit`."""
+        """From poses [S, 7]; see `levenberg.fit`. Fine fits begin where others have ended."""
         body = self.bodies[scene.number]
         states = np.repeat(scene.qpos[None], len(starts), 0)
         states[:, body.qpos : body.qpos + 7] = starts
@@ -489,6 +549,8 @@ class Refiner:
             noise=NOISE,
             geoms=geoms,
             steps=steps,
+            settled=settled if fine > 1 else _BEGUN,
+            wide=fine == 1,
             fine=fine,
         )
 
@@ -497,18 +559,9 @@ class Refiner:
         body = self.bodies[scene.number]
         state = scene.qpos[None].copy()
         state[:, body.qpos : body.qpos + 7] = pose
-        geoms, few = self.shown([*scene.others, scene.number]), pixels[::4]
-        base = self.eye.draw(state, few, geoms)
-        own = set(body.geoms.tolist())
-        kept = geoms.tolist()
-        for place, geom in enumerate(geoms.tolist()):
-            if geom in own or float(base.weight[0, place].max()) > 1e-2:
-                continue
-            less = torch.tensor([g for g in kept if g != geom])
-            drawn = self.eye.draw(state, few, less)
-            if float((drawn.pixels - base.pixels).abs().max()) < 0.01:
-                kept.remove(geom)
-        return torch.tensor(kept)
+        geoms = self.shown([*scene.others, scene.number])
+        near = self.eye.met(state, pixels[::4], geoms)
+        return geoms[near | torch.isin(geoms, body.geoms)]
 
     def _judged(
         self, scene: _Around, state: Floats, geoms: torch.Tensor, pixels: torch.Tensor
@@ -530,23 +583,45 @@ class Refiner:
         enough = telling > max(_SEEN_PIXELS * (self.size / 128) ** 2, _SEEN_SHARE * whole)
         return enough and explained > EXPLAINED, explained
 
-    def _alike(self, scene: _Around) -> list[Floats]:
-        """Places [7] where the image has the object's colour and nothing else explains it."""
+    def _left(self, scene: _Around, seen: Sequence[Pose]) -> Floats:
+        """[H, W]: how like the object pixels are that are wrong without it, 0 to 1.
+
+        Args:
+          seen: a pose that the object has, so that only what it leaves unexplained counts.
+        """
         body, n = self.bodies[scene.number], self.size
-        known = self.shown(scene.others)
-        blank = self.eye.draw(scene.qpos[None], self._all, known).pixels[0].numpy()
-        seen = scene.image.numpy().reshape(-1, 3)
-        odd = np.abs(seen - blank).max(-1) > 0.06
-        bright = (seen @ body.colour) / (body.colour @ body.colour)
-        apart = np.abs(seen - bright[:, None] * body.colour).max(-1)
+        state, shown = scene.qpos[None].copy(), self.shown(scene.others)
+        if seen:
+            state[:, body.qpos : body.qpos + 7] = seen[0].qpos
+            shown = self.shown([*scene.others, scene.number])
+        blank = self.eye.draw(state, self._all, shown).pixels[0].numpy()
+        wanted = scene.image.numpy().reshape(-1, 3)
+        odd = np.abs(wanted - blank).max(-1) > 0.06
+        bright = (wanted @ body.colour) / (body.colour @ body.colour)
+        apart = np.abs(wanted - bright[:, None] * body.colour).max(-1)
         apart = apart / np.maximum(0.3, bright)  # darker sides differ by less
-        score = (odd & (bright > 0.08)) * np.exp(-((apart / 0.12) ** 2))
+        found: Floats = (odd & (bright > 0.08)) * np.exp(-((apart / 0.12) ** 2))
+        return found.reshape(n, n)
+
+    def _worth(self, scene: _Around, left: Floats, spots: list[Floats]) -> list[Floats]:
+        """Of some places those where enough pixels are left for the object to be seen there."""
+        body, alike = self.bodies[scene.number], left.reshape(-1) > _ALIKE
+        fewest = _SEEN_PIXELS * (self.size / 128) ** 2
+        return [
+            spot
+            for spot in spots
+            if alike[window(self.view, self.size, body, spot[:3], 2.0)].sum() > fewest
+        ]
+
+    def _peaks(self, scene: _Around, left: Floats) -> list[Floats]:
+        """Places [7] where most of the object's colour is left (see `_left`)."""
+        body, n = self.bodies[scene.number], self.size
         surface = max((s.top for s in self.surfaces), default=0.0)
         for_ray = self._ray[:, 2]
         down = (surface + body.half.min() - self._eye[2]) / np.where(for_ray < -1e-3, for_ray, -1e9)
         middle = float(np.median(down[down > 0])) if (down > 0).any() else 1.0
         width = 2.0 * float(np.median(body.half)) * n * float(self.view.focal[0, 1]) / middle
-        smooth = ndimage.uniform_filter(score.reshape(n, n), max(3, round(width)))
+        smooth = ndimage.uniform_filter(left, max(3, round(width)))
         found = []
         for _ in range(3):
             peak = int(smooth.argmax())
@@ -569,12 +644,11 @@ class Refiner:
         return geoms[~self._robot[geoms]]
 
 
-class _Prior(TypedDict):
+class _Told(TypedDict):
     """What a fit of joints is told beside the image; see `levenberg.fit`."""
 
     noise: float
-    prior: Floats
-    centre: Floats
+    priors: list[Prior]
 
 
 class _Around(NamedTuple):

@@ -22,6 +22,10 @@ Floats = npt.NDArray[np.float64]
 
 _JOINT, _SLIDE = 0.15, 0.01
 """Prior of a joint about a first guess, rad and m, for what a frame does not show."""
+_READ_JOINT, _READ_SLIDE = 0.02, 0.002
+"""The same about what a network reads off the frame: as far as StaInf is off."""
+_GONE_JOINT, _GONE_SLIDE = 0.03, 0.003
+"""What a joint moves otherwise than at its speed from one frame to the next."""
 MARGIN = 5
 """Pixels around an object's outline that count in its fit."""
 _TURNS = 4
@@ -54,13 +58,17 @@ class Scalar(NamedTuple):
     """Joints with one coordinate.
 
     Attributes:
-      qpos, dof: [J] their coordinates and velocities. prior: [J] about a first guess, rad or m.
+      qpos, dof: [J] their coordinates and velocities. prior, read, gone: [J] standard
+        deviations about a first guess, about what a network reads, and about where the last two
+        frames have it go, rad or m.
       low, high: [J] their ranges; infinite where they have none. hinge: [J] which are hinges.
     """
 
     qpos: npt.NDArray[np.int64]
     dof: npt.NDArray[np.int64]
     prior: Floats
+    read: Floats
+    gone: Floats
     low: Floats
     high: Floats
     hinge: npt.NDArray[np.bool_]
@@ -151,17 +159,21 @@ def window(view: View, height: int, body: Body, place: Floats, wide: float) -> t
 def scalar_joints(model: mujoco.MjModel) -> Scalar:
     """The joints of a model with one coordinate."""
     kinds = model.jnt_type
-    slide, hinge = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
-    which = [j for j in range(model.njnt) if int(kinds[j]) in (slide, hinge)]
-    prior = np.array([_SLIDE if int(kinds[j]) == slide else _JOINT for j in which])
+    slide = int(mujoco.mjtJoint.mjJNT_SLIDE)
+    which = [
+        j for j in range(model.njnt) if int(kinds[j]) in (slide, int(mujoco.mjtJoint.mjJNT_HINGE))
+    ]
+    slides = np.array([int(kinds[j]) == slide for j in which], bool)
+    prior = np.where(slides, _SLIDE, _JOINT)
+    read = np.where(slides, _READ_SLIDE, _READ_JOINT)
+    gone = np.where(slides, _GONE_SLIDE, _GONE_JOINT)
     limited = model.jnt_limited[which].astype(bool)
     low, high = (
         np.where(limited, model.jnt_range[which, end], sign * np.inf)
         for end, sign in ((0, -1.0), (1, 1.0))
     )
     qpos, dof = (field[which].astype(int) for field in (model.jnt_qposadr, model.jnt_dofadr))
-    hinges = np.array([int(kinds[j]) == hinge for j in which], bool)
-    return Scalar(qpos, dof, prior, low, high, hinges)
+    return Scalar(qpos, dof, prior, read, gone, low, high, ~slides)
 
 
 def free_bodies(eye: Eye) -> list[Body]:

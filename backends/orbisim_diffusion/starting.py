@@ -17,6 +17,8 @@ _PLACES = 25
 half of that where a link is a few pixels wide."""
 _ROUNDS = 2
 """A joint is tried with what is behind it anywhere, and once more with that where it belongs."""
+_FEW = 5
+"""Of the pixels so many stand for the others where it is asked whether joints are seen."""
 _SPARSE = 3
 """Of the pixels, every third of every third row: links are wider."""
 
@@ -68,8 +70,8 @@ def shows_joints(
     Args:
       refiner: of the scene and the camera. frame: [H, W, 3]. qpos: [nq]. present: objects there.
     """
-    wanted = frame.reshape(-1, 3) / 255.0
-    pixels = torch.arange(refiner.size**2)
+    pixels = torch.arange(refiner.size**2)[::_FEW]
+    wanted = frame.reshape(-1, 3)[pixels] / 255.0
     geoms = refiner.shown(present)
     shown, blank = (
         refiner.eye.draw(qpos[None], pixels, some).pixels[0].double().numpy()

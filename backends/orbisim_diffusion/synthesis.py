@@ -20,6 +20,8 @@ Floats = npt.NDArray[np.float64]
 _CHUNK = 1_500_000
 """Pairs of rays and geoms at once, so that memory stays below some 500 MB."""
 
+_SHOWS = 1e-2
+"""Share of a pixel from which on a geom counts as seen in it."""
 _SMALL = 1e-3
 """Of a coordinate, m or rad, for its speed in the image."""
 
@@ -98,6 +100,17 @@ class Eye:
         seen = look(solids, view, ray, fine * self.size, meshes)
         shown = self.lighting.colours(seen, solids, view, fine * self.size, some, meshes)
         return Sight(shown, seen.weight)
+
+    @torch.no_grad()  # type: ignore[untyped-decorator]
+    def met(self, qpos: Floats, pixels: Tensor, geoms: Tensor) -> Tensor:
+        """Which of some geoms [G] may show or throw shadows in pixels [P] of states [B, nq]."""
+        solids, view = self.placed(qpos)
+        solids = Solids(*(field[:, geoms] for field in solids))
+        meshes = {i: self.meshes[g] for i, g in enumerate(geoms.tolist()) if g in self.meshes}
+        ray = self._rays[1][pixels] @ view.rot.transpose(-1, -2)
+        seen = look(solids, view, ray, self.size, meshes)
+        found = (seen.weight.amax(-1) > _SHOWS).any(0)
+        return found | self.lighting.shaded(seen, solids, view, self.size)
 
     def placed(self, qpos: Floats) -> tuple[Solids, View]:
         """Geoms and camera of states [B, nq], by MuJoCo's kinematics: nothing has gradients."""

@@ -67,10 +67,10 @@ def follow(refiner: Refiner, frames: npt.NDArray[np.uint8], read: Reading | None
         guess = None if read is None else read.joints[t]
         if not found:
             joints = refiner.turns.held(start(refiner, frame)) if guess is None else guess
-            one = refiner.first(frame, joints, places)
+            one = refiner.first(frame, joints, places, read=guess)
         else:
-            joints = _expected(found, refiner.scalar.qpos)
-            ahead = [_ahead(found, i) for i in range(len(refiner.bodies))]
+            joints = expected(found, refiner.scalar.qpos)
+            ahead = [gone(found, i) for i in range(len(refiner.bodies))]
             one = refiner.following(frame, joints, places, found[-1], ahead=ahead, read=guess)
         if len(refiner.scalar.qpos):
             present = [i for i, pose in enumerate(one.objects) if pose.seen]
@@ -155,7 +155,7 @@ def _as_json(look: Any) -> dict[str, list[float | None]]:
     }
 
 
-def _expected(found: list[Frame], columns: npt.NDArray[np.int64]) -> Floats:
+def expected(found: list[Frame], columns: npt.NDArray[np.int64]) -> Floats:
     """Joints in the next frame at the speed of the last two."""
     last = found[-1].qpos[columns]
     if len(found) < 2:
@@ -164,7 +164,7 @@ def _expected(found: list[Frame], columns: npt.NDArray[np.int64]) -> Floats:
     return ahead
 
 
-def _ahead(found: list[Frame], number: int) -> Floats | None:
+def gone(found: list[Frame], number: int) -> Floats | None:
     """The pose [7] of an object in the next frame at the speed of the last two."""
     if len(found) < 2 or not (found[-1].objects[number].seen and found[-2].objects[number].seen):
         return None

@@ -10,6 +10,7 @@ import concurrent.futures
 import functools
 import multiprocessing
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import mujoco
@@ -19,9 +20,10 @@ import torch
 from orbisim_diffusion import zoo
 from orbisim_diffusion.estimate import load_inference, read_frames
 from orbisim_diffusion.refine import Frame, Refiner
-from orbisim_diffusion.tracking import places_of, reading
+from orbisim_diffusion.tracking import expected, gone, places_of, reading
 
 from orbisim.cameras import camera_number
+from orbisim.errors import InputError
 from orbisim.host.progress import track
 from orbisim.registry import make_renderer
 from orbisim.scene import Scene, visible
@@ -66,7 +68,7 @@ class Sight:
         self.size = int(self.point.config.size)
         self.refiner = Refiner(scene, camera, self.size)
         self._model, self._dt, self._how = scene.model, dt, how
-        self._before: Frame | None = None
+        self._found: list[Frame] = []
         self._states: list[Floats] = []
 
     def see(
@@ -77,29 +79,32 @@ class Sight:
         Args:
           frame: [size, size, 3], the next one. measured: scalar joints, for `objects` alone.
         """
-        refiner, last = self.refiner, self._states[-2:]
+        refiner, last, found = self.refiner, self._states, self._found
         columns, known = refiner.scalar.qpos, measured if self._how == "objects" else None
         read = reading(read_frames(frame[None], self.point, self._network), self._joints)
         places = [places_of(read, 0, body) for body in refiner.bodies]
         if self._how == "stainf":
             qpos = np.array(refiner.rest)
             qpos[columns] = read.joints[0]
-            for body, found in zip(refiner.bodies, places, strict=True):
-                qpos[body.qpos : body.qpos + 7] = found[0]
+            for body, place in zip(refiner.bodies, places, strict=True):
+                qpos[body.qpos : body.qpos + 7] = place[0]
             seen = np.ones(len(refiner.bodies), bool)
         else:
-            if self._before is None:
-                start = read.joints[0] if known is None else known
-                self._before = refiner.first(frame, start, places)
-            else:  # at the speed of the last two
-                ahead = 2.0 * last[-1] - last[0] if len(last) > 1 else last[-1]
-                self._before = refiner.following(
-                    frame, ahead[columns], places, self._before, known, read=read.joints[0]
-                )
-            qpos = np.array(self._before.qpos)
+            reads = read.joints[0]
+            if not found:
+                if known is None:
+                    one = refiner.first(frame, reads, places, reads)
+                else:
+                    one = refiner.first(frame, known, places)
+            else:
+                joints = expected(found, columns)
+                ahead = [gone(found, i) for i in range(len(refiner.bodies))]
+                one = refiner.following(frame, joints, places, found[-1], known, ahead, reads)
+            self._found = [*found[-1:], one]
+            qpos = np.array(one.qpos)
             if known is not None:
                 qpos[columns] = known
-            seen = np.array([pose.seen for pose in self._before.objects])
+            seen = np.array([pose.seen for pose in one.objects])
         qvel = np.zeros(self._model.nv)
         if last:
             mujoco.mj_differentiatePos(self._model, qvel, self._dt, last[-1], qpos)
@@ -175,20 +180,28 @@ def evaluate_pixels(
     camera: str = "side",
     how: str = "infer",
     workers: int = 1,
+    kept: Path | None = None,
+    label: str = "",
 ) -> dict[str, Any]:
     """Success of a policy that sees images alone, over one episode for each seed.
 
     Args:
       problem: on the CPU. policy: from observations to actions. seeds: of the episodes.
       camera: name or number. how: see `Sight`. workers: processes.
+      kept: folder for each episode once it has been played; those that it has are not played again.
+      label: of the policy, which the folder's episodes must have.
+
+    Raises:
+      InputError: the folder has episodes of another policy, task or camera.
     """
-    jobs = [(problem, policy, seed, camera, how) for seed in seeds]
+    label = f"{label} {problem.name} {how} {camera}".strip()
+    jobs = [(problem, policy, seed, camera, how, kept, label) for seed in seeds]
     if workers == 1:
-        played = [play(*job) for job in track(jobs, "episodes from pixels", len(jobs))]
+        played = [_once(*job) for job in track(jobs, "episodes from pixels", len(jobs))]
     else:
         context = multiprocessing.get_context("spawn")  # a fork would copy a GL context
         with concurrent.futures.ProcessPoolExecutor(workers, context, _alone) as pool:
-            every = pool.map(play, *zip(*jobs, strict=True))
+            every = pool.map(_once, *zip(*jobs, strict=True))
             played = list(track(every, "episodes from pixels", len(jobs)))
     starts = joined([problem.trials(1, seed)[1] for seed in seeds])
     qpos, value = (np.stack([getattr(one, n) for one in played]) for n in ("qpos", "value"))
@@ -201,7 +214,34 @@ def evaluate_pixels(
         "joints_rad": {n: float(np.quantile(turned, q)) for n, q in _QUANTILES.items()},
         "seen": float(seen.mean()),
     }
-    return found | {"diverged": sum(one.lost for one in played)}
+    return found | {"diverged": sum(bool(one.lost) for one in played)}
+
+
+def _once(
+    problem: Problem,
+    policy: Any,
+    seed: int,
+    camera: str,
+    how: str,
+    kept: Path | None,
+    label: str,
+) -> Played:
+    """`play`, or what an earlier run has kept of it."""
+    if kept is None:
+        return play(problem, policy, seed, camera, how)
+    path = kept / f"{how}_{seed}.npz"
+    if path.exists():
+        with np.load(path) as file:
+            if str(file["label"]) != label:
+                raise InputError(
+                    f"{path}: is of {str(file['label'])!r}, not of {label!r}; use another folder"
+                )
+            return Played(*(file[name] for name in Played._fields))
+    played = play(problem, policy, seed, camera, how)
+    part = path.with_name(f"part_{path.name}")  # a run that is ended leaves no half of a file
+    np.savez(part, label=np.array(label), **played._asdict())
+    part.replace(path)
+    return played
 
 
 _QUANTILES = {"median": 0.5, "p90": 0.9, "worst": 1.0}

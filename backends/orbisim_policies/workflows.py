@@ -10,6 +10,7 @@ from typing import Any
 import torch
 
 from orbisim.errors import InputError, MissingDependencyError
+from orbisim.files.writing import make_folder
 from orbisim.host.cpus import usable_cpus
 from orbisim.vector.randomization import intervals
 from orbisim_policies import evaluate as evaluation
@@ -89,6 +90,7 @@ def evaluate(
     device: str,
     observe: str = "state",
     camera: str = "side",
+    out: Path | None = None,
 ) -> dict[str, Any]:
     """Evaluates a policy as the command line says."""
     folder = resolved(folder)
@@ -98,7 +100,7 @@ def evaluate(
     policy, problem = load_policy(folder, plain), _drawn(plain, randomize, min(seeds))
     if observe not in ("state", "nominal"):
         return _from_pixels(
-            folder, manifest, policy, problem, episodes, seeds, observe, camera, threads
+            folder, manifest, policy, problem, episodes, seeds, observe, camera, threads, out
         )
     nominal = observe == "nominal"
     alone = nominal or model == "none"
@@ -120,6 +122,7 @@ def _from_pixels(
     observe: str,
     camera: str,
     threads: int,
+    out: Path | None,
 ) -> dict[str, Any]:
     """Evaluates a policy that sees frames alone."""
     try:
@@ -134,6 +137,8 @@ def _from_pixels(
         camera=camera,
         how=observe,
         workers=threads or usable_cpus(),
+        kept=None if out is None else make_folder(out),
+        label=folder.name,
     )
     return {
         "schema": "orbisim.eval_policy/1",

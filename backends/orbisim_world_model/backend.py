@@ -26,7 +26,7 @@ from orbisim_world_model.families import AnyFit, engine_for, fit_any, read_any
 from orbisim_world_model.guard import blanked
 from orbisim_world_model.native.translate import UntranslatableError
 from orbisim_world_model.policy_update import PolicyUpdate
-from orbisim_world_model.properties import Values, with_object, with_world
+from orbisim_world_model.properties import DENSITY, Values, volume, with_object, with_world
 from orbisim_world_model.spread import LEVEL
 from orbisim_world_model.stepper import Speedups
 from orbisim_world_model.stepping import MEMORY, Stepping
@@ -192,6 +192,7 @@ class LearnedBackend(Backend):
             return self._trajectory(state, controls, [], np.full(state.nworld, -1), sensors)
         with self._first_time():
             path = self.stepping.run(state, controls, nstep)
+        self.watch.controls(state, controls, path, nstep, self.timestep)
         verdict = self.watch.verdict(state, path, self.timestep)
         if raise_on_divergence and verdict.error is not None:
             raise verdict.error
@@ -305,6 +306,26 @@ class LearnedBackend(Backend):
         for name, changes in (objects or {}).items():
             attributes = with_object(attributes, layout, name, changes)
         return self.with_descriptors(state, attributes=attributes, settings=settings)
+
+    def trained(self, target: str, name: str) -> tuple[float, float] | None:
+        """Between which values of a property the checkpoint was trained; None if that is unknown.
+
+        Args:
+          target: an object, or the surface. name: as `with_properties` takes it.
+        """
+        layout, ranges = self.engine.layout, self.checkpoint.manifest["ranges"]
+        if target == layout.surface:
+            found = ranges.get("settings", {}).get(name)
+        else:
+            found = ranges.get("attributes", {}).get("mass" if name == DENSITY else name)
+        if found is None or target not in (layout.surface, *layout.objects):
+            return None
+        low, high = map(float, found)
+        if name != DENSITY:
+            return low, high
+        rows = self.engine.context(self.reset(1)).attributes[:, layout.objects.index(target)]
+        size = float(volume(rows, layout.attributes))
+        return low / size, high / size
 
     def entities(self, state: State) -> Entities:
         """The state as the model sees it: robot, hand and objects, with gradients to the state."""

@@ -24,6 +24,9 @@ from orbisim_world_model.stepper import Speedups, Stepper, plain_step
 from orbisim_world_model.stepping import MEMORY, STALE, Stepping, Steps
 
 ATTRIBUTES, SETTINGS = "world_model_attributes", "world_model_settings"
+_STRANGE = 15.0
+"""Standard deviations of the training data from which on a control is outside of them: 5.4 at most
+in ten episodes of `push`."""
 
 
 class Descriptors(NamedTuple):
@@ -81,6 +84,45 @@ class Engine(Stepping):
                         spreads.append(self.stepper.model.variance(memory).detach())
             stacked = Entities(*(torch.stack(field) for field in zip(*found, strict=True)))
         return Steps(stacked, memory, torch.stack(spreads) if spreads else None)
+
+    @torch.no_grad()  # type: ignore[untyped-decorator]
+    def strange_control(
+        self, state: State, controls: Array, path: Steps, nstep: int
+    ) -> tuple[int, int, str] | None:
+        """The first control [B, T, nu] of a path that is far outside the training data.
+
+        By what the model sees of controls, in standard deviations of its data: a joint that a
+        servo always held where it was says nothing of a command that is elsewhere.
+
+        Returns:
+          Step, world, and in words what is strange; None if nothing is.
+        """
+        model = self.stepper.model
+        see, given = model.features, tensor(controls, self.device)
+        if see.limbs is not None or not given.shape[2]:
+            return None
+        x = self.entities(state).detach()
+        found = []
+        for t in range(given.shape[1]):
+            z = model.see_control(see.control(x, given[:, t])).abs().nan_to_num(0.0, 0.0)
+            found.append(torch.stack([z.max(), z.argmax().to(z.dtype)]))
+            x = path.states.at((t + 1) * nstep - 1).detach()
+        for t, (largest, place) in enumerate(torch.stack(found).tolist()):
+            if largest > _STRANGE:
+                world, column = divmod(int(place), len(model.see_control.std))
+                return t, world, self._of_control(column, largest)
+        return None
+
+    def _of_control(self, column: int, times: float) -> str:
+        """In words, what of the controls is so many standard deviations from the training data."""
+        std, layout = float(self.stepper.model.see_control.std[column]), self.layout
+        if column < layout.nu:
+            return f"control {column} is {times * std:.3g} from its mean in training"
+        joint = layout.joints[int(self.stepper.model.features.served[column - layout.nu])]
+        return (
+            f"joint {joint!r} is commanded {times * std:.3g} from where it is (in training "
+            f"{std:.2g}, as a standard deviation)"
+        )
 
     @property
     def spreads(self) -> bool:

@@ -75,6 +75,12 @@ class Stepping(abc.ABC):
         fields = (tensor(a, self.device) for a in (state.qpos, state.qvel, state.act))
         return self.layout.split(*fields)
 
+    def strange_control(
+        self, state: State, controls: Array, path: Steps, nstep: int
+    ) -> tuple[int, int, str] | None:
+        """Step and world of a control far outside the training data, in words; None for none."""
+        return None
+
     # -- how far off it may be: engines whose checkpoints say so override these ----------------
 
     @property

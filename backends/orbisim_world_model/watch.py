@@ -94,6 +94,16 @@ class Watch:
             memory[UNCERTAINTY] = as_kind(width.transpose(0, 1), state.qpos)
         return Verdict(notice.diverged_at, memory, self._error(notice, duration))
 
+    def controls(
+        self, state: State, controls: Array, path: Steps, nstep: int, duration: float
+    ) -> None:
+        """Warns once of the first control of a rollout that is far outside the training data."""
+        found = self.engine.strange_control(state, controls, path, nstep)
+        if found is not None:
+            step, world, text = found
+            time = float(_host(state.time)[world]) + step * nstep * duration
+            self.warn(f"world {world}, step {step} (t = {time:.6g} s): {text}")
+
     def calm(self, state: State) -> bool:
         """Whether there is surely nothing to say of one world's state, as NumPy arrays."""
         if not self.engine.guard.calm(state.qpos, state.qvel, state.act):

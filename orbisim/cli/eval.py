@@ -17,6 +17,7 @@ from orbisim.cli.common import (
     randomize_option,
     scene_options,
     torch_device,
+    writable_folder,
 )
 from orbisim.errors import InputError, MissingDependencyError
 from orbisim.tasks.dataset import EpisodeFile
@@ -257,6 +258,14 @@ _FROM_FRAMES = ("infer", "objects", "stainf")
 )
 @click.option("--camera", default="side", show_default=True, help="Of --observe.")
 @click.option("--threads", default=0, help="Of MuJoCo; 0 for all cores.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=None,
+    callback=writable_folder,
+    help="Of --observe from frames: folder for each episode once it has been played; those that it "
+    "has are not played again.",
+)
 @device_option
 @json_option
 def policy(
@@ -269,6 +278,7 @@ def policy(
     observe: str,
     camera: str,
     threads: int,
+    out: Path | None,
     device: str | None,
     as_json: bool,
 ) -> None:
@@ -302,6 +312,7 @@ def policy(
         device=torch_device(device or "cpu"),
         observe=observe,
         camera=camera,
+        out=out,
     )
     if as_json:
         emit_json(result)

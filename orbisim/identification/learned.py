@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
-from orbisim.errors import InputError
+from orbisim.errors import DivergedError, InputError
 from orbisim.identification.estimate import Estimate, estimate
 from orbisim.identification.parameters import Parameter
 from orbisim.identification.residual import counted, errors
@@ -30,61 +30,105 @@ class Conditioned(Protocol):
     def with_properties(self, state: State, objects: Any = None, world: Any = None) -> State:
         """See `orbisim_world_model.backend`."""
 
+    def trained(self, target: str, name: str) -> tuple[float, float] | None:
+        """See `orbisim_world_model.backend`."""
+
     def rollout(self, state: State, controls: Any, **options: Any) -> Any:
         """See `Backend.rollout`."""
 
 
-def simulation(
-    backend: Conditioned, parameters: Sequence[Parameter], grid: Grid, device: str = "cpu"
-) -> Callable[[Tensor], Tensor]:
-    """From values [K W, P] to errors [K W, R] of the backend's rollouts (see `estimate`).
+class Simulation:
+    """A backend's rollouts over windows, by values of parameters.
 
     Raises:
       InputError: a parameter is none that the model is conditioned on.
     """
-    _check(backend, parameters)
-    joints, bodies = counted(backend.model, parameters)
-    qpos, qvel, act, ctrl, target = (
-        torch.as_tensor(array, device=device)
-        for array in (grid.qpos, grid.qvel, grid.act, grid.ctrl, grid.target)
-    )
-    time = torch.zeros(len(qpos), dtype=qpos.dtype, device=device)
 
-    def run(values: Tensor) -> Tensor:
+    def __init__(
+        self,
+        backend: Conditioned,
+        parameters: Sequence[Parameter],
+        grid: Grid,
+        device: str = "cpu",
+    ) -> None:
+        _check(backend, parameters)
+        self._backend, self._parameters = backend, parameters
+        self._counted = counted(backend.model, parameters)
+        self._arrays = tuple(
+            torch.as_tensor(array, device=device)
+            for array in (grid.qpos, grid.qvel, grid.act, grid.ctrl, grid.target)
+        )
+
+    def __call__(self, values: Tensor) -> Tensor:
+        """Errors [K W, R] by values [K W, P] (see `estimate`)."""
+        path, wanted = self.run(values)
+        joints, bodies = self._counted
+        return errors(path.qpos.to(wanted.dtype), wanted, joints, bodies)
+
+    def run(self, values: Tensor, **options: Any) -> tuple[Any, Tensor]:
+        """What `rollout` gives for values [K W, P], and the positions that were recorded.
+
+        Args:
+          options: of `rollout`.
+        """
+        backend, count = self._backend, len(self._arrays[0])
         objects: dict[str, dict[str, Tensor]] = {}
         world: dict[str, Tensor] = {}
-        for number, parameter in enumerate(parameters):
+        for number, parameter in enumerate(self._parameters):
             value = values[:, number]
             if parameter.target == backend.surface:
                 world["friction_slide"] = value
             else:
                 objects.setdefault(parameter.target, {})[_OBJECT[parameter.name]] = value
-        first, *others, wanted = (
-            torch.cat([given] * (len(values) // len(qpos)))
-            for given in (time, qpos, qvel, act, ctrl, target)
+        *start, controls, wanted = (
+            torch.cat([given] * (len(values) // count)) for given in self._arrays
         )
-        state, controls = State(first, *others[:3]), others[3]
+        time = torch.zeros(len(values), dtype=start[0].dtype, device=start[0].device)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of values far from the data, on the way
-            state = backend.with_properties(state, objects, world)
-            path = backend.rollout(state, controls)
-        return errors(path.qpos.to(target.dtype), wanted, joints, bodies)
-
-    return run
+            state = backend.with_properties(State(time, *start), objects, world)
+            return backend.rollout(state, controls, **options), wanted
 
 
 def identify_learned(
     backend: Conditioned, parameters: Sequence[Parameter], grid: Grid, steps: int, device: str
 ) -> Estimate:
-    """One problem with all windows."""
-    run = simulation(backend, parameters, grid, device)
+    """One problem with all windows.
+
+    Raises:
+      DivergedError: every window's rollout diverges, with what was found, too.
+    """
+    simulation = Simulation(backend, parameters, grid, device)
+    bounds = [_bounds(backend, parameter) for parameter in parameters]
+    low, high = torch.tensor(bounds, dtype=torch.float64, device=device).T
     start = torch.tensor([[p.declared for p in parameters]], dtype=torch.float64, device=device)
-    low, high = (
-        torch.tensor([getattr(p, end) for p in parameters], dtype=torch.float64, device=device)
-        for end in ("low", "high")
-    )
     group = torch.zeros(len(grid.qpos), dtype=torch.long, device=device)
-    return estimate(run, start, (low, high), group, steps, grid.ctrl.shape[1])
+    found = estimate(simulation, start, (low, high), group, steps, grid.ctrl.shape[1])
+    _check_end(simulation, found.values[group])
+    return found
+
+
+def _bounds(backend: Conditioned, parameter: Parameter) -> tuple[float, float]:
+    """Of a parameter, within what the model has seen: beyond that its rollouts mean nothing."""
+    known = backend.trained(parameter.target, _OBJECT[parameter.name])
+    if known is None or not known[0] < known[1]:
+        return parameter.low, parameter.high
+    return max(parameter.low, known[0]), min(parameter.high, known[1])
+
+
+def _check_end(simulation: Simulation, values: Tensor) -> None:
+    """Says which windows diverge with what was found; they have counted as far off.
+
+    Raises:
+      DivergedError: all of them do, so that nothing was fitted.
+    """
+    with torch.no_grad():
+        try:
+            simulation.run(values, raise_on_divergence=True)
+        except DivergedError as error:
+            if len(error.worlds) == len(values):
+                raise
+            warnings.warn(f"identification, windows as worlds: {error}", stacklevel=3)
 
 
 def _check(backend: Conditioned, parameters: Sequence[Parameter]) -> None:

@@ -13,22 +13,24 @@ from orbisim.identification.windows import JOINT, PLACE, TURN, places
 
 
 def errors(found: Tensor, target: Tensor, joints: Sequence[int], bodies: Sequence[int]) -> Tensor:
-    """[W, R] of positions [W, T, nq]; 0 where nothing was recorded.
+    """[W, R] of positions [W, T, nq]; 0 where nothing was recorded, NaN where a rollout diverged.
 
     Args:
       joints, bodies: addresses of the coordinates that count.
     """
-    parts = []
+    parts, known = [], []
     if joints:
         where = list(joints)
         parts.append((found[..., where] - target[..., where]) / JOINT)
+        known.append(torch.isfinite(target[..., where]))
     for first in bodies:
         parts.append((found[..., first : first + 3] - target[..., first : first + 3]) / PLACE)
         turn = _turn(found[..., first + 3 : first + 7], target[..., first + 3 : first + 7])
         parts.append(turn / TURN)
+        turned = torch.isfinite(target[..., first + 3 : first + 7]).all(-1, keepdim=True)
+        known += [torch.isfinite(target[..., first : first + 3]), turned.expand_as(turn)]
     every = torch.cat(parts, dim=-1)
-    known = torch.isfinite(torch.cat([p.detach() for p in parts], dim=-1))
-    return torch.where(known, every, torch.zeros_like(every)).flatten(1)
+    return torch.where(torch.cat(known, dim=-1), every, torch.zeros_like(every)).flatten(1)
 
 
 def counted(model: mujoco.MjModel, parameters: Sequence[Parameter]) -> tuple[list[int], list[int]]:

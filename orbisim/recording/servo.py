@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import make_smoothing_spline
+from scipy.interpolate import BSpline, make_smoothing_spline
 
 from orbisim.recording.actuators import Actuator, actuators
 from orbisim.recording.recording import Recording
@@ -17,6 +17,8 @@ Floats = npt.NDArray[np.float64]
 
 _FEWEST = 6
 """Samples that a smoothing spline needs at least."""
+_BENDING = -12.0, 6.0
+"""Powers of ten between which a spline's penalty on bending is looked for, s^3."""
 _RESTS = 1e-9
 """A joint that moves by less, rad or m, stands still."""
 
@@ -27,7 +29,10 @@ def with_controls(recording: Recording, model: mujoco.MjModel) -> Recording:
     A servo's force is `gain ctrl + bias`, affine in length and velocity (MuJoCo's `position` and
     `velocity` actuators); the force that the motion needs comes from inverse dynamics along the
     smoothed motion, without contacts: a servo that is stiff enough to follow its command moves by
-    little under them. Each control is that of the middle of the interval for which it is held.
+    little under them. Each control is that of the middle of the interval for which it is held. How
+    smooth the motion is the samples say (generalised cross-validation), and the noise that the
+    recording states in `metadata["noise"]`, if it is more: errors that are alike from sample to
+    sample look like motion, which a servo's control would have to follow.
 
     Args:
       recording: with positions `qpos/<joint>` of all joints that have one coordinate.
@@ -53,7 +58,10 @@ def with_controls(recording: Recording, model: mujoco.MjModel) -> Recording:
     motion = {j: np.asarray(recording.signals[name]) for j, name in joints.items()}
     if any(np.isfinite(values).sum() < _FEWEST for values in motion.values()):
         return recording
-    found = _controls(model, np.asarray(recording.time), motion, servos)
+    stated = recording.metadata.get("noise")
+    known = stated if isinstance(stated, Mapping) else {}
+    noise = {j: _number(known.get(name)) for j, name in joints.items()}
+    found = _controls(model, np.asarray(recording.time), motion, noise, servos)
     notes = [f"controls of {', '.join(a.name for a in servos)} follow from the motion"]
     others = [a.name for a in missing if a not in servos]
     if others:
@@ -78,7 +86,11 @@ def _is_servo(model: mujoco.MjModel, actuator: Actuator) -> bool:
 
 
 def _controls(
-    model: mujoco.MjModel, time: Floats, joints: Mapping[int, Floats], servos: Sequence[Actuator]
+    model: mujoco.MjModel,
+    time: Floats,
+    joints: Mapping[int, Floats],
+    noise: Mapping[int, float],
+    servos: Sequence[Actuator],
 ) -> Floats:
     """[T, servos]: held from each sample to the next."""
     free = copy.copy(model)
@@ -87,7 +99,7 @@ def _controls(
     middle = np.append(0.5 * (time[1:] + time[:-1]), time[-1])
     scalar = list(joints)
     columns, dofs = model.jnt_qposadr[scalar], model.jnt_dofadr[scalar]
-    motion = np.stack([_smoothed(time, joints[j], middle) for j in scalar], axis=-1)
+    motion = np.stack([_smoothed(time, joints[j], middle, noise[j]) for j in scalar], axis=-1)
     numbers = [servo.id for servo in servos]
     moment = np.zeros((model.nu, model.nv))
     found = np.zeros((len(time), len(servos)))
@@ -120,10 +132,32 @@ def _control(model: mujoco.MjModel, data: mujoco.MjData, number: int, force: flo
     return float(value)
 
 
-def _smoothed(time: Floats, values: Floats, at: Floats) -> Floats:
-    """[3, T]: position, velocity and acceleration; how smooth, by generalised cross-validation."""
+def _number(stated: object) -> float:
+    """A stated standard deviation; 0 if there is none."""
+    known = isinstance(stated, (int, float)) and np.isfinite(stated)
+    return float(stated) if known else 0.0  # type: ignore[arg-type]
+
+
+def _smoothed(time: Floats, values: Floats, at: Floats, noise: float) -> Floats:
+    """[3, T]: position, velocity and acceleration at times.
+
+    The spline that generalised cross-validation finds, or the smoothest one that is off from the
+    samples by the stated noise (Reinsch, Numerische Mathematik 10, 1967), if that is smoother.
+    """
     good = np.isfinite(values)
     if np.ptp(values[good]) < _RESTS:
         return np.stack([np.full(len(at), values[good][0]), np.zeros(len(at)), np.zeros(len(at))])
-    spline = make_smoothing_spline(time[good], values[good])
+    when, samples = time[good], values[good]
+
+    def off(spline: BSpline) -> float:
+        return float(np.sqrt(np.mean((spline(when) - samples) ** 2)))
+
+    spline = make_smoothing_spline(when, samples)
+    if off(spline) < noise:
+        low, high = _BENDING
+        while high - low > 0.1:
+            middle = 0.5 * (low + high)
+            smoother = make_smoothing_spline(when, samples, lam=10.0**middle)
+            low, high = (middle, high) if off(smoother) < noise else (low, middle)
+        spline = make_smoothing_spline(when, samples, lam=10.0**low)
     return np.stack([spline(at), spline.derivative(1)(at), spline.derivative(2)(at)])

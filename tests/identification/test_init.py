@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from orbisim import Recording, identify, load_scene
-from orbisim.errors import InputError
+from orbisim.errors import DivergedError, InputError
 from orbisim.identification.learned import identify_learned
 from orbisim.identification.parameters import parameters
 from orbisim.identification.windows import grid
@@ -69,6 +69,10 @@ class _Path:
     qpos: Any
 
 
+_SEEN = 0.1, 0.9
+"""Frictions that the model was trained with."""
+
+
 class _Slides:
     """A backend in closed form: Coulomb friction alone, with gradients."""
 
@@ -82,7 +86,12 @@ class _Slides:
         self.friction = world["friction_slide"]
         return state
 
-    def rollout(self, state: State, controls: Any, **_: Any) -> _Path:
+    def trained(self, target: str, name: str) -> tuple[float, float] | None:
+        return _SEEN if (target, name) == ("floor", "friction_slide") else None
+
+    def rollout(
+        self, state: State, controls: Any, raise_on_divergence: bool = False, **_: Any
+    ) -> _Path:
         steps = self.timestep * torch.arange(1, controls.shape[1] + 1, dtype=torch.float64)
         speed, pull = state.qvel[:, :1], 9.81 * self.friction[:, None]
         time = torch.minimum(steps, (speed / pull).clamp(min=0.0))
@@ -103,6 +112,54 @@ def test_gradients_find_the_friction(slides: list[Recording]) -> None:
         identify_learned(backend, parameters(scene, "density:box")[:0] + (
             dataclasses.replace(wanted[0], target="wall"),
         ), windows, 1, "cpu")  # fmt: skip
+
+
+class _Diverging(_Slides):
+    """Whose rollouts of some windows end in nothing where the friction is above a bound."""
+
+    def __init__(self, model: mujoco.MjModel, worlds: slice, bound: float) -> None:
+        super().__init__(model)
+        self.worlds, self.bound = worlds, bound
+
+    def rollout(
+        self, state: State, controls: Any, raise_on_divergence: bool = False, **_: Any
+    ) -> _Path:
+        path = super().rollout(state, controls)
+        lost = torch.zeros(len(path.qpos), dtype=torch.bool)
+        lost[self.worlds] = True
+        lost &= self.friction.detach() > self.bound
+        if raise_on_divergence and lost.any():
+            raise DivergedError("at step 3 by 'box'", torch.nonzero(lost)[:, 0].tolist())
+        return _Path(torch.where(lost[:, None, None], torch.nan, path.qpos))
+
+
+def test_values_stay_within_what_the_model_was_trained_on(
+    slides: list[Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = load_scene(XML)
+    backend: Any = _Slides(scene.model)
+    wanted = parameters(scene, "friction:floor")
+    windows = grid([prepare(bind(one, scene), 0.4) for one in slides], backend.timestep)
+    monkeypatch.setitem(globals(), "_SEEN", (0.3, 0.9))
+    found = identify_learned(backend, wanted, windows, 15, "cpu")
+    assert float(found.values[0, 0]) == pytest.approx(0.3)
+    assert float(found.low[0, 0]) == pytest.approx(0.3)
+
+
+def test_rollouts_that_diverge_count_as_far_off_and_are_said(slides: list[Recording]) -> None:
+    scene = load_scene(XML)
+    wanted = parameters(scene, "friction:floor")
+    windows = grid([prepare(bind(one, scene), 0.4) for one in slides], _Slides.timestep)
+    # a diverged rollout that counted nothing would be the best one
+    away: Any = _Diverging(scene.model, slice(None), 0.45)
+    found = identify_learned(away, wanted, windows, 15, "cpu")
+    assert float(found.values[0, 0]) == pytest.approx(TRUE, rel=0.02)
+    some: Any = _Diverging(scene.model, slice(0, 1), 0.0)
+    with pytest.warns(UserWarning, match="step 3 by 'box'"):
+        identify_learned(some, wanted, windows, 15, "cpu")
+    every: Any = _Diverging(scene.model, slice(None), 0.0)
+    with pytest.raises(DivergedError, match="step 3 by 'box'"):
+        identify_learned(every, wanted, windows, 2, "cpu")
 
 
 def test_a_backend_without_descriptors(slides: list[Recording]) -> None:

@@ -28,6 +28,8 @@ def test_units_signs_and_what_was_not_recorded() -> None:
         torch.testing.assert_close(got, expected.double(), atol=1e-5, rtol=1e-4)
     target[..., 2] = float("nan")
     assert errors(found, target, [], [1])[0, 1] == 0
+    lost = errors(torch.full_like(found, torch.nan), target, [], [1])[0]
+    assert lost[1] == 0 and lost[[0, 2, 3, 4, 5]].isnan().all()  # diverged is not "no error"
 
 
 def test_joints_count_where_their_numbers_are_sought() -> None:

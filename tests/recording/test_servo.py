@@ -47,6 +47,21 @@ def moved() -> tuple[mujoco.MjModel, Recording, np.ndarray]:
     return model, Recording(np.array(times), signals), np.array(controls)
 
 
+def test_what_wanders_within_the_stated_noise_is_no_command() -> None:
+    """Errors that are alike from frame to frame look like motion to the samples alone."""
+    model, recording, controls = moved()
+    signals = dict(recording.signals)
+    wander = 0.01 * np.sin(2.0 * np.pi * np.arange(60) / 9)
+    signals["qpos/elbow"] = signals["qpos/elbow"] + wander
+    inner, off = slice(8, -3), []
+    for noise in ({}, {"qpos/elbow": 0.008}):
+        seen = Recording(recording.time, signals, metadata={"noise": noise})
+        found = np.asarray(with_controls(seen, model).signals["ctrl/elbow"])
+        off.append(float(np.sqrt(np.mean((found - controls[:, 1])[inner] ** 2))))
+    assert off[0] > 0.01  # the servo would have to follow
+    assert off[1] < 0.5 * off[0]
+
+
 def test_controls_of_servos_are_those_that_were_given() -> None:
     model, recording, controls = moved()
     found = with_controls(recording, model)

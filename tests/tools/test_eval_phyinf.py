@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from orbisim_world_model.watch import OutsideTrainingWarning
 
 from orbisim import Recording, State
-from orbisim.errors import RecordingError
+from orbisim.errors import DivergedError, RecordingError
 from orbisim.tasks.registry import make
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
@@ -59,20 +61,21 @@ def test_a_video_is_read_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("good", [3, 9])
-def test_a_rollout_without_errors_says_why(monkeypatch: pytest.MonkeyPatch, good: int) -> None:
+def test_a_rollout_that_diverges_says_where(monkeypatch: pytest.MonkeyPatch, good: int) -> None:
     scene = make("push").scene("push", 0)
     model = scene.model
     qpos = np.repeat(model.qpos0[None], 10, 0)
 
     class Backend:
-        """Stays where it is, and is infinite from some step on."""
+        """Stays where it is, and diverges at some step."""
 
         timestep = 0.05
 
-        def rollout(self, state: State, controls: Any) -> State:
-            path = np.repeat(qpos[:1], controls.shape[1], 0)[None].copy()
-            path[:, good:] = np.inf
-            return state.replace(qpos=path)
+        def rollout(self, state: State, controls: Any, raise_on_divergence: bool) -> State:
+            warnings.warn("'robot' left", OutsideTrainingWarning, stacklevel=1)
+            if good < controls.shape[1] and raise_on_divergence:
+                raise DivergedError(f"at step {good} by 'robot'", [0])
+            return state.replace(qpos=np.repeat(qpos[:1], controls.shape[1], 0)[None])
 
     monkeypatch.setattr(eval_phyinf, "make_backend", lambda *_, **__: Backend())
     signals = {"qpos": qpos, "ctrl": np.zeros((10, model.nu))}
@@ -80,6 +83,7 @@ def test_a_rollout_without_errors_says_why(monkeypatch: pytest.MonkeyPatch, good
     cube = int(model.joint(eval_phyinf.free_bodies(model)[0]).qposadr[0])
     found = eval_phyinf.rollout(scene, recording, qpos, [cube], "learned")
     if good == 3:
-        assert found == {"none": "infinite after 3 of 9 states"}
+        assert found["none"] == "of 9 steps: at step 3 by 'robot'"
     else:
         assert found["mm"] == 0.0 and found["degrees"] == pytest.approx(0.0, abs=1e-3)
+    assert found["outside"] == ["'robot' left"]

@@ -156,6 +156,27 @@ def test_joints_that_motion_has_lost_are_found_where_a_network_reads_them(
     assert both.objects[0].seen
 
 
+def test_what_is_hidden_stays_where_it_was_seen(refiner: Refiner) -> None:
+    last = before(state(0.05, 0.02, 0.3))
+    hidden = state(0.05, 0.02, 0.3)
+    hidden[3] = -0.3  # under the table
+    elsewhere = [np.array([-0.1, 0.1, 0.03, 1.0, 0.0, 0.0, 0.0])]
+    image = drawn(refiner, hidden)
+    tried = []
+    upright = refiner._upright
+    refiner._upright = lambda *of: tried.append(of) or upright(*of)  # type: ignore[method-assign]
+    try:
+        first = refiner.following(image, np.zeros(1), [elsewhere], last, np.zeros(1))
+        second = refiner.following(image, np.zeros(1), [elsewhere], first, np.zeros(1))
+    finally:
+        del refiner._upright
+    for found in (first, second):
+        assert not found.objects[0].seen
+        np.testing.assert_array_equal(found.objects[0].qpos, last.objects[0].qpos)
+        np.testing.assert_array_equal(found.qpos, last.qpos)
+    assert not tried  # no pixel has its colour: it is nowhere to be seen
+
+
 @pytest.mark.slow
 def test_a_network_that_misreads_a_frame_does_not_move_joints(refiner: Refiner) -> None:
     true, last = state(0.12, 0.05, 0.3, swing=0.9), before(state(0.12, 0.05, 0.3, swing=0.8))
@@ -252,6 +273,24 @@ ARM = """
   <keyframe><key qpos="0 0 0 0"/></keyframe>
 </mujoco>
 """
+
+
+def test_a_joint_that_no_frame_shows_stays_where_a_network_reads_it() -> None:
+    """At the speed of noise it would be at the end of its range after some frames."""
+    finger = '<geom type="box" size="0.01 0.015 0.02" rgba="0.8 0.8 0.3 1"/>'
+    covered = ARM.replace(finger, '<geom type="box" size="0.001 0.001 0.001" pos="0 0 -0.03"/>')
+    refiner = Refiner(load_scene(covered), 0, SIZE)
+    true = np.array([0.7, 0.5, 0.004, 0.004])
+    image, read = drawn(refiner, true), np.array([0.71, 0.49, 0.003, 0.005])
+    found = Frame(true, np.full(4, 0.01), ())
+    joints = true + [0.0, 0.0, 0.004, -0.002]
+    for _ in range(3):
+        ahead = 2.0 * joints - found.qpos
+        found = refiner.following(image, ahead, [], found._replace(qpos=joints), read=read)
+        joints = found.qpos
+    np.testing.assert_allclose(joints[2:], read[2:], atol=1.5e-3)
+    np.testing.assert_allclose(joints[:2], true[:2], atol=0.01)
+    assert found.joints_std[2] < 0.003
 
 
 @pytest.fixture(scope="module")

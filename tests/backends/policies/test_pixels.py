@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -7,10 +10,11 @@ import torch
 pytest.importorskip("orbisim_diffusion")
 
 from orbisim_policies import pixels
-from orbisim_policies.pixels import Sight, evaluate_pixels, play
+from orbisim_policies.pixels import Played, Sight, evaluate_pixels, play
 from orbisim_policies.push import PushProblem
 
 from orbisim import State
+from orbisim.errors import InputError
 from orbisim.registry import make_renderer
 
 pytestmark = pytest.mark.usefixtures("software_rendering")
@@ -51,6 +55,30 @@ def test_a_report_says_how_far_off_states_were(push: PushProblem) -> None:
     states = found["states"]
     assert 0 < states["bodies_mm"]["median"] <= states["bodies_mm"]["worst"]
     assert states["joints_rad"]["median"] > 0 and states["seen"] == 1.0
+
+
+def test_episodes_that_are_kept_are_not_played_again(
+    push: PushProblem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+
+    def played(problem: PushProblem, policy: object, seed: int, *_: object) -> Played:
+        calls.append(seed)
+        qpos = problem.trials(1, seed)[1].qpos[0]
+        off = np.full((2, 2), 1e-3 * seed)
+        value = np.zeros(len(problem.parts))
+        return Played(qpos, value, seed == 6, off, np.zeros(2), np.ones((2, 2), bool))
+
+    monkeypatch.setattr(pixels, "play", played)
+    how: Any = {"how": "stainf", "kept": tmp_path, "label": "push"}
+    first = evaluate_pixels(push, still, [5], **how)
+    second = evaluate_pixels(push, still, [5, 6], **how)
+    assert calls == [5, 6]
+    assert (first["episodes"], second["episodes"]) == (1, 2)
+    assert (first["diverged"], second["diverged"]) == (0, 1)
+    assert second["states"]["bodies_mm"]["worst"] == pytest.approx(6.0)
+    with pytest.raises(InputError, match="use another folder"):
+        evaluate_pixels(push, still, [5], **(how | {"label": "push_ppo"}))
 
 
 @pytest.mark.slow

@@ -151,6 +151,24 @@ def test_steps_within_a_held_control_are_looked_at(folder: Path, way: str) -> No
     assert len(found) == 1 and f"(t = {2 * backend.timestep:g} s), 'two' left" in found[0]
 
 
+def test_a_command_far_from_those_of_training_is_named(folder: Path) -> None:
+    backend = _backend(folder, "rollout")
+    model = backend.engine.stepper.model
+    std, mean = model.see_control.std.clone(), model.see_control.mean
+    controls = mean[:2].expand(2, 4, 2).double().numpy().copy()
+
+    def said() -> list[str]:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            backend.rollout(backend.reset(2), controls)
+        return [str(w.message) for w in caught if "commanded" in str(w.message)]
+
+    assert not said()
+    controls[1, 2, 1] += 20.0 * float(std[1])
+    (text,) = said()
+    assert "world 1, step 2 (t = 0.04 s): joint 'y' is commanded 3.4" in text
+
+
 def _compiled(way: str, what: str) -> Any:
     """A step is compiled for each; one of them by default."""
     return pytest.mark.slow if way == "native" and what != "joint" else ()
