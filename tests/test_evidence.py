@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_t
@@ -40,6 +42,35 @@ def test_the_scale_makes_the_scores_largest() -> None:
         return float(sum(density.logpdf(np.full(6, np.sqrt(s))) for s in squares))
 
     assert total(scale) >= max(total(0.9 * scale), total(1.1 * scale))
+
+
+def test_what_exceeds_the_scale_counts_as_few_data_from_there_on() -> None:
+    squares = np.concatenate([np.random.default_rng(1).chisquare(80, 40) / 80, [30.0, 12.0, 7.0]])
+    every = blocks(43, 80.0)
+    few = dataclasses.replace(every, beyond=12.0)
+    assert scales(squares, few)[0] < scales(squares, every)[0]
+    scale = float(scales(squares, few)[0])
+    at = [  # what the scale is, makes the scores largest
+        scores(squares, dataclasses.replace(few, floor=np.full(43, scale * by))).sum()
+        for by in (1.0, 1.02, 1.1)
+    ]
+    assert at == sorted(at, reverse=True)
+    near, inside = np.array([1.0, 1.0001]), dataclasses.replace(few, **_two)
+    one, other = scores(near, inside)  # at the scale both are the same, and as steep
+    assert one - other == pytest.approx(0.5 * 80 * 0.0001, rel=1e-3)
+
+
+def test_one_impact_that_comes_out_better_outweighs_nothing() -> None:
+    before = np.random.default_rng(3).chisquare(200, 60) / 200
+    after = before.copy()
+    before[5], after[5] = 11.5, 5.8
+    counting = dataclasses.replace(blocks(60, 200.0, 1.0), beyond=12.0)
+    assert gain(before, after, blocks(60, 200.0, 1.0), prior=-12.0).sure > 0
+    assert gain(before, after, counting, prior=-12.0).sure < 0
+    assert gain(3 * before, after, counting, prior=-12.0).sure > 0  # one that all windows tell
+
+
+_two = {"size": np.full(2, 80.0), "signal": np.zeros(2, int), "floor": np.ones(2)}
 
 
 def test_one_block_that_nothing_predicts_does_not_outweigh_all_others() -> None:

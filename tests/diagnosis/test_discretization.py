@@ -54,6 +54,26 @@ def test_an_effect_is_found_beside_it() -> None:
     assert result.effects[0].parameters["torque"].value == pytest.approx(0.05, rel=0.1)
 
 
+def test_commands_that_arrive_late_are_no_effect() -> None:
+    scene = _scene(0.005)
+    runs = [
+        one.replace(signals={**one.signals, "ctrl/servo": _sooner(one.signals["ctrl/servo"])})
+        for one in inject_effect(scene, [], duration=4.0, episodes=4, noise=5e-4, seed=1)
+    ]
+    result = orbisim.diagnose(scene, runs, progress=False)
+    assert result.verdict == "no_residual" and not result.effects
+    told = "after the sample at which they are logged (they arrive late"
+    assert any(told in note for note in result.notes)
+
+
+def _sooner(values: np.ndarray) -> np.ndarray:
+    """What a log would have if a mean of this and the last value came of it."""
+    found = values.copy()
+    for k in range(1, len(values)):
+        found[k] = 2 * values[k] - found[k - 1]
+    return found
+
+
 def test_a_step_that_is_right_stays() -> None:
     scene = _scene(0.005)
     runs = inject_effect(scene, [], duration=4.0, episodes=4, noise=5e-4, seed=1)

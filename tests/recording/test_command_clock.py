@@ -110,6 +110,7 @@ def test_no_clock_where_the_log_leaves_it_open() -> None:
 def test_a_share_and_a_clock() -> None:
     time, values = np.arange(4.0), np.array([[0.0], [2.0], [2.0], [6.0]])
     np.testing.assert_allclose(Lead(0.25).of(time, values)[:, 0], [0.5, 2.0, 3.0, 6.0])
+    np.testing.assert_allclose(Lead(-0.25).of(time, values)[:, 0], [0.0, 1.5, 2.0, 5.0])
     assert np.array_equal(Lead(0.25, clock=True).of(time, values), values)  # there is no clock
     assert Lead(0.25) and Lead(clock=True) and not Lead()
     time, values = _log(2.718 / RATE, 0.011)
