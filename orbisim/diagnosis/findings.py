@@ -196,9 +196,7 @@ def effects_of(
             ci = intervals.get(f"{i}.{p.name}")
             if ci is None:
                 ci = _propagated(scene, hypothesis, i, p.name, intervals)
-            grid = kind.resolution(scene.model, p.name) / 2
-            low, high = min(ci[0], value - grid), max(ci[1], value + grid)
-            parameters[p.name] = Estimate(value, units[p.name], (low, high))
+            parameters[p.name] = Estimate(value, units[p.name], ci)
         result.append(
             FoundEffect(
                 effect.effect,

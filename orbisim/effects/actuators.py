@@ -167,10 +167,10 @@ class ActuatorLag(ActuatorEffect):
 
 
 class ActuatorDelay(ActuatorEffect):
-    """A pure delay of the control: MJCF `delay`, with the control held between samples.
+    """A pure delay of the control: MJCF `delay`, a whole timestep at least.
 
-    The model's delay is a thousandth of a timestep less: at a whole number of timesteps, rounding
-    of the time would decide now for one step and now for another.
+    Between timesteps the control is interpolated (`interp="linear"`): of one that is held between
+    samples, that is its mean over a timestep, so that a delay need not be a number of timesteps.
     """
 
     name = "actuator_delay"
@@ -186,15 +186,12 @@ class ActuatorDelay(ActuatorEffect):
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("delay", "s", 0.0, 2.0, 0.02),)
 
-    def resolution(self, model: mujoco.MjModel, name: str) -> float:
-        return float(model.opt.timestep)
-
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         actuator = spec_element(spec, "actuator", instance.target)
         delay = instance.values["delay"]
-        actuator.delay = max(0.0, delay - _BEFORE * spec.option.timestep)
+        actuator.delay = delay
         actuator.nsample = max(2, int(np.ceil(delay / spec.option.timestep)) + 2)
-        actuator.interp = 0
+        actuator.interp = 1
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         index = index_of(view.model, "actuator", target)
@@ -251,8 +248,6 @@ _WEAKER = 0.1
 """Torque constants are known to 5 to 10 %, of warm motors and of gears less."""
 _TIMES = np.geomspace(0.002, 0.4, 16)
 """Time constants and delays that are tried, s."""
-_BEFORE = 1e-3
-"""Timesteps by which a control is read early."""
 
 
 def _force(view: MotionRegressors, actuator: int, force: Floats) -> Column:

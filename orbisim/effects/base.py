@@ -299,10 +299,6 @@ class Effect(abc.ABC):
         """Whether it adds a force (see `adds_force`) with these options."""
         return self.adds_force()
 
-    def resolution(self, model: mujoco.MjModel, name: str) -> float:
-        """Step below which a parameter has no effect (delays act in timesteps); 0 for none."""
-        return 0.0
-
     def stepwise(self, instance: EffectInstance, name: str) -> bool:
         """Whether a small change of a parameter mostly changes nothing, and then all at once: a
         derivative says little about it."""

@@ -130,7 +130,6 @@ class Hypothesis:
                 low, high = max(one.low, one.possible[0]), min(one.high, one.possible[1])
             value = float(_free_values(declared, e)[name])
             step = 1e-4 * max(abs(value), 0.05 * abs(scale), 1e-9)
-            step = max(step, effect.resolution(model, name))
             if effect.stepwise(e, name):
                 step = max(step, _COARSE * abs(value))
             elif effect.kind == "geom":

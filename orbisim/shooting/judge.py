@@ -532,10 +532,6 @@ class Judge:
 
     def _grids(self, hypothesis: Hypothesis, number: int, name: str, value: float) -> list[float]:
         """Steps of the grids on which a parameter is searched; none where it acts smoothly."""
-        model = self.bench.scene.model
-        grid = find(hypothesis.effects[number].effect).resolution(model, name)
-        if grid:
-            return [grid]
         if value and _stepwise(hypothesis, number, name):
             return [share * abs(value) for share in _FINER]
         return []
