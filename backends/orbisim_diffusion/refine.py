@@ -41,7 +41,8 @@ _TOGETHER = 5.0
 """An arm's pixels err together all over it: its joints are 8 to 11 times as far off as `NOISE` and
 `ALIKE` make them (each of six joints in 112 frames of three episodes of `push`). Half of that
 leaves less say to a network that misreads how a gripper is turned (0.05 rad off instead of 0.08 in
-24 such frames), and is as good elsewhere."""
+24 such frames), and is as good elsewhere; what is stated is the whole."""
+_STATED = 10.0 / _TOGETHER
 _SEEN_PIXELS, _SEEN_SHARE, EXPLAINED = 6.0, 0.15, 0.5
 """What counts as seen: at least so many pixels (of 128 x 128) of an object that are right with it
 and wrong without, that share of its outline, and that share of the improvement which a perfect
@@ -398,7 +399,7 @@ class Refiner:
         """The state [nq] of a fit with joints in their ranges, and their standard deviations."""
         best, columns = found.qpos[0], self.scalar.qpos
         best[columns] = np.clip(best[columns], self.scalar.low, self.scalar.high)
-        return best, np.sqrt(np.diag(np.linalg.inv(found.precision[0])))
+        return best, _STATED * np.sqrt(np.diag(np.linalg.inv(found.precision[0])))
 
     def _touched(self, states: Floats, geoms: torch.Tensor) -> torch.Tensor:
         """Pixels, not too many, that joints change in some states [S, nq], and those around."""

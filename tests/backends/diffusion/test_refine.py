@@ -290,7 +290,7 @@ def test_a_joint_that_no_frame_shows_stays_where_a_network_reads_it() -> None:
         joints = found.qpos
     np.testing.assert_allclose(joints[2:], read[2:], atol=1.5e-3)
     np.testing.assert_allclose(joints[:2], true[:2], atol=0.01)
-    assert found.joints_std[2] < 0.003
+    assert found.joints_std[2] < 0.005  # and not as its range allows
 
 
 @pytest.fixture(scope="module")
