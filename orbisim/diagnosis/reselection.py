@@ -33,13 +33,19 @@ def reselected(found: Found) -> Found:
     settings = context.settings
     try:
         other = propose_anew(context.bench, best, settings.effects, settings.most_effects)
-        for judged in () if other is None else fitted_set(context, other, best):
+        if other is None or _places(other) == _places(best.hypothesis):
+            return found
+        for judged in fitted_set(context, other, best):
             form = settled(context, judged) or (context, judged)
             if worth(form[0].bench, best, form[1]).sure > 0:
                 return in_form(found, form)
     except TimeIsUpError:
         return dataclasses.replace(found, late=True)
     return found
+
+
+def _places(hypothesis: Hypothesis) -> set[tuple[str, str]]:
+    return {(one.effect, one.target) for one in hypothesis.effects}
 
 
 def fitted_set(
