@@ -130,7 +130,8 @@ def _commanded(seed: int, tick: float, early: float | None = None) -> orbisim.Re
 
 def test_controls_that_change_between_samples_are_no_early_sensor() -> None:
     runs = [_commanded(seed, 0.0273) for seed in range(4)]
-    result = orbisim.diagnose(_scene(0.001), runs, progress=False)
+    few = Settings(effects=("actuator_delay", "clock_skew", "sensor_delay", "viscous_damping"))
+    result = orbisim.diagnose(_scene(0.001), runs, settings=few, progress=False)
     assert not result.effects
     assert any("by the clock of their own that the log shows" in note for note in result.notes)
     assert result.error["held_out"]["after"] < 0.9 * result.error["held_out"]["before"]

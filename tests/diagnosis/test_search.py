@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -194,8 +194,8 @@ class Counted:
 
 def test_the_best_so_far_is_returned_when_the_time_is_up(arm: orbisim.Scene) -> None:
     whole = bench_of(arm, FRICTION, DAMPING, BIAS)
-    soon: Any = Counted(6000)
-    found = attribute(dataclasses.replace(whole, deadline=soon), Settings(retune=False))
+    soon, few = cast(Any, Counted(700)), Settings(retune=False, effects=ALLOWED)
+    found = attribute(dataclasses.replace(whole, deadline=soon), few)
     assert found.cut_short and found.before.ratio > 10
     assert found.bench.deadline is NEVER
     none = search(dataclasses.replace(whole, deadline=Deadline(0.0)), Settings())
