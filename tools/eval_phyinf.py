@@ -170,10 +170,20 @@ def measure(data: Path, line: dict[str, Any], checkpoint: Path, dynamics: str, k
 
 
 def from_where_all_is_seen(recording: Recording) -> tuple[Recording, int]:
-    """The recording from the first frame on in which every object is seen, and that frame."""
+    """The recording from the first frame on in which every object is seen, and that frame.
+
+    Raises:
+      RecordingError: there is none.
+    """
     places = [v for n, v in recording.signals.items() if n.startswith("xpos/")]
     seen = np.asarray(np.isfinite(np.concatenate(places, axis=1)).all(axis=1)).reshape(-1)
-    first = int(np.argmax(seen)) if seen.any() else len(seen)
+    if not seen.any():
+        raise RecordingError(
+            recording.source,
+            f"no frame of {len(seen)} shows all objects, so that no rollout can start",
+            remedy="film them from where none hides another one",
+        )
+    first = int(np.argmax(seen))
     rest = {name: values[first:] for name, values in recording.signals.items()}
     return dataclasses.replace(recording, time=recording.time[first:], signals=rest), first
 
