@@ -50,7 +50,7 @@ def diagnose_forces(
       RecordingError: a recording does not fit the scene.
       InputError: there are too few usable samples.
     """
-    bare = scene.without_visuals()
+    bare = scene.without_images()
     samples, unseen = prepare_all(fit, bare), prepare_all(held, bare)
     found = attribute_forces(bare, samples, settings, say, deadline)
     if deadline.passed:

@@ -40,10 +40,10 @@ Kind = Callable[[Found, int, Sequence[Judged]], Iterator[Judged]]
 
 def best_move(found: Found, number: int) -> tuple[Judged | None, list[Tried], bool]:
     """The explanation that is worth most, if it surely is better; all that were tried; and whether
-    the time was up. Kinds of moves are tried in turns until one takes most of what is left, or a
-    share of the time is over and one is sure: the next round sees more from there. In the first
-    round, each kind has such a share: one effect that does little may do much beside declared
-    parameters that are a little off, or beside others."""
+    the time was up. Kinds of moves are tried in turns until one reaches the noise, or takes most of
+    what is left, or a share of the time is over and one is sure: the next round sees more from
+    there. In the first round, each kind has such a share: one effect that does little may do much
+    beside declared parameters that are a little off, or beside others."""
     context, current = found.context, found.best
     fitted: list[Judged] = []
     best: Judged | None = None
@@ -53,11 +53,9 @@ def best_move(found: Found, number: int) -> tuple[Judged | None, list[Tried], bo
     sets = (functools.partial(_together, one) for one in (_by_windows, _usual, _by_forces))
     kinds: list[Kind] = [_added, _retuned, *sets]
     for kind in kinds:
-        if best is not None and _enough_for_now(context, current, best):
-            break
         if best is None or number == 1:
             until = Deadline.after(share)
-        elif until.passed:
+        elif until.passed or _enough_for_now(context, current, best):
             break
         try:
             for judged in kind(found, number, fitted):

@@ -12,7 +12,7 @@ from orbisim.diagnosis.explanations import Found, possible_of
 from orbisim.diagnosis.simplification import Sure, in_form, pruned
 from orbisim.diagnosis.together import propose_anew
 from orbisim.diagnosis.worth import worth
-from orbisim.host.deadline import TimeIsUpError
+from orbisim.host.deadline import Deadline, TimeIsUpError
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judge, Judged
 
@@ -26,10 +26,11 @@ def reselected(found: Found) -> Found:
     effects are selected once more, as if none had been: one that does what several did is then
     seen, which exchanges of one for another do not reach.
     """
-    context, best = found.context, found.best
-    if not best.hypothesis.effects or context.bench.contacts:
+    best, whole = found.best, found.context.deadline
+    if not best.hypothesis.effects or found.context.bench.contacts:
         return found
-    context.say("effects selected anew")
+    found.context.say("effects selected anew")
+    context = found.context.until(Deadline.after(_OF_TIME * whole.left))
     settings = context.settings
     try:
         other = propose_anew(context.bench, best, settings.effects, settings.most_effects)
@@ -38,10 +39,14 @@ def reselected(found: Found) -> Found:
         for judged in fitted_set(context, other, best):
             form = settled(context, judged) or (context, judged)
             if worth(form[0].bench, best, form[1]).sure > 0:
-                return in_form(found, form)
+                return in_form(found, (form[0].until(whole), form[1]))
     except TimeIsUpError:
-        return dataclasses.replace(found, late=True)
+        return dataclasses.replace(found, late=whole.passed)
     return found
+
+
+_OF_TIME = 0.25
+"""Share of the time left: what is there may still be added to."""
 
 
 def _places(hypothesis: Hypothesis) -> set[tuple[str, str]]:

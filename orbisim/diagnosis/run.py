@@ -184,7 +184,7 @@ def _by_motion(
     held = some_of(held, window, enough, notes)
     fit, held = bridged(fit, notes), bridged(held, [])
     fewer = thinned(fit, window, notes)
-    bare = scene.without_visuals()  # the search compiles it thousands of times
+    bare = scene.without_images()  # the search compiles it thousands of times
     bench = make_bench(bare, prepare_all(bounded(fewer, notes), bare), window)
     if all(map(operator.is_, fewer, fit)):  # else samples are close, and controls are means already
         bench = asked(bench)

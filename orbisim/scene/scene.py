@@ -134,23 +134,20 @@ class Scene:
             )
         return self._spec.copy()
 
-    def without_visuals(self) -> Scene:
-        """The same physics without textures, materials and geoms that touch nothing.
+    def without_images(self) -> Scene:
+        """The same scene with textures of one pixel, or itself where there is no document.
 
-        To compile a scene takes a hundred times as long with a skybox. Geoms without a name are
-        named by their numbers, which change. The scene itself where MuJoCo cannot leave these out
-        (`inertiafromgeom="true"`) or where there is no document.
+        To compile a scene takes a hundred times as long with a skybox. Geoms that are only seen
+        stay: they say how large a body is.
         """
         if self._spec is None:
             return self
         spec = self._spec.copy()
-        spec.compiler.discardvisual = True
-        for number, geom in enumerate(spec.geoms):
-            geom.name = geom.name or f"geom{number}"
-        try:
-            return Scene.from_spec(spec, source=self.source, unsupported=self.unsupported)
-        except SceneError:
-            return self
+        for texture in spec.textures:
+            texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_FLAT
+            texture.width = texture.height = 1
+            texture.file, texture.cubefiles = "", [""] * 6
+        return Scene.from_spec(spec, source=self.source, unsupported=self.unsupported)
 
     @property
     def editable(self) -> bool:

@@ -33,26 +33,17 @@ def test_a_compiled_model_has_no_document() -> None:
 
 
 @pytest.mark.parametrize("name", ["finger", "humanoid", "ball_in_cup"])
-def test_without_visuals_the_physics_are_the_same_to_the_bit(name: str) -> None:
+def test_without_images_only_textures_differ(name: str) -> None:
     scene = load_scene(Path(suite.__file__).with_name(f"{name}.xml"))
-    bare = scene.without_visuals()
-    assert bare.model.ntexdata == 0 < scene.model.ntexdata
+    bare = scene.without_images()
+    assert 100 * bare.model.ntexdata < scene.model.ntexdata
+    assert bare.model.ngeom == scene.model.ngeom and bare.model.nmat == scene.model.nmat
     np.testing.assert_array_equal(*(_rolled(one.model) for one in (scene, bare)))
 
 
-def test_without_visuals_geoms_keep_what_they_are_called_by() -> None:
-    scene = Scene.from_spec(mujoco.MjSpec.from_string(_VISUAL_FIRST))
-    bare = scene.without_visuals()
-    assert [bare.model.geom(i).name for i in range(bare.model.ngeom)] == ["geom1", "ball"]
-    assert bare.model.body_mass[1] == scene.model.body_mass[1]  # that of what is left out, too
-
-
-def test_without_visuals_is_the_scene_where_mujoco_cannot() -> None:
-    inferred = _VISUAL_FIRST.replace("<worldbody>", _INFERRED + "<worldbody>")
-    scene = Scene.from_spec(mujoco.MjSpec.from_string(inferred))
-    assert scene.without_visuals() is scene
-    compiled = Scene.from_model(scene.model)
-    assert compiled.without_visuals() is compiled
+def test_a_compiled_model_keeps_its_images() -> None:
+    compiled = Scene.from_model(load_scene(EVERYTHING).model)
+    assert compiled.without_images() is compiled
 
 
 def _rolled(model: mujoco.MjModel) -> np.ndarray:
@@ -61,21 +52,6 @@ def _rolled(model: mujoco.MjModel) -> np.ndarray:
         data.ctrl[:] = random.normal(size=model.nu)
         mujoco.mj_step(model, data)
     return np.concatenate([data.qpos, data.qvel])
-
-
-_INFERRED = '<compiler inertiafromgeom="true"/>'
-_VISUAL_FIRST = """
-<mujoco>
-  <worldbody>
-    <body>
-      <freejoint/>
-      <geom type="box" size=".1 .1 .1" contype="0" conaffinity="0"/>
-      <geom type="box" size=".1 .1 .1"/>
-      <geom name="ball" size=".1"/>
-    </body>
-  </worldbody>
-</mujoco>
-"""
 
 
 def test_task_names() -> None:
