@@ -53,9 +53,11 @@ def best_move(found: Found, number: int) -> tuple[Judged | None, list[Tried], bo
     sets = (functools.partial(_together, one) for one in (_by_windows, _usual, _by_forces))
     kinds: list[Kind] = [_added, _retuned, *sets]
     for kind in kinds:
+        if best is not None and _enough_for_now(context, current, best):
+            break
         if best is None or number == 1:
             until = Deadline.after(share)
-        elif until.passed or _enough_for_now(context, current, best):
+        elif until.passed:
             break
         try:
             for judged in kind(found, number, fitted):
