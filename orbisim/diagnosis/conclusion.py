@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Sequence
 
@@ -84,7 +85,11 @@ def attribute(
         say("final fit")
         return concluded(found, deadline or NEVER)
     except TimeIsUpError:
-        return _as_found(found)
+        return _as_found(found, Deadline((deadline or NEVER).at + _LEAST * settings.patience))
+
+
+_LEAST = 0.05
+"""Share of the patience in which needless effects are dropped where final fits had no time."""
 
 
 def _best_first(found: Found) -> list[Judged]:
@@ -139,14 +144,17 @@ def concluded(found: Found, deadline: Deadline) -> Attribution:
     )  # fmt: skip
 
 
-def _as_found(found: Found) -> Attribution:
-    """What the search had when the time was up, without what cannot be told from nothing there."""
-    bench, context = found.context.bench, found.context.until(NEVER)
+def _as_found(found: Found, until: Deadline = NEVER) -> Attribution:
+    """What the search had when the time was up, without what cannot be told from nothing there, if
+    that is known in time."""
+    bench, context = found.context.bench, found.context.until(until)
 
     def refit(less: Hypothesis, now: Judged) -> Judged | None:
         return context.judge.judge(less, 3, begin=context.judge.begin(now))
 
-    best = next((plain(context, one, refit) for one in _best_first(found)), found.best)
+    best = found.best
+    with contextlib.suppress(TimeIsUpError):
+        best = next((plain(context, one, refit) for one in _best_first(found)), best)
     gain = 2 * worth(bench, found.declared, best).total if best is not found.declared else 0.0
     evidence = tuple(gain for _ in best.hypothesis.effects)
     tried = rivals_of(found.tried)

@@ -268,5 +268,5 @@ def test_where_the_time_was_up_what_was_sure_at_first_is_the_answer(arm: orbisim
     found = Found(context, 0.002, declared, declared, tried=(tried,), late=True)
     assert _best_first(found) == [sure]
     assert _best_first(dataclasses.replace(found, best=sure)) == [sure]
-    for after in (concluded(found, NEVER), _as_found(found)):
+    for after in (concluded(found, NEVER), _as_found(found), _as_found(found, Deadline(0.0))):
         assert [one.effect for one in after.hypothesis.effects] == ["coulomb_friction"]
