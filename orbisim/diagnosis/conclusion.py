@@ -85,10 +85,10 @@ def attribute(
         say("final fit")
         return concluded(found, deadline or NEVER)
     except TimeIsUpError:
-        return _as_found(found, Deadline((deadline or NEVER).at + _LEAST * settings.patience))
+        return _as_found(found, Deadline((deadline or NEVER).at + _AFTERWARDS * settings.patience))
 
 
-_LEAST = 0.05
+_AFTERWARDS = 0.05
 """Share of the patience in which needless effects are dropped where final fits had no time."""
 
 

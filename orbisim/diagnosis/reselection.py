@@ -57,7 +57,7 @@ def fitted_set(
     context: Context, together: Hypothesis, begin: Judged | None = None
 ) -> Iterator[Judged]:
     """Many effects, fitted together, without those that are not surely worth it beside the others:
-    a dozen cost too much to be compared with one. None if they cannot be simulated.
+    a dozen cost too much to be compared with one. Nothing if they cannot be simulated.
 
     Args:
       begin: where windows start as there; as measured if None.

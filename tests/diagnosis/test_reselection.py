@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
+
+import pytest
+
 import orbisim
+from orbisim.diagnosis import reselection
 from orbisim.diagnosis.context import begun
 from orbisim.diagnosis.explanations import Found
 from orbisim.diagnosis.reselection import reselected
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
+from orbisim.host.deadline import Deadline
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import make_bench
 from orbisim.shooting.hypothesis import Hypothesis
@@ -57,6 +63,17 @@ def test_a_load_in_the_place_of_two_parts_of_it(arm: orbisim.Scene) -> None:
 def test_what_is_there_stays(arm: orbisim.Scene) -> None:
     found = found_of(arm, (LATE, DAMPING), (LATE, DAMPING))
     assert reselected(found).best is found.best
+
+
+def test_what_is_there_stays_where_the_time_is_up(
+    arm: orbisim.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = found_of(arm, (LATE, DAMPING), (DAMPING,))
+    late = dataclasses.replace(found, context=found.context.until(Deadline(0.0)))
+    assert reselected(late).late and reselected(late).best is found.best
+    monkeypatch.setattr(reselection, "_OF_TIME", 0.0)  # its share is over, not the whole time
+    soon = dataclasses.replace(found, context=found.context.until(Deadline.after(100.0)))
+    assert not reselected(soon).late and reselected(soon).best is found.best
 
 
 FEW = (
