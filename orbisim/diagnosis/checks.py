@@ -60,8 +60,8 @@ def between_samples(bench: Bench) -> str | None:
     if bench.lead.clock:
         return (
             "free runs predict surely better where controls change by the clock of their own that "
-            "the log shows: when each changes between two samples follows from it, and a mean was "
-            "taken there"
+            "the log shows: when each changes between two samples follows from it (the "
+            "free-running errors of this report take a mean of both there)"
         )
     share, interval = bench.lead.share, typical_interval(bench)
     place = "before"
@@ -74,7 +74,7 @@ def between_samples(bench: Bench) -> str | None:
     return (
         f"free runs predict surely better where controls change {1e3 * abs(share) * interval:.2g} "
         f"ms ({abs(share):.0%} of a sampling interval) {place} the sample at which they are logged "
-        f"({why}); between two samples a mean of both was taken"
+        f"({why}); the free-running errors of this report take a mean of both between two samples"
     )
 
 

@@ -13,9 +13,9 @@ from orbisim.diagnosis.explanations import Found, Tried
 from orbisim.diagnosis.found import Rival
 from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.simplification import Sure, only_sure, plain
+from orbisim.diagnosis.simplification import Sure, only_sure, plain, told
 from orbisim.diagnosis.suspects import Screening
-from orbisim.diagnosis.worth import independent_data, told_of, worth
+from orbisim.diagnosis.worth import vague, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.evidence import NEAR, Gain
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
@@ -153,6 +153,8 @@ def _as_found(found: Found, until: Deadline = NEVER) -> Attribution:
         return context.judge.judge(less, 3, begin=context.judge.begin(now))
 
     best = found.best
+    if best.hypothesis.effects:
+        best = told(found.context, best)
     with contextlib.suppress(TimeIsUpError):
         best = next((plain(context, one, refit) for one in _best_first(found)), best)
     gain = 2 * worth(bench, found.declared, best).total if best is not found.declared else 0.0
@@ -192,11 +194,11 @@ def _sure(context: Context, before: Judged, after: Judged) -> Sure:
 
     bare = judge.fair(before, [after])
     sure = only_sure(context, after, refit, bare)
-    while vague := _vague(context, sure.judged):
-        less = refit(sure.judged.hypothesis.without(vague[0]), sure.judged)
+    while numbers := vague(context.bench.scene, sure.judged):
+        less = refit(sure.judged.hypothesis.without(numbers[0]), sure.judged)
         if less is None:
             break
-        gone = sure.judged.hypothesis.effects[vague[0]]
+        gone = sure.judged.hypothesis.effects[numbers[0]]
         again = only_sure(context, less, refit, bare)
         rejected = (*sure.rejected, (gone, _VAGUE), *again.rejected)
         sure = again._replace(rejected=rejected)
@@ -207,17 +209,6 @@ def _sure(context: Context, before: Judged, after: Judged) -> Sure:
 
 
 _VAGUE = "its interval includes nothing of it"
-
-
-def _vague(context: Context, judged: Judged) -> list[int]:
-    """Numbers of the effects that cannot be told from nothing, the last first."""
-    scene, hypothesis = context.bench.scene, judged.hypothesis
-    independent = independent_data(judged)
-    return [
-        number
-        for number in reversed(range(len(hypothesis.effects)))
-        if not told_of(scene, hypothesis, judged.fit, number, independent)
-    ]
 
 
 def _on_contacts(context: Context, after: Judged) -> list[int]:

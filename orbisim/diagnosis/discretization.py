@@ -19,6 +19,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 
+import mujoco
 import numpy as np
 
 from orbisim.diagnosis.context import Context
@@ -36,12 +37,14 @@ Other = tuple[Context, Judged]
 
 
 def settled(context: Context, judged: Judged) -> Other | None:
-    """The same explanation with a finer step, or controls by the clock that logs show, or both, as
-    long as that surely predicts better; None if it does not. No machine has a timestep, and a log's
-    clock is read off the log: neither has to wait for effects."""
+    """The same explanation with a finer step, or controls by the clock that logs show, or another
+    lead where controls have one, as long as that surely predicts better; None if it does not. No
+    machine has a timestep, and a log's clock is read off the log: neither has to wait for effects.
+    A lead makes up for a part of a step that is too long: each is looked for again with the
+    other."""
     found = None
     while True:
-        tried = (_finer(context, judged), _clocked(context, judged))
+        tried = (_finer(context, judged), _clocked(context, judged), _retimed(context, judged))
         better = _surest(context, judged, tried)
         if better is None:
             return found
@@ -73,8 +76,7 @@ def as_declared(context: Context, judged: Judged, declared: float) -> Other | No
     def doubled(bench: Bench) -> Bench | None:
         if 2 * taken(bench) > _SLACK * taken(bench, declared):
             return None
-        scene = with_timestep(bench.scene, 2 * taken(bench))
-        return dataclasses.replace(bench, scene=scene)
+        return _stepped(bench, 2 * taken(bench))
 
     found = None
     for change in (_logged, doubled):
@@ -160,7 +162,15 @@ def _squares(gains: dict[float, float]) -> dict[float, float]:
 
 
 def _stepped(bench: Bench, timestep: float) -> Bench:
-    return dataclasses.replace(bench, scene=with_timestep(bench.scene, timestep))
+    """With another timestep, and controls that are looked for between samples where they do the
+    same: MuJoCo's Euler and implicit integrators move a body by the velocity that a step ends with,
+    so that a force acts half a step early."""
+    other = dataclasses.replace(bench, scene=with_timestep(bench.scene, timestep))
+    if not bench.lead or bench.scene.model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        return other
+    later = (taken(bench) - taken(other)) / (2 * typical_interval(bench))
+    share = float(np.clip(bench.lead.share + later, -1.0, 1.0))
+    return _led(other, dataclasses.replace(bench.lead, share=share))
 
 
 _MATTERS = 0.25
@@ -184,13 +194,22 @@ def _clocked(context: Context, judged: Judged) -> Other | None:
     if 2 * most <= len(bench.samples):
         return None
     lead = Lead(clock=True, period=period)
-    return _led_best(context, judged, lead, (0.0, -0.1, 0.1), (-0.5, 0.5))
+    return _led_best(context, judged, lead, (0.0, -_NEAR, _NEAR), ())
 
 
 def _shared(context: Context, judged: Judged) -> Other | None:
     if context.bench.lead is None or context.bench.lead:
         return None
-    return _led_best(context, judged, Lead(), _SHARES, (-1.0, 1.0))
+    return _led_best(context, judged, Lead(), _SHARES, (0.0,))
+
+
+def _retimed(context: Context, judged: Judged) -> Other | None:
+    """With another lead near the one that there is."""
+    lead = context.bench.lead
+    if not lead:
+        return None
+    near = [place for place in (lead.share - _NEAR, lead.share + _NEAR) if abs(place) <= 1]
+    return _led_best(context, judged, lead, near, (lead.share,))
 
 
 def _led_best(
@@ -198,15 +217,20 @@ def _led_best(
     judged: Judged,
     lead: Lead,
     tried: Sequence[float],
-    bounds: tuple[float, float],
+    known: Sequence[float],
 ) -> Other | None:
     """The same explanation with controls that lead by the share of an interval that predicts best:
-    one that is tried, or where a parabola through these is highest. None if none is better."""
+    one that is tried, or where a parabola through these is highest. None if none is better.
+
+    Args:
+      known: shares that are what there is.
+    """
+    bounds = (-0.5, 0.5) if lead.clock else (-1.0, 1.0)
 
     def change(bench: Bench, share: float) -> Bench:
         return _led(bench, dataclasses.replace(lead, share=share))
 
-    gains, found, gain = _line(context, judged, change, () if lead.clock else (0.0,))
+    gains, found, gain = _line(context, judged, change, known)
     for share in tried:
         gain(share)
     for _ in range(_REFINED):
@@ -248,8 +272,10 @@ _SHARES = (-0.5, 0.05, 0.5)
 steps a sample, and changes anywhere between two samples."""
 _REFINED = 3
 """Shares tried after these: a parabola's peak lies within `_CLOSE` by then."""
-_CLOSE = 0.02
-"""Of an interval, that free runs at a sampling rate do not tell apart."""
+_NEAR = 0.1
+"""Of an interval, by which other shares than the one that there is are tried first."""
+_CLOSE = 0.003
+"""Of an interval, that free runs do not tell apart: 15 us at 200 Hz."""
 _SLACK = 1.01
 """Of rounding, in a comparison of steps."""
 _OFTEN = 0.1

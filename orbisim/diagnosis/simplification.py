@@ -21,11 +21,12 @@ from orbisim.diagnosis.explanations import (
     winner,
 )
 from orbisim.diagnosis.proposals import exchanges, laws
-from orbisim.diagnosis.worth import apart, gains, sized, worth
+from orbisim.diagnosis.worth import apart, gains, sized, vague, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.unnamed import POWERS
 from orbisim.evidence import NEAR, Gain
 from orbisim.host.deadline import TimeIsUpError
+from orbisim.scene import Scene
 from orbisim.shooting.fits import Fit
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
@@ -101,12 +102,8 @@ def plain(context: Context, judged: Judged, refit: Refit) -> Judged:
         least = int(np.argmin(known))
         if not np.isfinite(known[least]):
             break
-        own, neutral = sized(scene, hypothesis, least)
-        every = [k for k, (i, _) in enumerate(hypothesis.free(scene)) if i == least]
-        fit, hypothesis = _held(fit, own, neutral, every), hypothesis.without(least)
-        bounds = hypothesis.unknowns(scene)
-        values = np.clip(fit.values, [one.low for one in bounds], [one.high for one in bounds])
-        path.append(hypothesis.at(scene, values))
+        fit, hypothesis = _dropped(scene, fit, hypothesis, least)
+        path.append(hypothesis)
     some = {len(hypothesis.effects) * 2**k for k in range(len(path))}
     tried = [refit(less, judged) for less in path if len(less.effects) in some]
     simpler = [one for one in tried if one is not None]
@@ -115,6 +112,26 @@ def plain(context: Context, judged: Judged, refit: Refit) -> Judged:
     worths = gains(context.bench, judged, simpler)
     best = max(range(len(simpler)), key=lambda i: worths[i].total)
     return simpler[best] if worths[best].total > 0 else judged
+
+
+def told(context: Context, judged: Judged) -> Judged:
+    """Without effects that cannot be told from nothing, in linear approximation: the numbers of the
+    others move as the covariance says; what is left of the data stays as it was fitted."""
+    scene = context.bench.scene
+    while numbers := vague(scene, judged):
+        fit, hypothesis = _dropped(scene, judged.fit, judged.hypothesis, numbers[0])
+        judged = dataclasses.replace(judged, fit=fit, hypothesis=hypothesis)
+    return judged
+
+
+def _dropped(scene: Scene, fit: Fit, hypothesis: Hypothesis, number: int) -> tuple[Fit, Hypothesis]:
+    """Without an effect, the numbers of the others as a fit's covariance says they then are."""
+    own, neutral = sized(scene, hypothesis, number)
+    every = [k for k, (i, _) in enumerate(hypothesis.free(scene)) if i == number]
+    fit, hypothesis = _held(fit, own, neutral, every), hypothesis.without(number)
+    bounds = hypothesis.unknowns(scene)
+    values = np.clip(fit.values, [one.low for one in bounds], [one.high for one in bounds])
+    return fit, hypothesis.at(scene, values)
 
 
 def _held(fit: Fit, own: Sequence[int], neutral: Sequence[float], gone: Sequence[int]) -> Fit:

@@ -153,6 +153,16 @@ def told_of(
     return told(fit, own, neutral, [intervals[str(k)] for k in own])
 
 
+def vague(scene: Scene, judged: Judged) -> list[int]:
+    """Numbers of the effects that cannot be told from nothing, the last first."""
+    hypothesis, independent = judged.hypothesis, independent_data(judged)
+    return [
+        number
+        for number in reversed(range(len(hypothesis.effects)))
+        if not told_of(scene, hypothesis, judged.fit, number, independent)
+    ]
+
+
 def apart(scene: Scene, hypothesis: Hypothesis, fit: Fit, number: int) -> float:
     """How far an effect is from nothing, in linear approximation: the mean square of its numbers in
     standard deviations (Wald's statistic). Infinite for what no derivative says anything of."""

@@ -26,7 +26,7 @@ from orbisim.effects.stepping import step_batch
 from orbisim.host.cpus import threads_for
 from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.hidden import Layout, carried_along
-from orbisim.motion.samples import Samples, substeps
+from orbisim.motion.samples import Samples, parts_of, substeps
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
@@ -86,6 +86,7 @@ class IntervalMap:
         self.qvel = np.concatenate([s.qvel[r] for s, r in pick])
         self.after_qpos = np.concatenate([s.qpos[r + 1] for s, r in pick])
         self.after_qvel = np.concatenate([s.qvel[r + 1] for s, r in pick])
+        self._pick = pick
         self.ctrl = np.concatenate([s.ctrl[r] for s, r in pick])
         self.force = np.concatenate([s.force[r] for s, r in pick])
         self.start = np.concatenate([s.time[r] for s, r in pick])
@@ -116,7 +117,6 @@ class IntervalMap:
         place = Layout(self.model, model)
         qpos = self.qpos if qpos is None else qpos
         qvel = self.qvel if qvel is None else qvel
-        applied = self.force if force is None else self.force + force
         out_q, out_v = np.empty_like(self.qpos), np.empty_like(self.qvel)
         hooks = hooks_of(model)
         for count in np.unique(self.substeps):
@@ -130,13 +130,24 @@ class IntervalMap:
             batch.bind("qpos")[:] = model.qpos0
             batch.bind("qpos")[:, place.q] = qpos[index]
             batch.bind("qvel")[:, place.v] = qvel[index]
-            batch.bind("qfrc_applied")[:, place.v] = applied[index]
             batch.bind("act")[:] = self.act[index]
             batch.bind("history")[:] = self.history[index]
-            step_batch(model, batch, hooks, self.ctrl[index], int(count))
+            parts = parts_of([s for s, _ in self._pick], int(count))
+            ctrl, applied = self._inputs(parts)
+            if force is not None:
+                applied = applied + force[:, None]
+            for part in range(parts):
+                batch.bind("qfrc_applied")[:, place.v] = applied[index, part]
+                step_batch(model, batch, hooks, ctrl[index, part], int(count) // parts)
             out_q[index] = batch.bind("qpos")[:, place.q]
             out_v[index] = batch.bind("qvel")[:, place.v]
         return out_q, out_v
+
+    def _inputs(self, parts: int) -> tuple[Floats, Floats]:
+        """[N, parts, nu] and [N, parts, nv]: controls and forces, over parts of each interval."""
+        known = [(one.inputs(parts), rows) for one, rows in self._pick]
+        ctrl, force = (np.concatenate([both[n][rows] for both, rows in known]) for n in (0, 1))
+        return ctrl, force
 
     def tangent(self, from_q: Floats, from_v: Floats, to_q: Floats, to_v: Floats) -> Floats:
         """Tangent vectors [N, 2 nv] from one set of states to another."""

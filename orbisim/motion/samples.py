@@ -23,6 +23,7 @@ from orbisim.recording.command_clock import Lead, command_clock, command_period
 from orbisim.recording.initial import activations, histories, starts
 from orbisim.recording.joints import Kind, joints
 from orbisim.recording.noise import lattice_step
+from orbisim.recording.zero_order_hold import led
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
@@ -47,6 +48,9 @@ class Samples:
         root of 12 of them); 0 where values lie on no lattice.
       usable: [T] whether the reference is known.
       jumps: [T - 1, nv] whether the velocity jumped (an impact) between two samples.
+      lead: [T - 1] each, by what share of an interval controls, and forces, change before the
+        sample that logs them; None where all change at their samples. `ctrl` and `force` are means
+        over the interval that follows each sample then.
     """
 
     bound: Bound
@@ -65,6 +69,7 @@ class Samples:
     rounding: Floats
     usable: Bools
     jumps: Bools
+    lead: tuple[Floats, Floats] | None = None
 
     def __len__(self) -> int:
         return len(self.time)
@@ -89,8 +94,19 @@ class Samples:
 
     def led(self, lead: Lead) -> Samples:
         """With controls and forces that change before the samples that log them."""
-        ctrl = lead.of(self.time, self.bound.ctrl)
-        return dataclasses.replace(self, ctrl=ctrl, force=lead.of(self.time, _applied(self.bound)))
+        signals = self.bound.ctrl, _applied(self.bound)
+        ctrl, force = (lead.shares(self.time, values) for values in signals)
+        led = dataclasses.replace(self, lead=(ctrl, force))
+        ctrl, force = (values[:, 0] for values in led.inputs(1))
+        return dataclasses.replace(led, ctrl=ctrl, force=force)
+
+    def inputs(self, parts: int) -> tuple[Floats, Floats]:
+        """Means of controls [T, parts, nu] and forces [T, parts, nv] over equal parts of the
+        interval that follows each sample."""
+        signals = self.bound.ctrl, _applied(self.bound)
+        none = np.zeros(len(self) - 1)
+        ctrl, force = map(led, signals, self.lead or (none, none), (parts, parts))
+        return ctrl, force
 
     @functools.cached_property
     def command_period(self) -> float | None:
@@ -260,6 +276,12 @@ def _velocity_noise(bound: Bound) -> Floats:
         if not np.ptp(known):  # one estimate for all samples
             found[column] = max(found[column], _CONSTANT * abs(known[0]))
     return found
+
+
+def parts_of(samples: Sequence[Samples], substeps: int) -> int:
+    """Into how many parts, over which inputs are constant, intervals of so many timesteps fall:
+    into all, where some inputs change within."""
+    return substeps if any(one.lead for one in samples) else 1
 
 
 def substeps(duration: npt.ArrayLike, timestep: float) -> Ints:

@@ -14,7 +14,6 @@ import numpy.typing as npt
 from scipy.optimize import linprog
 
 from orbisim.recording.stamps import regular_interval
-from orbisim.recording.zero_order_hold import led
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -40,15 +39,13 @@ class Lead:
     def __bool__(self) -> bool:
         return self.clock or self.share != 0
 
-    def of(self, time: Floats, values: Floats) -> Floats:
-        """[T, n]: means between samples of commands [T, n] that follow one clock
-        (`orbisim.recording.zero_order_hold.led`). time: [T], s."""
+    def shares(self, time: Floats, values: Floats) -> Floats:
+        """[T - 1]: by what share of each interval between samples commands [T, n] that follow one
+        clock change before the sample that logs them. time: [T], s."""
         if not self.clock:
-            return led(values, self.share)
-        shares = command_clock(time, values, self.period)
-        if shares is None:
-            return values
-        return led(values, np.clip(shares + self.share, 0.0, 1.0)[:, None])
+            return np.full(max(len(time) - 1, 0), self.share)
+        found = command_clock(time, values, self.period)
+        return np.zeros(len(time) - 1) if found is None else np.clip(found + self.share, 0.0, 1.0)
 
 
 def command_clock(time: Floats, values: Floats, period: float = 0.0) -> Floats | None:

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from orbisim.recording import Recording, names
 from orbisim.recording.command_clock import Lead, command_period
+from orbisim.recording.zero_order_hold import led
 
 Floats = npt.NDArray[np.float64]
 
@@ -113,9 +114,10 @@ def held_led(recordings: Sequence[Recording], lead: Lead) -> list[Recording]:
             held = [n for n in one.signals if names.split(n)[0] == kind]
             if held:
                 wide = [one.signals[n].reshape(len(one), -1) for n in held]
-                led = lead.of(one.time, np.concatenate(wide, axis=1))
+                values = np.concatenate(wide, axis=1)
+                means = led(values, lead.shares(one.time, values))[:, 0]
                 ends = np.cumsum([part.shape[1] for part in wide])[:-1]
-                parts = zip(held, np.split(led, ends, axis=1), strict=True)
+                parts = zip(held, np.split(means, ends, axis=1), strict=True)
                 changed |= {n: part.reshape(one.signals[n].shape) for n, part in parts}
         found.append(one.replace(signals={**one.signals, **changed}))
     return found

@@ -24,21 +24,28 @@ def filled(values: Floats) -> Floats:
     return np.asarray(np.take_along_axis(values, last, axis=0))
 
 
-def led(values: Floats, share: float | Floats) -> Floats:
-    """[T, ...]: means between samples of a signal that changes before the sample that logs it, or
-    after.
+def led(values: Floats, share: float | Floats, parts: int = 1) -> Floats:
+    """[T, parts, ...]: means, over equal parts of each interval between samples, of a signal that
+    changes before the sample that logs it, or after.
 
     Args:
       values: [T, ...] the signal at the samples.
       share: of a sampling interval, -1 to 1, by which each change comes before its sample: of all,
-        or [T - 1, ...] of each. The last value stays, the first one does where changes come after
+        or [T - 1] of each. The last value stays, the first one does where changes come after
         their samples, and so does one beside a missing one (NaN).
+      parts: of each interval.
     """
-    found = np.array(values, np.float64)
-    change = found[1:] - found[:-1]
-    known = np.where(np.isfinite(change), change, 0.0)
-    found[:-1] += np.maximum(share, 0.0) * known
-    found[1:] += np.minimum(share, 0.0) * known
+    values = np.asarray(values, np.float64)
+    shape = (1,) * (values.ndim - 1)
+    early = np.broadcast_to(np.maximum(share, 0.0), len(values) - 1).reshape(-1, 1, *shape)
+    late = np.broadcast_to(np.maximum(np.negative(share), 0.0), len(values) - 1)
+    late = late.reshape(-1, 1, *shape)
+    change = values[1:] - values[:-1]
+    known = np.where(np.isfinite(change), change, 0.0)[:, None]
+    ends = np.arange(1, parts + 1).reshape(1, -1, *shape)
+    found = np.repeat(values[:, None], parts, axis=1)
+    found[:-1] += np.clip(ends - parts * (1 - early), 0.0, 1.0) * known
+    found[1:] -= np.clip(parts * late - (ends - 1), 0.0, 1.0) * known
     return found
 
 

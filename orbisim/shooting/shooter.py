@@ -20,7 +20,7 @@ from orbisim.host.cpus import threads_for
 from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.hidden import Layout, carried_along
 from orbisim.motion.linear import Intervals
-from orbisim.motion.samples import Samples, substeps
+from orbisim.motion.samples import Samples, parts_of, substeps
 from orbisim.recording.joints import Kind, joints
 from orbisim.scene import Scene
 from orbisim.shooting.windows import Windows, chosen
@@ -70,8 +70,6 @@ class Shooter:
         self.time = np.array([s.time[r : r + k + 1] for s, r in rows])
         self.qpos = np.array([s.qpos[r : r + k + 1] for s, r in rows])
         self.qvel = np.array([s.qvel[r : r + k + 1] for s, r in rows])
-        self.ctrl = np.array([s.ctrl[r : r + k] for s, r in rows])
-        self.force = np.array([s.force[r : r + k] for s, r in rows])
         deviation = np.array(
             [np.concatenate([s.dq[r : r + k + 1], s.dv[r : r + k + 1]], axis=1) for s, r in rows]
         )
@@ -86,6 +84,13 @@ class Shooter:
         step = float(declared.model.opt.timestep)
         lengths = np.diff(self.time, axis=1)
         self.substeps = int(substeps(np.median(lengths), step))
+        # [W, K, parts, nu], and nv: constant over an interval, or over each of its timesteps
+        self.parts = parts_of(samples, self.substeps)
+        self.inputs = [one.inputs(self.parts) for one in samples]
+        chosen_rows = list(zip(self.recording, self.row, strict=True))
+        self.ctrl, self.force = (
+            np.array([self.inputs[i][n][r : r + k] for i, r in chosen_rows]) for n in (0, 1)
+        )
 
     def __len__(self) -> int:
         return len(self.windows)
@@ -239,11 +244,13 @@ class Shooter:
     def _earlier(self, which: Ints) -> Shooter:
         """Some of the windows, begun earlier; what they measure before is not looked at."""
         part, lead = self.some(which), self.lead
-        places = zip(part.windows.recording, part.row, strict=True)
-        chosen = [(self.samples[i], r) for i, r in places]
+        chosen = list(zip(part.windows.recording, part.row, strict=True))
         part.row = part.row - lead
-        for name in ("time", "qpos", "qvel", "ctrl", "force", "absolute"):
-            before = np.array([getattr(s, name)[r - lead : r] for s, r in chosen])
+        for name in ("time", "qpos", "qvel", "absolute"):
+            before = np.array([getattr(self.samples[i], name)[r - lead : r] for i, r in chosen])
+            setattr(part, name, np.concatenate([before, getattr(part, name)], axis=1))
+        for n, name in enumerate(("ctrl", "force")):
+            before = np.array([self.inputs[i][n][r - lead : r] for i, r in chosen])
             setattr(part, name, np.concatenate([before, getattr(part, name)], axis=1))
         whole, horizon = part.windows, part.windows.horizon
         part.windows = Windows(
@@ -329,14 +336,16 @@ class Shooter:
             shape = len(self), count
             found_q, found_v = np.zeros((*shape, len(place.q))), np.zeros((*shape, len(place.v)))
             if hooks:
-                applied[:, place.v] = self.force[:, k]
-                stepper.step(self.ctrl[:, k], self.substeps, every)
+                for part in range(self.parts):
+                    applied[:, place.v] = self.force[:, k, part]
+                    stepper.step(self.ctrl[:, k, part], self.substeps // self.parts, every)
                 found_q[:, 0], found_v[:, 0] = qpos[:, place.q], qvel[:, place.v]
             else:
-                force = np.zeros((len(ids), count, model.nv))
+                force = np.zeros((len(ids), count, self.parts, model.nv))
                 force[..., place.v] = self.force[ids, some]
-                control = np.concatenate([self.ctrl[ids, some], force], axis=2)
-                control = np.repeat(control, self.substeps, axis=1)
+                control = np.concatenate([self.ctrl[ids, some], force], axis=3)
+                control = control.reshape(len(ids), count * self.parts, -1)
+                control = np.repeat(control, self.substeps // self.parts, axis=1)
                 record = batch.rollout(control.shape[1], control, _INPUTS, ("qpos", "qvel"), every)
                 ends = slice(self.substeps - 1, None, self.substeps)
                 found_q[ids] = record["qpos"][:, ends, place.q]

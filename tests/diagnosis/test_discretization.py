@@ -12,6 +12,8 @@ import pytest
 import orbisim
 from orbisim.diagnosis.context import begun
 from orbisim.diagnosis.discretization import (
+    _led,
+    _stepped,
     as_declared,
     asked,
     earlier,
@@ -54,24 +56,37 @@ def test_an_effect_is_found_beside_it() -> None:
     assert result.effects[0].parameters["torque"].value == pytest.approx(0.05, rel=0.1)
 
 
-def test_commands_that_arrive_late_are_no_effect() -> None:
-    scene = _scene(0.005)
-    runs = [
-        one.replace(signals={**one.signals, "ctrl/servo": _sooner(one.signals["ctrl/servo"])})
-        for one in inject_effect(scene, [], duration=4.0, episodes=4, noise=5e-4, seed=1)
-    ]
-    result = orbisim.diagnose(scene, runs, progress=False)
+@pytest.mark.parametrize("declared", [0.001, 0.005])
+def test_commands_that_arrive_late_are_no_effect(declared: float) -> None:
+    """Nor are they beside a step that is too long, which makes up for a part of it."""
+    runs = [_sooner(_commanded(seed, 0.01, 0.006)) for seed in range(4)]
+    result = orbisim.diagnose(_scene(declared), runs, progress=False)
     assert result.verdict == "no_residual" and not result.effects
     told = "after the sample at which they are logged (they arrive late"
     assert any(told in note for note in result.notes)
 
 
-def _sooner(values: np.ndarray) -> np.ndarray:
-    """What a log would have if a mean of this and the last value came of it."""
-    found = values.copy()
-    for k in range(1, len(values)):
-        found[k] = 2 * values[k] - found[k - 1]
-    return found
+def _sooner(one: orbisim.Recording) -> orbisim.Recording:
+    """With commands that are logged a sample before."""
+    values = one.signals["ctrl/servo"]
+    return one.replace(signals={**one.signals, "ctrl/servo": np.append(values[1:], values[-1])})
+
+
+def test_controls_are_looked_for_elsewhere_with_another_step() -> None:
+    """Two steps of a constant force from rest move a body by 3 / 2 as much as one of twice their
+    length that begins with them, as if it had begun half a step earlier."""
+    runs = [_commanded(seed, 0.01, -0.004) for seed in range(2)]
+    scene = _scene(0.005)
+    bench = _led(make_bench(scene, prepare_all(runs, scene), 0.5), Lead(-0.4))
+    finer = _stepped(bench, 0.0025)
+    assert finer.lead is not None and finer.lead.share == pytest.approx(-0.4 + 0.0025 / 2 / 0.01)
+    again = _stepped(finer, 0.005)
+    assert again.lead is not None and again.lead.share == pytest.approx(-0.4)
+    model = _scene(0.005).spec
+    model.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    other = dataclasses.replace(bench, scene=orbisim.Scene.from_spec(model, source="servo"))
+    exact = _stepped(other, 0.0025)
+    assert exact.lead is not None and exact.lead.share == -0.4
 
 
 def test_a_step_that_is_right_stays() -> None:

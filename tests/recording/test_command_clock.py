@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from orbisim.recording import Recording
 from orbisim.recording.command_clock import Lead, command_clock, command_period
 from orbisim.recording.thinning import held_led
+from orbisim.recording.zero_order_hold import led as led_by
 
 RATE = 100.0
 Floats = npt.NDArray[np.float64]
@@ -109,18 +110,17 @@ def test_no_clock_where_the_log_leaves_it_open() -> None:
 
 def test_a_share_and_a_clock() -> None:
     time, values = np.arange(4.0), np.array([[0.0], [2.0], [2.0], [6.0]])
-    np.testing.assert_allclose(Lead(0.25).of(time, values)[:, 0], [0.5, 2.0, 3.0, 6.0])
-    np.testing.assert_allclose(Lead(-0.25).of(time, values)[:, 0], [0.0, 1.5, 2.0, 5.0])
-    assert np.array_equal(Lead(0.25, clock=True).of(time, values), values)  # there is no clock
+    np.testing.assert_array_equal(Lead(0.25).shares(time, values), [0.25, 0.25, 0.25])
+    no_clock = Lead(0.25, clock=True).shares(time, values)
+    np.testing.assert_array_equal(no_clock, [0.0, 0.0, 0.0])
     assert Lead(0.25) and Lead(clock=True) and not Lead()
     time, values = _log(2.718 / RATE, 0.011)
     shares = command_clock(time, values)
     assert shares is not None
     changes = np.flatnonzero(shares)
     for share in (0.0, -0.2):
-        led = Lead(share, clock=True).of(time, values)
-        mixed = (led - values)[changes, 0] / (values[changes + 1] - values[changes])[:, 0]
-        np.testing.assert_allclose(mixed, np.clip(shares[changes] + share, 0, 1), atol=1e-9)
+        found = Lead(share, clock=True).shares(time, values)
+        np.testing.assert_allclose(found[changes], np.clip(shares[changes] + share, 0, 1))
 
 
 def test_recordings_have_a_clock_for_commands_and_one_for_torques() -> None:
@@ -132,7 +132,7 @@ def test_recordings_have_a_clock_for_commands_and_one_for_torques() -> None:
     (led,) = held_led([run], Lead(clock=True))
     assert np.array_equal(led.signals["torque/a"], noisy)
     assert np.array_equal(led.signals["qpos/a"], noisy)
-    both = Lead(clock=True).of(time, values)
-    assert np.array_equal(led.signals["ctrl/a"], both[:, 0])
-    assert np.array_equal(led.signals["ctrl/b"], both[:, 1])
-    assert not np.array_equal(both, values)
+    means = led_by(values, Lead(clock=True).shares(time, values))[:, 0]
+    assert np.array_equal(led.signals["ctrl/a"], means[:, 0])
+    assert np.array_equal(led.signals["ctrl/b"], means[:, 1])
+    assert not np.array_equal(means, values)

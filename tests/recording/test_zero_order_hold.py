@@ -10,24 +10,34 @@ from hypothesis import strategies as st
 from orbisim.recording.zero_order_hold import Held, led
 
 
-@given(share=st.floats(0.0, 1.0), seed=st.integers(0, 99))
-def test_a_signal_that_leads_has_the_means_of_one_that_changes_earlier(
-    share: float, seed: int
+@given(share=st.floats(-1.0, 1.0), parts=st.integers(1, 6), seed=st.integers(0, 99))
+def test_a_signal_that_leads_has_the_means_of_one_that_changes_earlier_or_later(
+    share: float, parts: int, seed: int
 ) -> None:
     values = np.random.default_rng(seed).normal(size=(7, 2))
     time = np.arange(7.0)
-    changes = np.concatenate([[0.0], time[1:] - share])
-    earlier = Held(changes, values).means(0.0, 1.0, 0, 6)
-    assert led(values, share)[:-1] == pytest.approx(earlier, abs=1e-5)
-    assert np.array_equal(led(values, share)[-1], values[-1])
+    changes = np.concatenate([[-2.0], time[1:] - share])
+    moved = Held(changes, values).means(0.0, 1.0 / parts, 0, 6 * parts)
+    found = led(values, share, parts)
+    assert found.shape == (7, parts, 2)
+    assert found[:-1].reshape(-1, 2) == pytest.approx(moved, abs=1e-5)
+    if share >= 0:
+        assert np.array_equal(found[-1], np.tile(values[-1], (parts, 1)))
+
+
+def test_each_interval_may_have_a_share_of_its_own() -> None:
+    values, shares = np.array([[0.0], [4.0], [8.0]]), np.array([0.25, 0.5])
+    found = led(values, shares, 2)[..., 0]
+    np.testing.assert_allclose(found, [[0.0, 2.0], [4.0, 8.0], [8.0, 8.0]])
 
 
 def test_what_does_not_lead_stays_as_it_is() -> None:
     values = np.random.default_rng(0).normal(size=(5, 3))
-    assert np.array_equal(led(values, 0.0), values)
-    assert led(values, 1.0)[:-1] == pytest.approx(values[1:])
+    assert np.array_equal(led(values, 0.0)[:, 0], values)
+    assert led(values, 1.0)[:-1, 0] == pytest.approx(values[1:])
 
 
 def test_a_missing_sample_changes_none_beside_it() -> None:
     values = np.array([[1.0], [np.nan], [3.0], [5.0]])
-    np.testing.assert_array_equal(led(values, 0.5), [[1.0], [np.nan], [4.0], [5.0]])
+    found = led(values, 0.5)[:, 0]
+    np.testing.assert_array_equal(found, [[1.0], [np.nan], [4.0], [5.0]])
