@@ -68,7 +68,7 @@ def main() -> None:
     length = min(run.length or int(test.length.max()), int(test.length.max()))
     data = rollouts(model, test, length, options.test_windows, 99)
     with torch.no_grad():
-        interval = deviations(model, data) * _factor(known["factor"], model, data)
+        interval = _interval(deviations(model, data), known["factor"], model)
     result = {"seconds": round(time.monotonic() - began, 1), **known}
     result["head"] = measured(interval, data.errors, data.mask)
     if options.out:
@@ -123,7 +123,7 @@ def ensemble(
     length = test.control.shape[0]
     there = rollouts(checkpoint.model, held[0], length, 512, 98)
     known = factors([(_disagreement(members, there), there)], 1)
-    interval = _disagreement(members, test) * _factor(known, checkpoint.model, test)
+    interval = _interval(_disagreement(members, test), known, checkpoint.model)
     return {
         "factor": known,
         "members": options.ensemble,
@@ -172,8 +172,10 @@ def _disagreement(members: Any, data: Any) -> Any:
     return (torch.stack(apart).mean(0) + 1e-6).sqrt()
 
 
-def _factor(known: dict[str, list[float]], model: Any, data: Any) -> Any:
-    return factors_of(known, model.layout).to(data.errors.device)
+def _interval(sizes: Any, known: dict[str, Any], model: Any) -> Any:
+    """Half-widths [L, B, K, 2] of 90 % intervals, in the spread's units."""
+    ages = torch.arange(1.0, len(sizes) + 1.0, device=sizes.device)
+    return sizes * factors_of(known, model.layout).at(ages[:, None, None].expand(sizes.shape[:3]))
 
 
 def _write(checkpoint: Any, model: Any, known: dict[str, Any], out: Path) -> None:

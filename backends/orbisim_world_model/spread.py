@@ -8,7 +8,8 @@ control, from rollouts of a finished model against the truth (see `spread_fittin
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -32,6 +33,8 @@ _FAINT = -6.0
 """Bias of the gains from others: a variance of one reaches another at half a percent to begin."""
 MOST = 1e8
 """Of a variance, (10 m)^2: from there on nothing is known."""
+CARRIED = 3
+"""Numbers that each entity's memory ends with: two variances, and the rollout's age in steps."""
 
 
 class Spread(nn.Module):
@@ -96,15 +99,48 @@ def propagated(gain: Tensor, noise: Tensor, variance: Tensor) -> Tensor:
     return (sent + noise).clamp(max=MOST)
 
 
-def half_widths(variance: Tensor, factors: Tensor) -> Tensor:
-    """Half-widths [..., K, 2] of intervals, m and rad, from variances and `factors_of` them."""
-    return deviation(variance) * factors.to(variance.device) * variance.new_tensor(UNITS)
+class Factors(NamedTuple):
+    """By how much standard deviations are multiplied to become half-widths of intervals.
+
+    Errors grow faster along a rollout than the variances say, and how much faster is measured at
+    some ages of rollouts. Between these a factor is linear in the logarithm of the age; before the
+    first and after the last it is constant.
+
+    Attributes:
+      steps: [n] the ages, rising. values: [n, K, 2] of each entity's position and rotation.
+    """
+
+    steps: Tensor
+    values: Tensor
+
+    def at(self, age: Tensor) -> Tensor:
+        """Factors [..., K, 2] of entities whose rollouts are so many steps old [..., K]."""
+        known = self.steps.to(age.device, age.dtype).log()
+        values = self.values.to(age.device, age.dtype)
+        way = age.clamp_min(1.0).log()[..., None] - known[:-1]  # [..., K, n - 1]
+        share = (way / known.diff()).clamp(0.0, 1.0)
+        return values[0] + torch.einsum("...kn,nkq->...kq", share, values.diff(dim=0))
+
+    @property
+    def largest(self) -> Tensor:
+        """[K, 2] at any age."""
+        return self.values.amax(0)
 
 
-def factors_of(known: Mapping[str, Sequence[float]], layout: Layout) -> Tensor:
-    """[K, 2]: by how much standard deviations are multiplied, of each entity of a layout."""
-    rows = [known["robot"]] if layout.has_robot else []
-    return torch.tensor([*rows, *[known["objects"]] * len(layout.objects)])
+def half_widths(carried: Tensor, factors: Factors) -> Tensor:
+    """Half-widths [..., K, 2] of intervals, m and rad, from what a memory carries [..., K, 3]."""
+    widths = deviation(carried[..., :2]) * factors.at(carried[..., 2])
+    return widths * carried.new_tensor(UNITS)
+
+
+def factors_of(known: Mapping[str, Any], layout: Layout) -> Factors:
+    """The factors of a manifest's `factor`, for the entities of a layout."""
+    robots, count = int(layout.has_robot), len(layout.objects)
+    rows = [
+        [*[robot] * robots, *[objects] * count]
+        for robot, objects in zip(known["robot"], known["objects"], strict=True)
+    ]
+    return Factors(torch.tensor(known["steps"], dtype=torch.float32), torch.tensor(rows))
 
 
 def deviation(variance: Tensor) -> Tensor:

@@ -15,6 +15,7 @@ from orbisim.scene import Scene
 from orbisim.state import Array, State
 from orbisim.trajectory import Trajectory
 from orbisim_world_model.arrays import later, like, tensor
+from orbisim_world_model.spread import Factors
 
 MEMORY = "world_model_memory"
 STALE = frozenset({"qacc_warmstart", "history", "plugin_state", "world_model_uncertainty"})
@@ -26,18 +27,19 @@ class Steps(NamedTuple):
 
     Attributes:
       states: a named tuple of tensors, as the engine's `entities`.
-      variances: [T, B, K, 2] of a model with a spread (see `spread`); None without.
+      carried: [T, B, K, 3] variances and age of a model with a spread (see `spread`); None
+        without.
     """
 
     states: Any
     memory: Tensor
-    variances: Tensor | None = None
+    carried: Tensor | None = None
 
     def every(self, count: int) -> Steps:
         """The last of each `count` steps."""
         kept = type(self.states)(*(field[count - 1 :: count] for field in self.states))
-        spread = None if self.variances is None else self.variances[count - 1 :: count]
-        return Steps(kept, self.memory, spread)
+        carried = None if self.carried is None else self.carried[count - 1 :: count]
+        return Steps(kept, self.memory, carried)
 
 
 class Stepping(abc.ABC):
@@ -88,17 +90,17 @@ class Stepping(abc.ABC):
         """Whether the checkpoint predicts how far off it may be."""
         return False
 
-    def variance(self, state: State) -> Tensor | None:
-        """The variances [B, K, 2] that a state carries; None without a spread."""
+    def carried(self, state: State) -> Tensor | None:
+        """The variances and the age [B, K, 3] that a state carries; None without a spread."""
         return None
 
-    def interval(self, variance: Tensor | None) -> Tensor | None:
-        """Half-widths [..., K, 2], m and rad, of the 90 % intervals of variances."""
+    def interval(self, carried: Tensor | None) -> Tensor | None:
+        """Half-widths [..., K, 2], m and rad, of the 90 % intervals of what is carried."""
         return None
 
     @property
-    def factors(self) -> Tensor:
-        """[K, 2] of the checkpoint's calibration."""
+    def factors(self) -> Factors:
+        """Of the checkpoint's calibration."""
         raise InputError(f"{self.checkpoint.path}: predicts no uncertainty")
 
     # -- one world by compiled C: likewise -----------------------------------------------------
@@ -118,8 +120,8 @@ class Stepping(abc.ABC):
 
     def as_steps(self, state: State) -> Steps:
         """A state as the only one of a path."""
-        x, variance = self.entities(state), self.variance(state)
-        spread = None if variance is None else variance[None]
+        x, carried = self.entities(state), self.carried(state)
+        spread = None if carried is None else carried[None]
         return Steps(type(x)(*(field[None] for field in x)), self.memory(state), spread)
 
     def state(self, before: State, path: Steps, seconds: float) -> State:

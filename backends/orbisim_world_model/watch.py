@@ -12,7 +12,7 @@ from torch import Tensor
 
 from orbisim.errors import DivergedError
 from orbisim.state import Array, State
-from orbisim_world_model.spread import UNITS
+from orbisim_world_model.spread import CARRIED, UNITS
 from orbisim_world_model.stepping import MEMORY, Stepping, Steps
 
 OUTSIDE = "world_model_outside"
@@ -62,8 +62,8 @@ class Watch:
     def __init__(self, engine: Stepping, label: str) -> None:
         self.engine, self.label = engine, label
         self.names = engine.guard.names
-        if engine.spreads:  # variances below which no interval is wider
-            scale = engine.factors.double().numpy() * UNITS
+        if engine.spreads:  # variances below which no interval is wider, at whatever age
+            scale = engine.factors.largest.double().numpy() * UNITS
             self._sure = np.square(np.array([FAR, TURNED]) / scale) - _ROUNDING
 
     def began(self, state: State) -> Times:
@@ -87,9 +87,9 @@ class Watch:
         self._warn_of(states, np.argwhere(left), notice.outside_at, times)
         since = np.where(left, times, since)
         memory = {OUTSIDE: as_kind(since, state.qpos)}
-        width = self.engine.interval(path.variances)
+        width = self.engine.interval(path.carried)
         if width is not None:
-            before = self.engine.interval(self.engine.variance(state))
+            before = self.engine.interval(self.engine.carried(state))
             self._warn_if_unsure(width, before, _host(state.time), duration)
             memory[UNCERTAINTY] = as_kind(width.transpose(0, 1), state.qpos)
         return Verdict(notice.diverged_at, memory, self._error(notice, duration))
@@ -110,7 +110,7 @@ class Watch:
             return False
         if not self.engine.spreads:
             return True
-        return bool((state.memory[MEMORY][0, :, -2:] < self._sure).all())
+        return bool((state.memory[MEMORY][0, :, -CARRIED:][:, :2] < self._sure).all())
 
     def warn(self, text: str) -> None:
         """Warns of a state or a scene."""
