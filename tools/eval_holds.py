@@ -12,10 +12,10 @@ Printed as JSON, median, 90 % and worst over the episodes of each kind:
   creep_mm: how far a cube that MuJoCo leaves alone (less than 0.1 mm) gets from its start.
   cubes_mm at 100, 500, 1,000 and all steps: the worse of the cubes.
 covered, at the same steps: the shares of the cubes' 90 % intervals of position and rotation that
-hold the truth; and counts of episodes: ghosts (a cube that MuJoCo leaves alone moves more than 5 mm), left (a cube
-leaves the table that does not in MuJoCo), failed (a cube off by 5 cm or 20 degrees, or a joint by
-0.05 rad, at some step), silent (failed, and at the first such step there was no warning of its
-world, no divergence, and no 90 % interval that reached that far).
+hold the truth; and counts of episodes: ghosts (a cube that MuJoCo leaves alone moves more than
+5 mm), left (a cube leaves the table that does not in MuJoCo), failed (a cube off by 5 cm or 20
+degrees, or a joint by 0.05 rad, at some step), silent (failed, and at the first such step there was
+no warning of its world, no divergence, and no 90 % interval that reached that far).
 """
 
 from __future__ import annotations
