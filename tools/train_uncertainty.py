@@ -38,7 +38,7 @@ from orbisim_world_model.checkpoint import (  # noqa: E402  (needs the path abov
 from orbisim_world_model.pack import Pack, joined  # noqa: E402
 from orbisim_world_model.packing import read_data  # noqa: E402
 from orbisim_world_model.schedule import Clock  # noqa: E402
-from orbisim_world_model.spread import UNITS, factors_of  # noqa: E402
+from orbisim_world_model.spread import FLOOR, UNITS, calibration_of  # noqa: E402
 from orbisim_world_model.spread_fitting import (  # noqa: E402
     SpreadRun,
     deviations,
@@ -68,7 +68,7 @@ def main() -> None:
     length = min(run.length or int(test.length.max()), int(test.length.max()))
     data = rollouts(model, test, length, options.test_windows, 99)
     with torch.no_grad():
-        interval = _interval(deviations(model, data), known["factor"], model)
+        interval = deviations(model, data) * _factor(known, model, data)
     result = {"seconds": round(time.monotonic() - began, 1), **known}
     result["head"] = measured(interval, data.errors, data.mask)
     if options.out:
@@ -122,10 +122,10 @@ def ensemble(
     members = [_member(checkpoint, train, seed, options) for seed in range(options.ensemble)]
     length = test.control.shape[0]
     there = rollouts(checkpoint.model, held[0], length, 512, 98)
-    known = factors([(_disagreement(members, there), there)], 1)
-    interval = _interval(_disagreement(members, test), known, checkpoint.model)
+    known = {"factor": factors([(_disagreement(members, there), there)], 1)}
+    interval = _disagreement(members, test) * _factor(known, checkpoint.model, test)
     return {
-        "factor": known,
+        **known,
         "members": options.ensemble,
         **measured(interval, test.errors, test.mask),
     }
@@ -169,13 +169,11 @@ def _disagreement(members: Any, data: Any) -> Any:
             found.append(x)
         paths.append(Entities(*(torch.stack(f) for f in zip(*found, strict=True))))
     apart = [true_errors(p, paths[0], members[0].layout).square() for p in paths[1:]]
-    return (torch.stack(apart).mean(0) + 1e-6).sqrt()
+    return (torch.stack(apart).mean(0) + FLOOR**2).sqrt()
 
 
-def _interval(sizes: Any, known: dict[str, Any], model: Any) -> Any:
-    """Half-widths [L, B, K, 2] of 90 % intervals, in the spread's units."""
-    ages = torch.arange(1.0, len(sizes) + 1.0, device=sizes.device)
-    return sizes * factors_of(known, model.layout).at(ages[:, None, None].expand(sizes.shape[:3]))
+def _factor(known: dict[str, Any], model: Any, data: Any) -> Any:
+    return calibration_of(known, model.layout).factors.to(data.errors.device)
 
 
 def _write(checkpoint: Any, model: Any, known: dict[str, Any], out: Path) -> None:

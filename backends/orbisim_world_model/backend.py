@@ -218,7 +218,7 @@ class LearnedBackend(Backend):
         """
         if isinstance(result, Trajectory):
             return result.final.memory.get(UNCERTAINTY)
-        width = self.stepping.interval(self.stepping.carried(result))
+        width = self.stepping.interval(self.stepping.variance(result))
         return None if width is None else like(width, result.qpos)
 
     def intervals(self, trajectory: Trajectory) -> Intervals | None:

@@ -28,7 +28,7 @@ from orbisim_world_model.normalization import Normalizer
 from orbisim_world_model.parts import OUTPUTS
 from orbisim_world_model.rest import Rest
 from orbisim_world_model.rotation import rotate_back, to_matrix
-from orbisim_world_model.spread import CARRIED, Spread
+from orbisim_world_model.spread import Spread
 
 _NETWORKS: dict[str, Any] = {
     "global": GlobalNetwork,
@@ -167,7 +167,7 @@ class Dynamics(nn.Module):
         return self
 
     def with_spread(self, width: int) -> Dynamics:
-        """Also predicts how far off it may be, as three more numbers of each token's memory."""
+        """Also predicts how far off it may be, as two more numbers of each token's memory."""
         if self.config.kind != "objects":
             raise InputError(f"a network of kind {self.config.kind!r} has no tokens to be off")
         if self.layout.parts:
@@ -184,26 +184,23 @@ class Dynamics(nn.Module):
     # -- one step ------------------------------------------------------------------------------
 
     def initial_memory(self, batch: int) -> Tensor:
-        """h_0 [B, ...], when nothing is known of the past; with a spread, [B, K, width + 3].
+        """h_0 [B, ...], when nothing is known of the past; with a spread, [B, K, width + 2].
 
-        A network without memory then leaves its part out: [B, K, 3].
+        A network without memory then leaves its part out: [B, K, 2].
         """
         h = self.network.initial_memory(batch)
         if self.spread is None:
             return h
-        exact = h.new_zeros((*h.shape[:2], CARRIED), dtype=torch.float32)
+        exact = h.new_zeros((*h.shape[:2], 2), dtype=torch.float32)
         return torch.cat([h.float(), exact], dim=-1) if self._remembers else exact
 
     @property
     def _remembers(self) -> bool:
         return self.config.memory != "none"
 
-    def carried(self, memory: Tensor) -> Tensor:
-        """The variances of each entity and the age of the rollout in a memory, [B, K, 3].
-
-        Errors are counted from a state that is known: one whose age is 0 (see `Spread`).
-        """
-        return memory[..., -CARRIED:]
+    def variance(self, memory: Tensor) -> Tensor:
+        """The variances [B, K, 2] in a memory (see `Spread`)."""
+        return memory[..., -2:]
 
     def completed(self, x: Entities) -> Entities:
         """The state with the hand's pose and velocity that follow from the joints."""
@@ -229,12 +226,10 @@ class Dynamics(nn.Module):
         if self.spread is None:
             out = self.network(self._cast(inputs), memory, observe)
             return self._advanced(x, inputs, out, context, base)
-        known = self._remembers
-        h = memory[..., :-CARRIED] if known else self.network.initial_memory(len(x.pos))
+        h = memory[..., :-2] if self._remembers else self.network.initial_memory(len(x.pos))
         out = self.network(self._cast(inputs), h.to(self.network.start.dtype), observe)
-        carried = self.carried(memory)
-        grown = [self.spread(inputs, carried[..., :2]), carried[..., 2:] + 1.0]
-        kept = [out.memory.float(), *grown] if known else grown
+        variance = self.spread(inputs, self.variance(memory))
+        kept = [out.memory.float(), variance] if self._remembers else [variance]
         out = out._replace(memory=torch.cat(kept, dim=-1))
         return self._advanced(x, inputs, out, context, base)
 

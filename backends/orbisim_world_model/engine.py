@@ -19,7 +19,7 @@ from orbisim_world_model.layout import Layout
 from orbisim_world_model.reading import read_attributes, read_settings
 from orbisim_world_model.reading_articulation import limb_rows
 from orbisim_world_model.reading_parts import read_parts
-from orbisim_world_model.spread import Factors, factors_of, half_widths
+from orbisim_world_model.spread import Calibration, calibration_of
 from orbisim_world_model.stepper import Speedups, Stepper, plain_step
 from orbisim_world_model.stepping import MEMORY, STALE, Stepping, Steps
 
@@ -81,7 +81,7 @@ class Engine(Stepping):
                     x, memory = step(x, memory, inputs[:, t], context)
                     found.append(x)
                     if self.spreads:
-                        spreads.append(self.stepper.model.carried(memory).detach())
+                        spreads.append(self.stepper.model.variance(memory).detach())
             stacked = Entities(*(torch.stack(field) for field in zip(*found, strict=True)))
         return Steps(stacked, memory, torch.stack(spreads) if spreads else None)
 
@@ -129,22 +129,22 @@ class Engine(Stepping):
         """Whether the checkpoint predicts how far off it may be."""
         return self.stepper.model.spread is not None
 
-    def carried(self, state: State) -> Tensor | None:
-        """The variances and the age [B, K, 3] that a state carries; None without a spread."""
+    def variance(self, state: State) -> Tensor | None:
+        """The variances [B, K, 2] that a state carries; None without a spread."""
         if not self.spreads:
             return None
-        return self.stepper.model.carried(self.memory(state)).detach()
+        return self.stepper.model.variance(self.memory(state)).detach()
 
-    def interval(self, carried: Tensor | None) -> Tensor | None:
-        """Half-widths [..., K, 2], m and rad, of the 90 % intervals of what is carried."""
-        if carried is None:
+    def interval(self, variance: Tensor | None) -> Tensor | None:
+        """Half-widths [..., K, 2], m and rad, of the 90 % intervals of variances."""
+        if variance is None:
             return None
-        return half_widths(carried, self.factors)
+        return self.calibration.half_widths(variance)
 
     @property
-    def factors(self) -> Factors:
-        """Of the checkpoint's calibration."""
-        return factors_of(self.checkpoint.manifest["uncertainty"]["factor"], self.layout)
+    def calibration(self) -> Calibration:
+        """Of the checkpoint's variances."""
+        return calibration_of(self.checkpoint.manifest["uncertainty"], self.layout)
 
     def prepare_native(self) -> None:
         """Compiles the step of one world (see `native`).

@@ -8,7 +8,6 @@ to either.
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -90,22 +89,15 @@ def _check_uncertainty(known: dict[str, Any], where: str) -> None:
     width = checked(int, _entry(known, "width", where), f"{where}.width")
     if not 1 <= width <= _MOST["width"]:
         raise InputError(f"{where}.width is {width}; expected 1 to {_MOST['width']}")
+    floor = checked(float, known.get("floor", 0.0), f"{where}.floor")
+    if not 0 <= floor <= _MOST_RANGE:
+        raise InputError(f"{where}.floor is {floor:g}; expected 0 to {_MOST_RANGE:g}")
     factor = _object(known, "factor", where)
-    if "steps" not in factor:  # until 1.0 they were the same at any age of a rollout
-        factor |= {"steps": [1]} | {kind: [pair] for kind, pair in factor.items()}
-    steps = checked(tuple[int, ...], factor["steps"], f"{where}.factor.steps")
-    if not steps or steps[0] < 1 or any(b <= a for a, b in itertools.pairwise(steps)):
-        raise InputError(f"{where}.factor.steps is {list(steps)}; expected rising numbers above 0")
     for kind in ("robot", "objects"):
         place = f"{where}.factor.{kind}"
-        pairs = checked(
-            tuple[tuple[float, float], ...], _entry(factor, kind, f"{where}.factor"), place
-        )
-        if len(pairs) != len(steps) or min(map(min, pairs)) <= 0:
-            raise InputError(
-                f"{place} is {[list(pair) for pair in pairs]}; expected two numbers above 0 for "
-                f"each of the {len(steps)} steps"
-            )
+        pair = checked(tuple[float, float], _entry(factor, kind, f"{where}.factor"), place)
+        if min(pair) <= 0:
+            raise InputError(f"{place} is {list(pair)}; expected two numbers above 0")
 
 
 def _check_sources(data: dict[str, Any], path: str) -> None:

@@ -25,16 +25,18 @@ LEVEL = 0.9
 WIDTH = 48  # of the hidden layers, unless a checkpoint says otherwise
 UNITS = (1e-3, 0.0174532925)
 """What variances are measured in: 1 mm and 1 degree, in SI units."""
-_FLOOR = 1e-3
-"""In `UNITS`: errors below a micrometre and a thousandth of a degree are not told apart."""
+FLOOR = 0.05
+"""In `UNITS`: errors below 50 micrometres and a twentieth of a degree are not told apart. Cubes at
+rest are off by that much, in all ages of a rollout and whatever their variance; told apart, they
+would decide how wide the intervals of all others are."""
+_FORMER_FLOOR = 1e-3
+"""Of checkpoints that do not say theirs."""
 MOST_GAIN = 2.0
 """Of a variance in one step; one control step of a collision multiplies errors by less."""
 _FAINT = -6.0
 """Bias of the gains from others: a variance of one reaches another at half a percent to begin."""
 MOST = 1e8
 """Of a variance, (10 m)^2: from there on nothing is known."""
-CARRIED = 3
-"""Numbers that each entity's memory ends with: two variances, and the rollout's age in steps."""
 
 
 class Spread(nn.Module):
@@ -99,53 +101,38 @@ def propagated(gain: Tensor, noise: Tensor, variance: Tensor) -> Tensor:
     return (sent + noise).clamp(max=MOST)
 
 
-class Factors(NamedTuple):
-    """By how much standard deviations are multiplied to become half-widths of intervals.
-
-    Errors grow faster along a rollout than the variances say, and how much faster is measured at
-    some ages of rollouts. Between these a factor is linear in the logarithm of the age; before the
-    first and after the last it is constant.
+class Calibration(NamedTuple):
+    """How the variances of a checkpoint become half-widths of intervals.
 
     Attributes:
-      steps: [n] the ages, rising. values: [n, K, 2] of each entity's position and rotation.
+      factors: [K, 2] by which standard deviations are multiplied. floor: of these, in `UNITS`.
     """
 
-    steps: Tensor
-    values: Tensor
+    factors: Tensor
+    floor: float
 
-    def at(self, age: Tensor) -> Tensor:
-        """Factors [..., K, 2] of entities whose rollouts are so many steps old [..., K]."""
-        known = self.steps.to(age.device, age.dtype).log()
-        values = self.values.to(age.device, age.dtype)
-        way = age.clamp_min(1.0).log()[..., None] - known[:-1]  # [..., K, n - 1]
-        share = (way / known.diff()).clamp(0.0, 1.0)
-        return values[0] + torch.einsum("...kn,nkq->...kq", share, values.diff(dim=0))
+    def half_widths(self, variance: Tensor) -> Tensor:
+        """[..., K, 2] of position and rotation, m and rad."""
+        widths = deviation(variance, self.floor) * self.factors.to(variance.device)
+        return widths * variance.new_tensor(UNITS)
 
-    @property
-    def largest(self) -> Tensor:
-        """[K, 2] at any age."""
-        return self.values.amax(0)
+    def variances(self, width: Tensor) -> Tensor:
+        """The variances [K, 2] of which these [2] are the half-widths, m and rad."""
+        sizes = width / (self.factors * width.new_tensor(UNITS))
+        return sizes.square() - self.floor**2
 
 
-def half_widths(carried: Tensor, factors: Factors) -> Tensor:
-    """Half-widths [..., K, 2] of intervals, m and rad, from what a memory carries [..., K, 3]."""
-    widths = deviation(carried[..., :2]) * factors.at(carried[..., 2])
-    return widths * carried.new_tensor(UNITS)
+def calibration_of(uncertainty: Mapping[str, Any], layout: Layout) -> Calibration:
+    """Of a manifest's `uncertainty`, for the entities of a layout."""
+    known = uncertainty["factor"]
+    rows = [known["robot"]] if layout.has_robot else []
+    factors = torch.tensor([*rows, *[known["objects"]] * len(layout.objects)])
+    return Calibration(factors, uncertainty.get("floor", _FORMER_FLOOR))
 
 
-def factors_of(known: Mapping[str, Any], layout: Layout) -> Factors:
-    """The factors of a manifest's `factor`, for the entities of a layout."""
-    robots, count = int(layout.has_robot), len(layout.objects)
-    rows = [
-        [*[robot] * robots, *[objects] * count]
-        for robot, objects in zip(known["robot"], known["objects"], strict=True)
-    ]
-    return Factors(torch.tensor(known["steps"], dtype=torch.float32), torch.tensor(rows))
-
-
-def deviation(variance: Tensor) -> Tensor:
+def deviation(variance: Tensor, floor: float = FLOOR) -> Tensor:
     """Standard deviations in `UNITS`."""
-    return (variance + _FLOOR**2).sqrt()
+    return (variance + floor**2).sqrt()
 
 
 def true_errors(predicted: Entities, truth: Entities, layout: Layout) -> Tensor:

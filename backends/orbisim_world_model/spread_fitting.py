@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -16,16 +15,11 @@ from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.network.inputs import Inputs
 from orbisim_world_model.pack import Pack
 from orbisim_world_model.sampling import Windows, generator_of
-from orbisim_world_model.spread import LEVEL, WIDTH, deviation, propagated, true_errors
+from orbisim_world_model.spread import FLOOR, LEVEL, WIDTH, deviation, propagated, true_errors
 from orbisim_world_model.unroll import open_loop
 
 _FREEDOM = 3.0
 """Degrees of freedom of Student's t: errors after contacts have heavy tails."""
-_AGES = (30, 100, 300)
-"""Of rollouts, control steps, at which factors are measured: in the first few steps nothing has
-happened yet, and any interval will do."""
-_LEAST = 1e-6
-"""Of a factor."""
 _TOGETHER = 4096
 """Rollouts at once: a GPU takes as long for fewer, and more take memory."""
 
@@ -89,9 +83,9 @@ def fit_spread(
       run: see `SpreadRun`.
 
     Returns:
-      What the manifest keeps: `width`, and the `factor`s by which the standard deviations of
-      position and rotation become the half-widths of 90 % intervals, of `robot` and `objects`,
-      where a rollout is so many `steps` old (see `spread.Factors`).
+      What the manifest keeps: `width`, the `factor`s by which the standard deviations of position
+      and rotation become the half-widths of 90 % intervals, of `robot` and `objects`, and the
+      `floor` of these deviations.
     """
     torch.manual_seed(run.seed)
     model.eval().requires_grad_(False)
@@ -117,7 +111,8 @@ def fit_spread(
         optimizer.step()
     model.spread.requires_grad_(False)
     model.spread.eval()
-    return {"width": run.width, "level": LEVEL, "factor": calibrated(model, held, run)}
+    known = {"width": run.width, "level": LEVEL, "floor": FLOOR}
+    return {**known, "factor": calibrated(model, held, run)}
 
 
 def _groups(
@@ -181,40 +176,30 @@ def spread_loss(sizes: Tensor, data: Rollouts) -> Tensor:
 
 
 @torch.no_grad()  # type: ignore[untyped-decorator]
-def calibrated(model: Dynamics, held: Sequence[Pack], run: SpreadRun) -> dict[str, Any]:
+def calibrated(model: Dynamics, held: Sequence[Pack], run: SpreadRun) -> dict[str, list[float]]:
     """Factors of the standard deviations that cover `LEVEL` of the errors of held-out rollouts.
 
-    At several ages of a rollout, since errors outgrow the variances; of robots and of objects
-    apart, since a robot is hardly ever wrong.
+    Of the second half of each rollout, since at first nothing has happened and any interval will
+    do; of robots and of objects apart, since a robot is hardly ever wrong.
     """
     data = _groups(model, held, run, 1024, run.seed + 1)
     return factors([(deviations(model, d), d) for d in data], int(model.layout.has_robot))
 
 
-def factors(known: Sequence[tuple[Tensor, Rollouts]], robots: int) -> dict[str, Any]:
-    """See `calibrated`, from deviations and rollouts; `robots` is how many entities are robots.
-
-    Around each age, from the middle between it and the one before to the middle between it and the
-    next, in logarithms, ages count alike. Older rollouts have no smaller factors: what is known of
-    a state does not become surer for being predicted longer.
-    """
-    longest = max(len(sizes) for sizes, _ in known)
-    steps = [age for age in _AGES if age <= longest] or [longest]
-    ends = [0, *(round(math.sqrt(a * b)) for a, b in itertools.pairwise(steps)), longest]
-    found: dict[str, Any] = {"steps": steps}
+def factors(known: Sequence[tuple[Tensor, Rollouts]], robots: int) -> dict[str, list[float]]:
+    """See `calibrated`, from deviations and rollouts; `robots` is how many entities are robots."""
+    found = {}
     for kind, part in (("robot", slice(0, robots)), ("objects", slice(robots, None))):
-        least, found[kind] = [_LEAST, _LEAST], []
-        for ages in itertools.pairwise(ends):
-            rows = torch.cat([_ratios(sizes, data, part, slice(*ages)) for sizes, data in known])
-            level = [float(_quantile(rows[:, i], LEVEL)) if len(rows) else 1.0 for i in range(2)]
-            least = [max(pair) for pair in zip(least, level, strict=True)]
-            found[kind].append(least)
+        rows = torch.cat([_ratios(sizes, data, part) for sizes, data in known])
+        level = [_quantile(rows[:, i], LEVEL) if len(rows) else torch.ones(()) for i in range(2)]
+        found[kind] = [max(float(value), 1e-6) for value in level]
     return found
 
 
-def _ratios(sizes: Tensor, data: Rollouts, part: slice, ages: slice) -> Tensor:
-    """[n, 2]: errors over deviations of some entities, where rollouts are of some ages."""
-    ratio = (data.errors[ages] / sizes[ages])[:, :, part]
+def _ratios(sizes: Tensor, data: Rollouts, part: slice) -> Tensor:
+    """[n, 2]: errors over deviations of some entities, over the second half of each rollout."""
+    late = len(sizes) // 2
+    ratio = (data.errors / sizes)[late:, :, part]
     return ratio[data.mask[:, part].expand(len(ratio), -1, -1) > 0]
 
 

@@ -15,7 +15,7 @@ from orbisim.scene import Scene
 from orbisim.state import Array, State
 from orbisim.trajectory import Trajectory
 from orbisim_world_model.arrays import later, like, tensor
-from orbisim_world_model.spread import Factors
+from orbisim_world_model.spread import Calibration
 
 MEMORY = "world_model_memory"
 STALE = frozenset({"qacc_warmstart", "history", "plugin_state", "world_model_uncertainty"})
@@ -27,19 +27,18 @@ class Steps(NamedTuple):
 
     Attributes:
       states: a named tuple of tensors, as the engine's `entities`.
-      carried: [T, B, K, 3] variances and age of a model with a spread (see `spread`); None
-        without.
+      variances: [T, B, K, 2] of a model with a spread (see `spread`); None without.
     """
 
     states: Any
     memory: Tensor
-    carried: Tensor | None = None
+    variances: Tensor | None = None
 
     def every(self, count: int) -> Steps:
         """The last of each `count` steps."""
         kept = type(self.states)(*(field[count - 1 :: count] for field in self.states))
-        carried = None if self.carried is None else self.carried[count - 1 :: count]
-        return Steps(kept, self.memory, carried)
+        spread = None if self.variances is None else self.variances[count - 1 :: count]
+        return Steps(kept, self.memory, spread)
 
 
 class Stepping(abc.ABC):
@@ -90,17 +89,17 @@ class Stepping(abc.ABC):
         """Whether the checkpoint predicts how far off it may be."""
         return False
 
-    def carried(self, state: State) -> Tensor | None:
-        """The variances and the age [B, K, 3] that a state carries; None without a spread."""
+    def variance(self, state: State) -> Tensor | None:
+        """The variances [B, K, 2] that a state carries; None without a spread."""
         return None
 
-    def interval(self, carried: Tensor | None) -> Tensor | None:
-        """Half-widths [..., K, 2], m and rad, of the 90 % intervals of what is carried."""
+    def interval(self, variance: Tensor | None) -> Tensor | None:
+        """Half-widths [..., K, 2], m and rad, of the 90 % intervals of variances."""
         return None
 
     @property
-    def factors(self) -> Factors:
-        """Of the checkpoint's calibration."""
+    def calibration(self) -> Calibration:
+        """Of the checkpoint's variances."""
         raise InputError(f"{self.checkpoint.path}: predicts no uncertainty")
 
     # -- one world by compiled C: likewise -----------------------------------------------------
@@ -120,8 +119,8 @@ class Stepping(abc.ABC):
 
     def as_steps(self, state: State) -> Steps:
         """A state as the only one of a path."""
-        x, carried = self.entities(state), self.carried(state)
-        spread = None if carried is None else carried[None]
+        x, variance = self.entities(state), self.variance(state)
+        spread = None if variance is None else variance[None]
         return Steps(type(x)(*(field[None] for field in x)), self.memory(state), spread)
 
     def state(self, before: State, path: Steps, seconds: float) -> State:

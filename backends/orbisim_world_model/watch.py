@@ -12,7 +12,6 @@ from torch import Tensor
 
 from orbisim.errors import DivergedError
 from orbisim.state import Array, State
-from orbisim_world_model.spread import CARRIED, UNITS
 from orbisim_world_model.stepping import MEMORY, Stepping, Steps
 
 OUTSIDE = "world_model_outside"
@@ -23,7 +22,7 @@ position, m, and rotation, rad, after each step; of a robot, its hand's."""
 FAR, TURNED = 0.05, float(np.deg2rad(20.0))
 """m and rad: an object whose 90 % interval is wider can no longer be said to be predicted."""
 _ROUNDING = 1e-5
-"""Above the floor of a variance (see `spread.deviation`)."""
+"""Of a variance, relative: what is that near its limit is looked at in full."""
 _MOST_LINES = 20
 """Warnings of single entities in one call; the rest are counted."""
 
@@ -62,9 +61,9 @@ class Watch:
     def __init__(self, engine: Stepping, label: str) -> None:
         self.engine, self.label = engine, label
         self.names = engine.guard.names
-        if engine.spreads:  # variances below which no interval is wider, at whatever age
-            scale = engine.factors.largest.double().numpy() * UNITS
-            self._sure = np.square(np.array([FAR, TURNED]) / scale) - _ROUNDING
+        if engine.spreads:  # variances below which no interval is wider
+            limits = torch.tensor([FAR, TURNED], dtype=torch.float64)
+            self._sure = (1.0 - _ROUNDING) * engine.calibration.variances(limits).numpy()
 
     def began(self, state: State) -> Times:
         """[B, K]: when entities left the training data, up to a state; warns of a new one's."""
@@ -87,9 +86,9 @@ class Watch:
         self._warn_of(states, np.argwhere(left), notice.outside_at, times)
         since = np.where(left, times, since)
         memory = {OUTSIDE: as_kind(since, state.qpos)}
-        width = self.engine.interval(path.carried)
+        width = self.engine.interval(path.variances)
         if width is not None:
-            before = self.engine.interval(self.engine.carried(state))
+            before = self.engine.interval(self.engine.variance(state))
             self._warn_if_unsure(width, before, _host(state.time), duration)
             memory[UNCERTAINTY] = as_kind(width.transpose(0, 1), state.qpos)
         return Verdict(notice.diverged_at, memory, self._error(notice, duration))
@@ -110,7 +109,7 @@ class Watch:
             return False
         if not self.engine.spreads:
             return True
-        return bool((state.memory[MEMORY][0, :, -CARRIED:][:, :2] < self._sure).all())
+        return bool((state.memory[MEMORY][0, :, -2:] < self._sure).all())
 
     def warn(self, text: str) -> None:
         """Warns of a state or a scene."""

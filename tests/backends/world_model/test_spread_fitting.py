@@ -6,17 +6,15 @@ from pathlib import Path
 
 import pytest
 import torch
-from orbisim_world_model import spread_fitting
 from orbisim_world_model.checkpoint import load_checkpoint, save_checkpoint
 from orbisim_world_model.dynamics import Dynamics
 from orbisim_world_model.pack import Pack
 from orbisim_world_model.run import Run, train
-from orbisim_world_model.spread import factors_of
+from orbisim_world_model.spread import FLOOR, calibration_of
 from orbisim_world_model.spread_fitting import (
     Rollouts,
     SpreadRun,
     deviations,
-    factors,
     fit_spread,
     rollouts,
     spread_loss,
@@ -63,48 +61,22 @@ def test_intervals_cover_nine_in_ten_and_tell_small_errors_from_large(
 ) -> None:
     run = SpreadRun(steps=80, windows=48, batch=16, length=12, width=16)
     known = fit_spread(model, [pack], [pack], run)
-    assert known["width"] == 16
+    assert known["width"] == 16 and known["floor"] == FLOOR
     data = rollouts(model, pack, 12, 64, 5)
     with torch.no_grad():
         sizes = deviations(model, data)
-    covers = data.errors <= sizes * factors_of(known["factor"], pack.layout).values[0]
-    for covered in (covers[:, :, :1], covers[:, :, 1:]):
+    late = (data.errors <= sizes * calibration_of(known, pack.layout).factors)[6:]
+    for covered in (late[:, :, :1], late[:, :, 1:]):
         assert (covered.float().mean((0, 1, 2)) - 0.9).abs().max() < 0.09
     order = [t.log().flatten().clamp_min(-9.0) for t in (sizes[..., 0], data.errors[..., 0])]
     assert torch.corrcoef(torch.stack(order))[0, 1] > 0.5
-
-
-def test_factors_are_what_errors_outgrow_variances_by(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(spread_fitting, "_AGES", (4, 16))
-    generator = torch.Generator().manual_seed(0)
-    errors = torch.rand(32, 5000, 3, 2, generator=generator)  # a robot and two objects
-    errors[:8, :, 1:, 0] *= 2.0
-    errors[8:, :, 1:, 0] *= 6.0
-    errors[8:, :, 0] *= 0.1  # smaller where rollouts are older: factors do not follow
-    sizes, mask = torch.full_like(errors, 0.5), torch.ones(5000, 3)
-    mask[:2500, 2] = 0.0
-    errors[:, :2500, 2] = 1e3  # not there
-    data = Rollouts(None, None, errors, None, mask)  # type: ignore[arg-type]
-    known = factors([(sizes, data)], 1)
-    assert known["steps"] == [4, 16]
-    torch.testing.assert_close(
-        torch.tensor([known["robot"], known["objects"]]),
-        torch.tensor([[[1.8, 1.8], [1.8, 1.8]], [[3.6, 1.8], [10.8, 1.8]]]),
-        rtol=0.01,
-        atol=0.0,
-    )
-    short = data._replace(errors=errors[:6])
-    assert factors([(sizes[:6], short)], 1)["steps"] == [4]
-    both = factors([(sizes, data), (sizes[:6], short)], 1)  # of the older ages it says nothing
-    assert both["objects"][1][0] == known["objects"][1][0]
 
 
 def test_episodes_of_other_lengths_take_turns(model: Dynamics, pack: Pack) -> None:
     short = simulate(TABLE, 4, 8, 4)
     run = SpreadRun(steps=4, windows=24, batch=6, width=16)
     known = fit_spread(model, [short, pack], [short, pack], run)
-    for kind in ("robot", "objects"):
-        assert all(value > 0 for pair in known["factor"][kind] for value in pair)
+    assert all(value > 0 for pair in known["factor"].values() for value in pair)
     only = fit_spread(model, [short, pack], [short], run)
     assert known["factor"]["objects"] != only["factor"]["objects"]  # the long ones count
 
