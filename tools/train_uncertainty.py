@@ -62,7 +62,11 @@ def main() -> None:
     test = _read(options.test, options)
     model, began = checkpoint.model.to(options.device), time.monotonic()
     run = SpreadRun(
-        steps=options.steps, windows=options.windows, length=options.length, seed=options.seed
+        steps=options.steps,
+        limit=options.limit,
+        windows=options.windows,
+        length=options.length,
+        seed=options.seed,
     )
     known = fit_spread(model, train, held, run)
     length = min(run.length or int(test.length.max()), int(test.length.max()))
@@ -204,6 +208,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--steps", type=int, default=1500)
+    parser.add_argument("--limit", type=float, help="seconds of training at most")
     parser.add_argument("--windows", type=int, default=6000)
     parser.add_argument("--test-windows", type=int, default=2048)
     parser.add_argument("--length", type=int, help="of rollouts, control steps")
