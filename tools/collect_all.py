@@ -75,6 +75,8 @@ def data_sets() -> list[DataSet]:
         sets.append(DataSet(f"suite_{short}_train", task, MANY.get(short, 1000), changes=train))
         long = {**fine, "steps": 1000}
         sets.append(DataSet(f"suite_{short}_test", task, 40, TEST, changes=long))
+        brief = {**fine, "steps": 100}
+        sets.append(DataSet(f"suite_{short}_calibration", task, 100, CALIBRATION, changes=brief))
     for subtask in ("primitives", "meshes", "unseen"):
         drape = {"task": "drape", "subtask": subtask}
         if subtask != "unseen":

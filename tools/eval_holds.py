@@ -11,10 +11,11 @@ Printed as JSON, median, 90 % and worst over the episodes of each kind:
   joints_rad: largest error of an arm's joint at any step. fingers_mm: likewise of the fingers.
   creep_mm: how far a cube that MuJoCo leaves alone (less than 0.1 mm) gets from its start.
   cubes_mm at 100, 500, 1,000 and all steps: the worse of the cubes.
-and counts of episodes: ghosts (a cube that MuJoCo leaves alone moves more than 5 mm), left (a cube
-leaves the table that does not in MuJoCo), failed (a cube off by 5 cm or 20 degrees, or a joint by
-0.05 rad, at some step), silent (failed, and at the first such step there was no warning of its
-world, no divergence, and no 90 % interval that reached that far).
+covered, at the same steps: the shares of the cubes' 90 % intervals of position and rotation that
+hold the truth; and counts of episodes: ghosts (a cube that MuJoCo leaves alone moves more than
+5 mm), left (a cube leaves the table that does not in MuJoCo), failed (a cube off by 5 cm or 20
+degrees, or a joint by 0.05 rad, at some step), silent (failed, and at the first such step there was
+no warning of its world, no divergence, and no 90 % interval that reached that far).
 """
 
 from __future__ import annotations
@@ -144,6 +145,7 @@ def figures(run: dict[str, Any]) -> dict[str, Any]:
         "cubes_alone": int(alone.sum()),
         "cubes_mm": {str(m): _row(place[:, m].max(1) * 1e3) for m in marks},
         "cubes_deg": {str(m): _row(np.rad2deg(turn[:, m].max(1))) for m in marks},
+        "covered": {str(m): covered(run["interval"], place, turn, m) for m in marks},
         "ghosts": int((alone & ~(gone < GHOST)).any(1).sum()),
         "left": int(left.any(1).sum()),
         "failed": int(failed.any(1).sum()),
@@ -151,6 +153,15 @@ def figures(run: dict[str, Any]) -> dict[str, Any]:
         "silent": int(silent(run, failed, place, turn, arm).sum()),
         "warnings": run["warnings"],
     }
+
+
+def covered(interval: Any, place: Any, turn: Any, step: int) -> list[float] | None:
+    """Shares of the cubes whose errors are within the intervals after a step; None without any."""
+    if interval is None:
+        return None
+    width = interval[:, step - 1, -place.shape[2] :]  # [B, N, 2]; what diverged is not covered
+    pairs = ((place, width[..., 0]), (turn, width[..., 1]))
+    return [float((error[:, step] <= most).mean()) for error, most in pairs]
 
 
 def silent(run: dict[str, Any], failed: Any, place: Any, turn: Any, arm: Any) -> Any:

@@ -6,7 +6,9 @@ DATA holds what tools/collect_all.py wrote, or packs of it (tools/pack_data.py).
 shared among the jobs by weight. After each job, and while one runs, OUT has `summary.json`,
 `table.md` and `checkpoints-0.tar`, `-1.tar` ... with the folders of the checkpoints; each file is
 below 15 MB.
-Training goes on in a folder of its own (--work), where --resume finds it.
+Training goes on in a folder of its own (--work), where --resume finds it. With --keep SECONDS the
+checkpoint of every so many seconds stays beside it, as LABEL-kept/STEPS: tools/choose_checkpoint.py
+finds the best of them, which need not be the last.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import argparse
 import dataclasses
 import functools
 import json
+import shutil
 import statistics
 import sys
 import tarfile
@@ -290,9 +293,12 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
     settings = {**dict(job.settings), **dict(text.split("=", 1) for text in options.set)}
     learn = _learner(job, settings, options.data)
     reading = time.monotonic() - began
-    saved = [time.monotonic()]
+    saved, kept = [time.monotonic()], [time.monotonic()]
 
     def report(line: dict[str, Any]) -> None:
+        if options.keep is not None and time.monotonic() - kept[0] > options.keep:
+            kept[0] = time.monotonic()
+            _keep(options.work / label)
         if time.monotonic() - saved[0] > 60:
             saved[0] = time.monotonic()
             collect(options.work, options.out)
@@ -327,6 +333,18 @@ def _train(name: str, label: str, seed: int, budget: float, options: Any) -> Non
     for horizon, values in manifest["metrics"]["model"].items():
         medians = {k: round(v["median"], 4) for k, v in values.items() if isinstance(v, dict)}
         print(f"{label}: {horizon} steps: {medians}", flush=True)
+
+
+def _keep(folder: Path) -> None:
+    """Copies a training's checkpoint, as it was saved last."""
+    if not (folder / "manifest.json").exists():
+        return
+    steps = json.loads((folder / "manifest.json").read_text())["training"]["steps"]
+    target = folder.with_name(f"{folder.name}-kept") / f"{steps:06d}"
+    target.mkdir(parents=True, exist_ok=True)
+    for name in SHIPPED:
+        if (folder / name).exists():
+            shutil.copy(folder / name, target)
 
 
 def _learner(job: Job, settings: dict[str, Any], folder: Path) -> Any:
@@ -455,6 +473,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--train-seconds", type=float, help="a job at most, without compiling")
     parser.add_argument("--overhead", type=float, default=6.0, help="seconds a job for evaluation")
     parser.add_argument("--log-every", type=int, default=500)
+    parser.add_argument("--keep", type=float, help="seconds between checkpoints that stay")
     parser.add_argument("--resume", action="store_true")
     parser.add_argument("--start", type=Path, help="folder of checkpoints to go on from, by job")
     parser.add_argument("--compiled", action="store_true", help="training steps, by torch")

@@ -38,7 +38,7 @@ from orbisim_world_model.checkpoint import (  # noqa: E402  (needs the path abov
 from orbisim_world_model.pack import Pack, joined  # noqa: E402
 from orbisim_world_model.packing import read_data  # noqa: E402
 from orbisim_world_model.schedule import Clock  # noqa: E402
-from orbisim_world_model.spread import UNITS, factors_of  # noqa: E402
+from orbisim_world_model.spread import FLOOR, UNITS, calibration_of  # noqa: E402
 from orbisim_world_model.spread_fitting import (  # noqa: E402
     SpreadRun,
     deviations,
@@ -62,13 +62,17 @@ def main() -> None:
     test = _read(options.test, options)
     model, began = checkpoint.model.to(options.device), time.monotonic()
     run = SpreadRun(
-        steps=options.steps, windows=options.windows, length=options.length, seed=options.seed
+        steps=options.steps,
+        limit=options.limit,
+        windows=options.windows,
+        length=options.length,
+        seed=options.seed,
     )
     known = fit_spread(model, train, held, run)
     length = min(run.length or int(test.length.max()), int(test.length.max()))
     data = rollouts(model, test, length, options.test_windows, 99)
     with torch.no_grad():
-        interval = deviations(model, data) * _factor(known["factor"], model, data)
+        interval = deviations(model, data) * _factor(known, model, data)
     result = {"seconds": round(time.monotonic() - began, 1), **known}
     result["head"] = measured(interval, data.errors, data.mask)
     if options.out:
@@ -122,10 +126,10 @@ def ensemble(
     members = [_member(checkpoint, train, seed, options) for seed in range(options.ensemble)]
     length = test.control.shape[0]
     there = rollouts(checkpoint.model, held[0], length, 512, 98)
-    known = factors([(_disagreement(members, there), there)], 1)
+    known = {"factor": factors([(_disagreement(members, there), there)], 1)}
     interval = _disagreement(members, test) * _factor(known, checkpoint.model, test)
     return {
-        "factor": known,
+        **known,
         "members": options.ensemble,
         **measured(interval, test.errors, test.mask),
     }
@@ -169,11 +173,11 @@ def _disagreement(members: Any, data: Any) -> Any:
             found.append(x)
         paths.append(Entities(*(torch.stack(f) for f in zip(*found, strict=True))))
     apart = [true_errors(p, paths[0], members[0].layout).square() for p in paths[1:]]
-    return (torch.stack(apart).mean(0) + 1e-6).sqrt()
+    return (torch.stack(apart).mean(0) + FLOOR**2).sqrt()
 
 
-def _factor(known: dict[str, list[float]], model: Any, data: Any) -> Any:
-    return factors_of(known, model.layout).to(data.errors.device)
+def _factor(known: dict[str, Any], model: Any, data: Any) -> Any:
+    return calibration_of(known, model.layout).factors.to(data.errors.device)
 
 
 def _write(checkpoint: Any, model: Any, known: dict[str, Any], out: Path) -> None:
@@ -204,6 +208,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--steps", type=int, default=1500)
+    parser.add_argument("--limit", type=float, help="seconds of training at most")
     parser.add_argument("--windows", type=int, default=6000)
     parser.add_argument("--test-windows", type=int, default=2048)
     parser.add_argument("--length", type=int, help="of rollouts, control steps")

@@ -19,7 +19,7 @@ from orbisim_world_model.layout import Layout
 from orbisim_world_model.reading import read_attributes, read_settings
 from orbisim_world_model.reading_articulation import limb_rows
 from orbisim_world_model.reading_parts import read_parts
-from orbisim_world_model.spread import factors_of, half_widths
+from orbisim_world_model.spread import Calibration, calibration_of
 from orbisim_world_model.stepper import Speedups, Stepper, plain_step
 from orbisim_world_model.stepping import MEMORY, STALE, Stepping, Steps
 
@@ -139,12 +139,12 @@ class Engine(Stepping):
         """Half-widths [..., K, 2], m and rad, of the 90 % intervals of variances."""
         if variance is None:
             return None
-        return half_widths(variance, self.factors)
+        return self.calibration.half_widths(variance)
 
     @property
-    def factors(self) -> Tensor:
-        """[K, 2] of the checkpoint's calibration (see `spread.factors_of`)."""
-        return factors_of(self.checkpoint.manifest["uncertainty"]["factor"], self.layout)
+    def calibration(self) -> Calibration:
+        """Of the checkpoint's variances."""
+        return calibration_of(self.checkpoint.manifest["uncertainty"], self.layout)
 
     def prepare_native(self) -> None:
         """Compiles the step of one world (see `native`).

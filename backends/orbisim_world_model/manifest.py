@@ -89,6 +89,9 @@ def _check_uncertainty(known: dict[str, Any], where: str) -> None:
     width = checked(int, _entry(known, "width", where), f"{where}.width")
     if not 1 <= width <= _MOST["width"]:
         raise InputError(f"{where}.width is {width}; expected 1 to {_MOST['width']}")
+    floor = checked(float, known.get("floor", 0.0), f"{where}.floor")
+    if not 0 <= floor <= _MOST_RANGE:
+        raise InputError(f"{where}.floor is {floor:g}; expected 0 to {_MOST_RANGE:g}")
     factor = _object(known, "factor", where)
     for kind in ("robot", "objects"):
         place = f"{where}.factor.{kind}"

@@ -8,7 +8,8 @@ control, from rollouts of a finished model against the truth (see `spread_fittin
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -24,8 +25,12 @@ LEVEL = 0.9
 WIDTH = 48  # of the hidden layers, unless a checkpoint says otherwise
 UNITS = (1e-3, 0.0174532925)
 """What variances are measured in: 1 mm and 1 degree, in SI units."""
-_FLOOR = 1e-3
-"""In `UNITS`: errors below a micrometre and a thousandth of a degree are not told apart."""
+FLOOR = 0.05
+"""In `UNITS`: errors below 50 micrometres and a twentieth of a degree are not told apart. Cubes at
+rest are off by that much, in all ages of a rollout and whatever their variance; told apart, they
+would decide how wide the intervals of all others are."""
+_FORMER_FLOOR = 1e-3
+"""Of checkpoints that do not say theirs."""
 MOST_GAIN = 2.0
 """Of a variance in one step; one control step of a collision multiplies errors by less."""
 _FAINT = -6.0
@@ -96,20 +101,38 @@ def propagated(gain: Tensor, noise: Tensor, variance: Tensor) -> Tensor:
     return (sent + noise).clamp(max=MOST)
 
 
-def half_widths(variance: Tensor, factors: Tensor) -> Tensor:
-    """Half-widths [..., K, 2] of intervals, m and rad, from variances and `factors_of` them."""
-    return deviation(variance) * factors.to(variance.device) * variance.new_tensor(UNITS)
+class Calibration(NamedTuple):
+    """How the variances of a checkpoint become half-widths of intervals.
+
+    Attributes:
+      factors: [K, 2] by which standard deviations are multiplied. floor: of these, in `UNITS`.
+    """
+
+    factors: Tensor
+    floor: float
+
+    def half_widths(self, variance: Tensor) -> Tensor:
+        """[..., K, 2] of position and rotation, m and rad."""
+        widths = deviation(variance, self.floor) * self.factors.to(variance.device)
+        return widths * variance.new_tensor(UNITS)
+
+    def variances(self, width: Tensor) -> Tensor:
+        """The variances [K, 2] of which these [2] are the half-widths, m and rad."""
+        sizes = width / (self.factors * width.new_tensor(UNITS))
+        return sizes.square() - self.floor**2
 
 
-def factors_of(known: Mapping[str, Sequence[float]], layout: Layout) -> Tensor:
-    """[K, 2]: by how much standard deviations are multiplied, of each entity of a layout."""
+def calibration_of(uncertainty: Mapping[str, Any], layout: Layout) -> Calibration:
+    """Of a manifest's `uncertainty`, for the entities of a layout."""
+    known = uncertainty["factor"]
     rows = [known["robot"]] if layout.has_robot else []
-    return torch.tensor([*rows, *[known["objects"]] * len(layout.objects)])
+    factors = torch.tensor([*rows, *[known["objects"]] * len(layout.objects)])
+    return Calibration(factors, uncertainty.get("floor", _FORMER_FLOOR))
 
 
-def deviation(variance: Tensor) -> Tensor:
+def deviation(variance: Tensor, floor: float = FLOOR) -> Tensor:
     """Standard deviations in `UNITS`."""
-    return (variance + _FLOOR**2).sqrt()
+    return (variance + floor**2).sqrt()
 
 
 def true_errors(predicted: Entities, truth: Entities, layout: Layout) -> Tensor:

@@ -15,7 +15,8 @@ from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.network.inputs import Inputs
 from orbisim_world_model.pack import Pack
 from orbisim_world_model.sampling import Windows, generator_of
-from orbisim_world_model.spread import LEVEL, WIDTH, deviation, propagated, true_errors
+from orbisim_world_model.schedule import Clock
+from orbisim_world_model.spread import FLOOR, LEVEL, WIDTH, deviation, propagated, true_errors
 from orbisim_world_model.unroll import open_loop
 
 _FREEDOM = 3.0
@@ -58,6 +59,7 @@ class SpreadRun:
 
     Attributes:
       steps, batch: of training; rollouts in a batch. rate: of learning, at the start.
+      limit: of training, s, if it comes before `steps`.
       windows: rollouts to train on. length: of each, control steps; as long as the longest episode
         if None. Where packs differ in it, longer rollouts are fewer by as much, in `windows` and in
         `batch`.
@@ -70,6 +72,7 @@ class SpreadRun:
     length: int | None = None
     width: int = WIDTH
     seed: int = 0
+    limit: float | None = None
 
 
 def fit_spread(
@@ -83,8 +86,9 @@ def fit_spread(
       run: see `SpreadRun`.
 
     Returns:
-      What the manifest keeps: `width`, and the `factor`s by which the standard deviations of
-      position and rotation become the half-widths of 90 % intervals, of `robot` and `objects`.
+      What the manifest keeps: `width`, the `factor`s by which the standard deviations of position
+      and rotation become the half-widths of 90 % intervals, of `robot` and `objects`, and the
+      `floor` of these deviations; and how many `steps` of training there were.
     """
     torch.manual_seed(run.seed)
     model.eval().requires_grad_(False)
@@ -94,23 +98,27 @@ def fit_spread(
     assert model.spread is not None
     optimizer = torch.optim.Adam(model.spread.parameters(), lr=run.rate)
     shortest = min(len(group.control) for group in data)
-    for step in range(run.steps):
+    clock = Clock(run.steps, run.limit)
+    while (progress := clock.progress) < 1.0:
+        step = clock.done
         group = data[step % len(data)]
         length, count = group.control.shape[:2]
         size = max(1, run.batch * shortest // length)
         generator = generator_of(group.control.device, run.seed, step)
         chosen = torch.randint(count, (size,), generator=generator, device=group.control.device)
         for parameters in optimizer.param_groups:
-            parameters["lr"] = run.rate * 0.5 * (1 + math.cos(math.pi * step / run.steps))
+            parameters["lr"] = run.rate * 0.5 * (1 + math.cos(math.pi * progress))
         part = group.at(chosen)
         loss = spread_loss(deviations(model, part), part)
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(model.spread.parameters(), 1.0)
         optimizer.step()
+        clock.done += 1
     model.spread.requires_grad_(False)
     model.spread.eval()
-    return {"width": run.width, "level": LEVEL, "factor": calibrated(model, held, run)}
+    known = {"width": run.width, "level": LEVEL, "floor": FLOOR, "steps": clock.done}
+    return {**known, "factor": calibrated(model, held, run)}
 
 
 def _groups(

@@ -15,6 +15,7 @@ from orbisim.scene import Scene
 from orbisim.state import Array, State
 from orbisim.trajectory import Trajectory
 from orbisim_world_model.arrays import later, like, tensor
+from orbisim_world_model.spread import Calibration
 
 MEMORY = "world_model_memory"
 STALE = frozenset({"qacc_warmstart", "history", "plugin_state", "world_model_uncertainty"})
@@ -97,8 +98,8 @@ class Stepping(abc.ABC):
         return None
 
     @property
-    def factors(self) -> Tensor:
-        """[K, 2] of the checkpoint's calibration."""
+    def calibration(self) -> Calibration:
+        """Of the checkpoint's variances."""
         raise InputError(f"{self.checkpoint.path}: predicts no uncertainty")
 
     # -- one world by compiled C: likewise -----------------------------------------------------

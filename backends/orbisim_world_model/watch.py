@@ -12,7 +12,6 @@ from torch import Tensor
 
 from orbisim.errors import DivergedError
 from orbisim.state import Array, State
-from orbisim_world_model.spread import UNITS
 from orbisim_world_model.stepping import MEMORY, Stepping, Steps
 
 OUTSIDE = "world_model_outside"
@@ -23,7 +22,7 @@ position, m, and rotation, rad, after each step; of a robot, its hand's."""
 FAR, TURNED = 0.05, float(np.deg2rad(20.0))
 """m and rad: an object whose 90 % interval is wider can no longer be said to be predicted."""
 _ROUNDING = 1e-5
-"""Above the floor of a variance (see `spread.deviation`)."""
+"""Of a variance, relative: what is that near its limit is looked at in full."""
 _MOST_LINES = 20
 """Warnings of single entities in one call; the rest are counted."""
 
@@ -63,8 +62,8 @@ class Watch:
         self.engine, self.label = engine, label
         self.names = engine.guard.names
         if engine.spreads:  # variances below which no interval is wider
-            scale = engine.factors.double().numpy() * UNITS
-            self._sure = np.square(np.array([FAR, TURNED]) / scale) - _ROUNDING
+            limits = torch.tensor([FAR, TURNED], dtype=torch.float64)
+            self._sure = (1.0 - _ROUNDING) * engine.calibration.variances(limits).numpy()
 
     def began(self, state: State) -> Times:
         """[B, K]: when entities left the training data, up to a state; warns of a new one's."""

@@ -18,7 +18,7 @@ from orbisim_world_model.backend import (
 from orbisim_world_model.checkpoint import load_checkpoint, save_checkpoint
 from orbisim_world_model.pack import Pack
 from orbisim_world_model.run import Run, train
-from orbisim_world_model.spread import UNITS, propagated
+from orbisim_world_model.spread import UNITS, Calibration, calibration_of, propagated
 from orbisim_world_model.spread_fitting import SpreadRun, fit_spread
 from orbisim_world_model.stepping import MEMORY
 from orbisim_world_model.watch import Watch
@@ -65,6 +65,25 @@ def test_variances_are_handed_on_and_added_up() -> None:
     assert torch.allclose(found, torch.tensor([[[2.1, 0.2], [0.3, 8.4]]]))
 
 
+def test_half_widths_and_their_variances() -> None:
+    calibration = Calibration(torch.tensor([[1.0, 2.0], [10.0, 3.0]]), 3.0)
+    variance = torch.tensor([[[16.0, 0.0], [7.0, 16.0]]])  # deviations 5 and 3, 4 and 5
+    widths = calibration.half_widths(variance)
+    expected = torch.tensor([[[5.0, 6.0], [40.0, 15.0]]]) * torch.tensor(UNITS)
+    torch.testing.assert_close(widths, expected)
+    for entity in range(2):
+        back = calibration.variances(widths[0, entity])[entity]
+        torch.testing.assert_close(back, variance[0, entity], atol=1e-4, rtol=1e-5)
+
+
+def test_a_checkpoint_that_does_not_say_has_the_floor_of_before(folder: Path) -> None:
+    found = load_checkpoint(folder)
+    known = found.manifest["uncertainty"]
+    assert known["floor"] == calibration_of(known, found.layout).floor == 0.05
+    former = {name: value for name, value in known.items() if name != "floor"}
+    assert calibration_of(former, found.layout).floor == 1e-3
+
+
 @pytest.mark.parametrize("native", [False, True])
 def test_the_backend_carries_it_along(folder: Path, native: bool) -> None:
     if native and not any(map(shutil.which, ("cc", "gcc", "clang"))):
@@ -96,7 +115,7 @@ def test_the_backend_carries_it_along(folder: Path, native: bool) -> None:
     )
     known = backend.checkpoint.manifest["uncertainty"]["factor"]
     factor = np.array([known["robot"], known["objects"], known["objects"]])
-    exact = np.sqrt(path.final.memory[MEMORY][..., -2:] + 1e-6) * factor * UNITS
+    exact = np.sqrt(path.final.memory[MEMORY][..., -2:] + 0.05**2) * factor * UNITS
     np.testing.assert_allclose(whole[:, -1], exact, rtol=1e-4)
 
 
@@ -119,7 +138,7 @@ def test_an_interval_that_is_too_wide_is_warned_of(folder: Path, way: str) -> No
         pytest.skip("is compiled alike; native/test_step.py compares memories")
     backend = _backend(folder, way == "native")
     wide = {"robot": [1.0, 1.0], "objects": [1.5e4, 1.5e4]}  # of a micrometre: 15 mm
-    backend.checkpoint.manifest["uncertainty"]["factor"] = wide
+    backend.checkpoint.manifest["uncertainty"] |= {"factor": wide, "floor": 1e-3}
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         if way == "rollout":
@@ -137,6 +156,8 @@ def test_an_interval_that_is_too_wide_is_warned_of(folder: Path, way: str) -> No
     ("change", "message"),
     [
         ({"width": 0}, r"uncertainty\.width is 0"),
+        ({"floor": -1.0}, r"uncertainty\.floor is -1"),
+        ({"floor": "0.05"}, r"uncertainty\.floor"),
         ({"factor": {"robot": [1.0, 1.0], "objects": [1.0, -1.0]}}, "two numbers above 0"),
         ({"factor": {"robot": [1.0]}}, "expected 2 entries"),
         ({"factor": {"robot": [1.0, 1.0]}}, "no entry 'objects'|objects"),

@@ -10,7 +10,7 @@ from orbisim_world_model.checkpoint import load_checkpoint, save_checkpoint
 from orbisim_world_model.dynamics import Dynamics
 from orbisim_world_model.pack import Pack
 from orbisim_world_model.run import Run, train
-from orbisim_world_model.spread import factors_of
+from orbisim_world_model.spread import FLOOR, calibration_of
 from orbisim_world_model.spread_fitting import (
     Rollouts,
     SpreadRun,
@@ -61,11 +61,11 @@ def test_intervals_cover_nine_in_ten_and_tell_small_errors_from_large(
 ) -> None:
     run = SpreadRun(steps=80, windows=48, batch=16, length=12, width=16)
     known = fit_spread(model, [pack], [pack], run)
-    assert known["width"] == 16
+    assert known["width"] == 16 and known["floor"] == FLOOR and known["steps"] == 80
     data = rollouts(model, pack, 12, 64, 5)
     with torch.no_grad():
         sizes = deviations(model, data)
-    late = (data.errors <= sizes * factors_of(known["factor"], pack.layout))[6:]
+    late = (data.errors <= sizes * calibration_of(known, pack.layout).factors)[6:]
     for covered in (late[:, :, :1], late[:, :, 1:]):
         assert (covered.float().mean((0, 1, 2)) - 0.9).abs().max() < 0.09
     order = [t.log().flatten().clamp_min(-9.0) for t in (sizes[..., 0], data.errors[..., 0])]
@@ -79,6 +79,11 @@ def test_episodes_of_other_lengths_take_turns(model: Dynamics, pack: Pack) -> No
     assert all(value > 0 for pair in known["factor"].values() for value in pair)
     only = fit_spread(model, [short, pack], [short], run)
     assert known["factor"]["objects"] != only["factor"]["objects"]  # the long ones count
+
+
+def test_a_limit_of_seconds_ends_it(model: Dynamics, pack: Pack) -> None:
+    run = SpreadRun(steps=1_000_000, limit=0.3, windows=8, batch=4, length=4, width=8)
+    assert 1 <= fit_spread(model, [pack], [pack], run)["steps"] < 10_000
 
 
 def test_a_training_that_goes_on_leaves_the_uncertainty_out(pack: Pack, tmp_path: Path) -> None:
