@@ -225,11 +225,11 @@ def independent_by_chance(
       missing: share of the directions that may be effects that are missing; one at least.
     """
     root = np.sqrt(weight)[:, None]
-    flat = (columns * root[..., None]).reshape(-1, columns.shape[2])
+    flat = _of_known_size((columns * root[..., None]).reshape(-1, columns.shape[2]))
     rest = (left * root).ravel()
     whole = np.linalg.norm(flat, axis=0)
     if fitted is not None and fitted.shape[2]:
-        own = (fitted * root[..., None]).reshape(len(flat), -1)
+        own = _of_known_size((fitted * root[..., None]).reshape(len(flat), -1))
         basis = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))[0]
         flat, rest = flat - basis @ (basis.T @ flat), rest - basis @ (basis.T @ rest)
     size, norm = np.linalg.norm(flat, axis=0), float(np.linalg.norm(rest))
@@ -248,6 +248,13 @@ def independent_by_chance(
     most = max(1, int(missing * r))
     left = _beside_most(np.vstack([there, chance]), basis.T @ (unit.T @ unit), most)
     return float(np.median(left[1:]) / max(float(left[0]), 1e-300))
+
+
+def _of_known_size(columns: Floats) -> Floats:
+    """Without columns whose squares are beyond what a number can hold: what one does is chained
+    through many steps, and grows in each that has an impact."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return columns[:, np.isfinite((columns**2).sum(axis=0))]
 
 
 def _beside_most(draws: Floats, columns: Floats, most: int) -> Floats:

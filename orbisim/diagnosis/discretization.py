@@ -97,7 +97,7 @@ def _again(
     if bench is None:
         return None
     there = context.trying(bench)
-    again = there.judge.judge(judged.hypothesis, begin=there.judge.begin(judged))
+    again = there.judge.judge(judged.hypothesis, begin=context.judge.begin(judged))
     return None if again is None else (there, again)
 
 

@@ -137,7 +137,7 @@ def _dropped(scene: Scene, fit: Fit, hypothesis: Hypothesis, number: int) -> tup
 def _held(fit: Fit, own: Sequence[int], neutral: Sequence[float], gone: Sequence[int]) -> Fit:
     """A fit with some numbers at neutral values, as far as its covariance tells, and without those
     that are gone then."""
-    c, index = fit.covariance, list(own)
+    c, index = np.nan_to_num(fit.covariance), list(own)
     moved = c[:, index] @ np.linalg.pinv(c[np.ix_(index, index)], rcond=1e-12, hermitian=True)
     kept = np.setdiff1d(np.arange(len(fit.values)), gone)
     values = fit.values - moved @ (fit.values[index] - np.array(neutral))

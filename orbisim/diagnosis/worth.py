@@ -170,7 +170,8 @@ def apart(scene: Scene, hypothesis: Hypothesis, fit: Fit, number: int) -> float:
     if not own:
         return np.inf
     away = fit.values[own] - np.array(neutral)
-    inverse = np.linalg.pinv(fit.covariance[np.ix_(own, own)], rcond=1e-12, hermitian=True)
+    covariance = np.nan_to_num(fit.covariance[np.ix_(own, own)])
+    inverse = np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
     return float(away @ inverse @ away) / len(own)
 
 

@@ -84,13 +84,24 @@ class Shooter:
         step = float(declared.model.opt.timestep)
         lengths = np.diff(self.time, axis=1)
         self.substeps = int(substeps(np.median(lengths), step))
-        # [W, K, parts, nu], and nv: constant over an interval, or over each of its timesteps
-        self.parts = parts_of(samples, self.substeps)
-        self.inputs = [one.inputs(self.parts) for one in samples]
-        chosen_rows = list(zip(self.recording, self.row, strict=True))
+        self._read_inputs()
+
+    def _read_inputs(self) -> None:
+        """Controls [W, K, parts, nu] and forces [W, K, parts, nv], constant over an interval, or
+        over each of its timesteps."""
+        self.parts = parts_of(self.samples, self.substeps)
+        self.inputs = [one.inputs(self.parts) for one in self.samples]
+        rows, k = list(zip(self.recording, self.row, strict=True)), self.windows.length
         self.ctrl, self.force = (
-            np.array([self.inputs[i][n][r : r + k] for i, r in chosen_rows]) for n in (0, 1)
+            np.array([self.inputs[i][n][r : r + k] for i, r in rows]) for n in (0, 1)
         )
+
+    def halved(self) -> Shooter:
+        """The same windows with half the timestep."""
+        part = copy.copy(self)
+        part.substeps = 2 * self.substeps
+        part._read_inputs()
+        return part
 
     def __len__(self) -> int:
         return len(self.windows)

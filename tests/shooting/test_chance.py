@@ -67,6 +67,16 @@ def test_a_column_many_times_over_counts_once() -> None:
     assert np.isclose(independent_by_chance(again, left, EVEN), once, rtol=0.3)
 
 
+@pytest.mark.parametrize("beyond", [1e200, np.inf, np.nan])
+def test_a_column_beyond_what_a_number_can_hold_is_left_out(beyond: float) -> None:
+    columns, left = _random(40, 100, 12), _random(40, 100, seed=1)
+    wild = columns[..., :1].copy()
+    wild[3, 50:] = beyond
+    known = independent_by_chance(columns[..., 2:], left, EVEN, columns[..., :2])
+    more, fitted = (np.concatenate([x, wild], axis=2) for x in (columns[..., 2:], columns[..., :2]))
+    assert independent_by_chance(more, left, EVEN, fitted) == known
+
+
 def test_of_a_process_with_memory_as_many_count_as_its_columns_see() -> None:
     """Of two first-order processes, products have the variance of (1 - a b) / (1 + a b) as many."""
     found = [
