@@ -66,6 +66,7 @@ def main() -> None:
     run = SpreadRun(
         steps=options.steps,
         limit=options.limit,
+        finest=options.finest,
         windows=options.windows,
         length=options.length,
         seed=options.seed,
@@ -215,6 +216,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--json", type=Path)
     parser.add_argument("--steps", type=int, default=1500)
     parser.add_argument("--limit", type=float, help="seconds of training at most")
+    parser.add_argument("--finest", type=float, default=1e-3, help="see SpreadRun")
     parser.add_argument("--windows", type=int, default=6000)
     parser.add_argument("--test-windows", type=int, default=2048)
     parser.add_argument("--length", type=int, help="of rollouts, control steps")
