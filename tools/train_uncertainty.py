@@ -27,13 +27,15 @@ from typing import Any
 
 import numpy as np
 import torch
+from safetensors.torch import load_file
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "backends")]
 
 from orbisim_world_model.checkpoint import (  # noqa: E402  (needs the path above)
+    WEIGHTS,
     load_checkpoint,
-    save_checkpoint,
+    write_parts,
 )
 from orbisim_world_model.pack import Pack, joined  # noqa: E402
 from orbisim_world_model.packing import read_data  # noqa: E402
@@ -64,6 +66,7 @@ def main() -> None:
     run = SpreadRun(
         steps=options.steps,
         limit=options.limit,
+        finest=options.finest,
         windows=options.windows,
         length=options.length,
         seed=options.seed,
@@ -181,13 +184,17 @@ def _factor(known: dict[str, Any], model: Any, data: Any) -> Any:
 
 
 def _write(checkpoint: Any, model: Any, known: dict[str, Any], out: Path) -> None:
-    """The checkpoint with its spread, and what else lay beside it."""
+    """The checkpoint with its spread; all other weights as they are stored, in few bits or not."""
     out.mkdir(parents=True, exist_ok=True)
     for name in ("card.md", "metrics.jsonl", "curves.png"):
         if (checkpoint.path / name).exists() and checkpoint.path != out:
             shutil.copy(checkpoint.path / name, out / name)
-    manifest = {k: v for k, v in checkpoint.manifest.items() if k != "uncertainty"}
-    save_checkpoint(out, [model], {**manifest, "uncertainty": known, "parameters": _count(model)})
+    stored = load_file(str(checkpoint.path / WEIGHTS))
+    tensors = {name: tensor for name, tensor in stored.items() if not name.startswith("spread.")}
+    for name, tensor in model.spread.state_dict().items():
+        tensors[f"spread.{name}"] = tensor.detach().cpu().contiguous()
+    manifest = {**checkpoint.manifest, "uncertainty": known, "parameters": _count(model)}
+    write_parts(out, tensors, manifest)
 
 
 def _count(model: Any) -> int:
@@ -209,6 +216,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--json", type=Path)
     parser.add_argument("--steps", type=int, default=1500)
     parser.add_argument("--limit", type=float, help="seconds of training at most")
+    parser.add_argument("--finest", type=float, default=1e-3, help="see SpreadRun")
     parser.add_argument("--windows", type=int, default=6000)
     parser.add_argument("--test-windows", type=int, default=2048)
     parser.add_argument("--length", type=int, help="of rollouts, control steps")

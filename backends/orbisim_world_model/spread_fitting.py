@@ -60,6 +60,8 @@ class SpreadRun:
     Attributes:
       steps, batch: of training; rollouts in a batch. rate: of learning, at the start.
       limit: of training, s, if it comes before `steps`.
+      finest: what errors are told apart from in training, in `spread.UNITS`: less than in
+        intervals, since small errors show where large ones come from.
       windows: rollouts to train on. length: of each, control steps; as long as the longest episode
         if None. Where packs differ in it, longer rollouts are fewer by as much, in `windows` and in
         `batch`.
@@ -73,6 +75,7 @@ class SpreadRun:
     width: int = WIDTH
     seed: int = 0
     limit: float | None = None
+    finest: float = 1e-3
 
 
 def fit_spread(
@@ -109,7 +112,7 @@ def fit_spread(
         for parameters in optimizer.param_groups:
             parameters["lr"] = run.rate * 0.5 * (1 + math.cos(math.pi * progress))
         part = group.at(chosen)
-        loss = spread_loss(deviations(model, part), part)
+        loss = spread_loss(deviations(model, part, run.finest), part)
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(model.spread.parameters(), 1.0)
@@ -154,7 +157,7 @@ def rollouts(model: Dynamics, pack: Pack, length: int, count: int, seed: int) ->
     return _joined(found)
 
 
-def deviations(model: Dynamics, data: Rollouts) -> Tensor:
+def deviations(model: Dynamics, data: Rollouts, floor: float = FLOOR) -> Tensor:
     """Standard deviations [L, B, K, 2] that the model's spread predicts, in `spread.UNITS`."""
     assert model.spread is not None
     length, size = data.control.shape[:2]
@@ -170,7 +173,7 @@ def deviations(model: Dynamics, data: Rollouts) -> Tensor:
     for t in range(length):
         variance = propagated(gain[t], noise[t], variance)
         found.append(variance)
-    return deviation(torch.stack(found))
+    return deviation(torch.stack(found), floor)
 
 
 def spread_loss(sizes: Tensor, data: Rollouts) -> Tensor:

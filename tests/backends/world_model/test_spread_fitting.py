@@ -81,6 +81,19 @@ def test_episodes_of_other_lengths_take_turns(model: Dynamics, pack: Pack) -> No
     assert known["factor"]["objects"] != only["factor"]["objects"]  # the long ones count
 
 
+def test_deviations_are_no_smaller_than_the_floor(model: Dynamics, pack: Pack) -> None:
+    data = rollouts(model.eval(), pack, 3, 4, 0)
+    spread = model.with_spread(8).spread
+    assert spread is not None
+    torch.nn.init.constant_(spread.noise.bias, -20.0)
+    with torch.no_grad():
+        fine, coarse = (deviations(model, data, floor) for floor in (1e-3, 2.0))
+        assert torch.equal(deviations(model, data), deviations(model, data, FLOOR))
+    model.spread = None
+    assert ((fine >= 1e-3) & (fine < 2e-3)).all()  # e^-20 and its sum add next to nothing
+    torch.testing.assert_close(coarse, torch.full_like(coarse, 2.0))
+
+
 def test_a_limit_of_seconds_ends_it(model: Dynamics, pack: Pack) -> None:
     run = SpreadRun(steps=1_000_000, limit=0.3, windows=8, batch=4, length=4, width=8)
     assert 1 <= fit_spread(model, [pack], [pack], run)["steps"] < 10_000
