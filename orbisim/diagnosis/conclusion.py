@@ -203,8 +203,10 @@ def _sure(context: Context, before: Judged, after: Judged) -> Sure:
         rejected = (*sure.rejected, (gone, _VAGUE), *again.rejected)
         sure = again._replace(rejected=rejected)
     hypothesis = sure.judged.hypothesis
-    if not hypothesis.effects and hypothesis.factors and sure.judged.ratio > NEAR:
-        return sure._replace(judged=before)
+    if not hypothesis.effects and hypothesis.factors:
+        gain = worth(context.bench, bare, sure.judged)
+        if sure.judged.ratio > NEAR or gain.sure <= 0:
+            return sure._replace(judged=before)
     return sure
 
 

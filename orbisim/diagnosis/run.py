@@ -146,7 +146,9 @@ def diagnose(
         forces: Diagnosis | None = None
         if residual == "force" or (either and _arm(loaded, fit)):
             forces = by_forces(_SEARCH if residual else _FORCES)
-            if residual == "force" or len(forces.effects) >= loaded.model.nv:
+            # where forces reach their noise, which is large, free runs may still say more
+            many = len(forces.effects) >= loaded.model.nv and forces.verdict != "explained"
+            if residual == "force" or many:
                 result = forces
         if result is None:
             chosen = telling_window(loaded, fit) if window is None else window

@@ -15,7 +15,7 @@ import dataclasses
 import itertools
 
 from orbisim.diagnosis.context import Context, Progress, begun
-from orbisim.diagnosis.discretization import Other, earlier, settled
+from orbisim.diagnosis.discretization import earlier, settled
 from orbisim.diagnosis.explanations import EVEN, Found, done, quiet
 from orbisim.diagnosis.moves import best_move
 from orbisim.diagnosis.reselection import reselected
@@ -89,11 +89,14 @@ def _round(found: Found, number: int) -> Found:
         return in_form(found, lead)
     best, tried, late = best_move(found, number)
     found = dataclasses.replace(found, tried=(*found.tried, *tried))
+    if lead is not None and (best is None or _less(found.context, found.best, best, lead[1])):
+        led = in_form(found, lead)
+        return dataclasses.replace(led, late=led.late or late)
     kept = found if best is None else dataclasses.replace(found, best=best)
     if late:
         return dataclasses.replace(kept, late=True)
     try:
-        return _made(found, number, best, lead)
+        return simplified(found, number) if best is None else _made(found, number, best)
     except TimeIsUpError:  # what was found is the answer, and not to be lost
         return dataclasses.replace(kept, late=True)
 
@@ -107,13 +110,9 @@ def _in_best_form(found: Found) -> Found:
     return dataclasses.replace(found, screening=screening)
 
 
-def _made(found: Found, number: int, best: Judged | None, lead: Other | None) -> Found:
-    """The best move, or controls that lead if that is worth more; without, something simpler."""
+def _made(found: Found, number: int, best: Judged) -> Found:
+    """The best move, and what it makes superfluous gone."""
     context, current = found.context, found.best
-    if lead is not None and (best is None or _less(context, current, best, lead[1])):
-        return in_form(found, lead)
-    if best is None:
-        return simplified(found, number)
     fair = _fairly(context, current, best)
     if fair is not None:
         declared = found.declared if current.hypothesis.effects else fair

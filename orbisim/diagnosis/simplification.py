@@ -142,7 +142,15 @@ def _held(fit: Fit, own: Sequence[int], neutral: Sequence[float], gone: Sequence
     kept = np.setdiff1d(np.arange(len(fit.values)), gone)
     values = fit.values - moved @ (fit.values[index] - np.array(neutral))
     covariance = c - moved @ c[index]
-    return dataclasses.replace(fit, values=values[kept], covariance=covariance[np.ix_(kept, kept)])
+    both = np.ix_(kept, kept)
+    return dataclasses.replace(
+        fit,
+        values=values[kept],
+        covariance=covariance[both],
+        information=fit.information[:, both[0], both[1]],
+        score=fit.score[:, kept],
+        prior=None if fit.prior is None else fit.prior[both],
+    )
 
 
 def only_sure(context: Context, judged: Judged, refit: Refit, bare: Judged | None = None) -> Sure:

@@ -81,23 +81,25 @@ def log_prior(bench: Bench, judged: Judged, data: float) -> float:
 
     Laplace's approximation of the evidence is the likelihood at the fitted numbers, times their
     prior density there, times the volume that the data leave of them. The density is that of its
-    peak (in `number_costs` and `retuning_costs`, with the volume) and how far below the peak the
+    peak (in `number_costs` and `retuning_cost`, with the volume) and how far below the peak the
     fitted numbers are (in `prior`).
 
     Args:
       data: how many data are independent.
     """
     effects = prior(bench, judged.hypothesis) - float(number_costs(bench, judged, data).sum())
-    return effects - float(retuning_costs(bench, judged, data).sum())
+    return effects - retuning_cost(bench, judged, data)
 
 
 def number_costs(bench: Bench, judged: Judged, data: float) -> Floats:
     """[P]: by how much each number of an effect lowers the log evidence at its prior's peak: half
     the logarithm of the number of data with a prior worth one datum; with one that is stated
-    (`Parameter.usual`), width of the prior over what the data leave of it, which costs no more."""
+    (`Parameter.usual`), width of the prior over what the data leave of it, which costs no more.
+    What the data do not determine (`Hypothesis.frozen`) is as wide as its prior: it costs nothing.
+    """
     hypothesis, model = judged.hypothesis, bench.scene.model
     most = 0.5 * float(np.log(data))
-    found = np.full(len(hypothesis.free(bench.scene)) + len(hypothesis.frozen), most)
+    found = np.full(len(hypothesis.free(bench.scene)), most)
     for k, (i, name) in enumerate(hypothesis.free(bench.scene)):
         one = hypothesis.effects[i]
         known = {p.name: p.usual for p in find(one.effect).parameters(model, one.target)}
@@ -106,6 +108,20 @@ def number_costs(bench: Bench, judged: Judged, data: float) -> Floats:
             width = known[name] * np.sqrt(np.pi / 2) / deviation  # 1 / (peak sqrt(2 pi) deviation)
             found[k] = np.clip(np.log(width), 0.0, most)
     return found
+
+
+def retuning_cost(bench: Bench, judged: Judged, data: float) -> float:
+    """By how much all retuned declared parameters together lower the log evidence: as
+    `retuning_costs`, with the volume that the data leave of all of them. Masses, dampings and gains
+    that grow alike move nothing: each alone is hardly known then, and their ratios are."""
+    hypothesis = judged.hypothesis
+    if not hypothesis.factors:
+        return 0.0
+    first = len(hypothesis.free(bench.scene))
+    left = np.linalg.eigvalsh(np.nan_to_num(judged.fit.covariance[first:, first:]))
+    width = 0.5 * np.log(SPREAD**2 / np.maximum(left, 1e-300))
+    away = np.array([factor - 1 for _, factor in hypothesis.factors]) / SPREAD
+    return float(np.clip(width, 0.0, 0.5 * np.log(data)).sum() + (away**2).sum() / 2)
 
 
 def retuning_costs(bench: Bench, judged: Judged, data: float) -> Floats:

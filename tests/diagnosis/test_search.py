@@ -19,14 +19,14 @@ from orbisim.diagnosis.proposals import events, exchanges
 from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.simplification import plain
-from orbisim.diagnosis.worth import number_costs, prior, worth
+from orbisim.diagnosis.worth import number_costs, prior, retuning_cost, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
-from orbisim.shooting.retune import Tunable, retuned
+from orbisim.shooting.retune import SPREAD, Tunable, retuned
 from orbisim.testing import inject_effect
 
 ASSETS = Path(__file__).parents[2] / "mjcf_assets"
@@ -217,6 +217,34 @@ def test_a_number_of_a_usual_size_costs_the_width_of_its_prior(arm: orbisim.Scen
     assert costs(2e-4) == pytest.approx([np.log(np.sqrt(np.pi / 2) * 5), most])
     assert costs(1e-9) == pytest.approx([most, most])  # never more than one of unknown size
     assert costs(1.0) == pytest.approx([0.0, most])  # nor a reward
+    held = dataclasses.replace(judged.hypothesis, frozen=frozenset({(1, "coefficient")}))
+    known = dataclasses.replace(judged, hypothesis=held)
+    assert len(number_costs(context.bench, known, 1000.0)) == 1  # what is not determined is free
+
+
+def test_declared_parameters_that_grow_alike_cost_what_is_known_of_their_ratios(
+    arm: orbisim.Scene,
+) -> None:
+    context = begun(bench_of(arm, FRICTION), Settings(), lambda _: None).with_tunables()
+    assert len(context.tunables) >= 3
+    judged = context.judge.judge(Hypothesis((FRICTION,)).tuned(context.tunables[:3]))
+    assert judged is not None and len(judged.hypothesis.factors) == 3
+    plain = dataclasses.replace(
+        judged.hypothesis, factors=tuple((one, 1.0) for one, _ in judged.hypothesis.factors)
+    )
+    first, known = len(judged.fit.values) - 3, 1e-3
+
+    def cost(covariance: np.ndarray) -> float:
+        whole = np.eye(len(judged.fit.values))
+        whole[first:, first:] = covariance
+        fit = dataclasses.replace(judged.fit, covariance=whole)
+        found = dataclasses.replace(judged, fit=fit, hypothesis=plain)
+        return retuning_cost(context.bench, found, 1e6)
+
+    each = np.log(SPREAD / known)
+    assert cost(known**2 * np.eye(3)) == pytest.approx(3 * each)
+    together = known**2 * np.eye(3) + np.ones((3, 3))  # each alone is hardly known
+    assert cost(together) == pytest.approx(2 * each, rel=1e-3)
 
 
 def test_what_cannot_be_told_from_nothing_goes_but_not_what_is_refined(
@@ -257,6 +285,38 @@ def test_what_was_fitted_in_time_is_compared_and_kept(
     monkeypatch.setattr(module, "_fairly", lambda *_: late.check())
     found = module._round(Found(context, 0.002, declared, declared), 1)
     assert found.late and found.best is best and found.tried == (tried,)
+
+
+def test_controls_that_lead_are_not_lost_where_the_time_is_up(
+    arm: orbisim.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from orbisim.diagnosis import search as module
+
+    context = begun(bench_of(arm, FRICTION), Settings(), lambda _: None)
+    declared, other = (context.judge.judge(Hypothesis(e)) for e in ((), (FRICTION,)))
+    assert declared is not None and other is not None
+    # stands for the declared scene with other controls: what it leaves is little
+    better = dataclasses.replace(other, hypothesis=Hypothesis())
+    monkeypatch.setattr(module, "done", lambda *_: False)
+    monkeypatch.setattr(module, "earlier", lambda *_: (context, better))
+    monkeypatch.setattr(module, "best_move", lambda *_: (None, [], True))
+    found = module._round(Found(context, 0.002, declared, declared), 1)
+    assert found.late and found.best is better
+
+
+def test_what_cannot_be_told_from_nothing_is_not_the_answer_where_the_time_is_up(
+    arm: orbisim.Scene,
+) -> None:
+    context = begun(bench_of(arm, FRICTION), Settings(), lambda _: None)
+    idle = EffectInstance("armature", "shoulder", {"inertia": 1e-4})
+    declared, both = (context.judge.judge(Hypothesis(e)) for e in ((), (FRICTION, idle)))
+    assert declared is not None and both is not None
+    found = _as_found(Found(context, 0.002, declared, both, late=True), Deadline(0.0))
+    assert names(found.hypothesis) == {("coulomb_friction", "shoulder")}
+    (torque,) = found.hypothesis.values(arm)
+    alone = context.judge.judge(Hypothesis((FRICTION,)))
+    assert alone is not None
+    assert torque == pytest.approx(alone.fit.values[0], rel=0.02)
 
 
 def test_where_the_time_was_up_what_was_sure_at_first_is_the_answer(arm: orbisim.Scene) -> None:
