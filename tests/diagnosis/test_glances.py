@@ -118,7 +118,8 @@ def test_friction_is_suspected_on_its_side_of_the_declared(
 ) -> None:
     declared = orbisim.load_scene(TABLE.format(friction=0.35))
     bench = make_bench(declared, prepare_all(slides(true), declared), 0.25)
-    context = begun(bench, Settings(), lambda _: None)
+    few = Settings(effects=("sliding_friction", "linear_drag", "restitution"))
+    context = begun(bench, few, lambda _: None)
     nothing = context.judge.judge(Hypothesis())
     assert nothing is not None
     listed = shortlist(context, nothing, context.screen(nothing).suspects)
