@@ -11,6 +11,8 @@ VENV ?= .venv
 export VENV
 PY := $(VENV)/bin/python
 export PYTHONNOUSERSITE := 1
+# else each of some hundred processes of the tests would compile the same modules
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test test-all lint docs tutorials examples bench setup clean
 

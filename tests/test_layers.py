@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import dataclasses
+import functools
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -106,31 +107,37 @@ def modules() -> dict[str, Path]:
 MODULES = modules()
 
 
+def import_statements(
+    node: ast.AST, deferred: bool = False
+) -> Iterator[tuple[ast.Import | ast.ImportFrom, bool]]:
+    """The import statements below a node, and whether each stands in a function."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.Import | ast.ImportFrom):
+            yield child, deferred
+        elif not isinstance(child, ast.expr):  # no expression holds a statement
+            inner = isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef)
+            yield from import_statements(child, deferred or inner)
+
+
 def imports_of(module: str) -> Iterator[Import]:
     """The imports of the project that a module makes, anywhere in it."""
-    tree = ast.parse(MODULES[module].read_text())
-    inner = {
-        id(node)
-        for outer in ast.walk(tree)
-        if isinstance(outer, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda))
-        for node in ast.walk(outer)
-    }
-    for node in ast.walk(tree):
+    for node, deferred in import_statements(ast.parse(MODULES[module].read_text())):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
+        else:
             assert not node.level, f"{module}:{node.lineno} is a relative import"
             base = node.module or ""
             whole = [f"{base}.{alias.name}" for alias in node.names]
             names = [name if name in MODULES else base for name in whole]
-        else:
-            continue
         for name in names:
             if name in MODULES and name != module:
-                yield Import(module, name, node.lineno, id(node) in inner)
+                yield Import(module, name, node.lineno, deferred)
 
 
-IMPORTS = [one for module in MODULES for one in imports_of(module)]
+@functools.cache
+def imports() -> tuple[Import, ...]:
+    """All of them. Read by tests alone: others import this module for what it knows of files."""
+    return tuple(one for module in MODULES for one in imports_of(module))
 
 
 def part_of(module: str) -> str:
@@ -162,7 +169,7 @@ def _allowed(one: Import) -> bool:
 
 
 def test_imports_run_downwards() -> None:
-    wrong = [f"{i.importer}:{i.where} imports {i.imported}" for i in IMPORTS if not _allowed(i)]
+    wrong = [f"{i.importer}:{i.where} imports {i.imported}" for i in imports() if not _allowed(i)]
     assert not wrong
 
 
@@ -178,7 +185,7 @@ def cycles(edges: dict[str, set[str]]) -> list[set[str]]:
 
 def test_there_are_no_cycles() -> None:
     edges: dict[str, set[str]] = {module: set() for module in MODULES}
-    for one in IMPORTS:
+    for one in imports():
         edges[one.importer].add(one.imported)
     assert not cycles(edges)
 
@@ -192,12 +199,12 @@ def test_imports_stand_at_the_top() -> None:
     def excused(module: str) -> bool:
         return any(module == name or module.startswith(f"{name}.") for name in DEFERRED)
 
-    deferred = [one for one in IMPORTS if one.deferred]
+    deferred = [one for one in imports() if one.deferred]
     wrong = [f"{i.importer}:{i.where}" for i in deferred if not excused(i.importer)]
     assert not wrong
 
 
 @pytest.mark.parametrize("name", DEFERRED)
 def test_every_excuse_is_used(name: str) -> None:
-    users = {one.importer for one in IMPORTS if one.deferred}
+    users = {one.importer for one in imports() if one.deferred}
     assert any(user == name or user.startswith(f"{name}.") for user in users)

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 from matplotlib.axis import Tick
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
@@ -63,6 +64,7 @@ def to_svg(drawn: Figure, alt: str) -> Markup:
     buffer = io.StringIO()
     prefix = f"f{next(_counter)}-"
     with mpl.rc_context({**_STYLE, "svg.hashsalt": prefix}):
+        _lay_out(drawn)
         drawn.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     svg = buffer.getvalue()
     svg = svg[svg.index("<svg") :]
@@ -73,6 +75,15 @@ def to_svg(drawn: Figure, alt: str) -> Markup:
     svg = re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', 'width="100%"', svg, count=1)
     label = Markup.escape(alt)
     return Markup(svg.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1))
+
+
+def _lay_out(drawn: Figure) -> None:
+    """Places what is in the figure, for which `savefig` would draw it once more."""
+    layout = drawn.get_layout_engine()
+    if layout is not None:
+        FigureCanvasSVG(drawn)  # measures texts as the SVG has them
+        layout.execute(drawn)
+        drawn.set_layout_engine(None)
 
 
 def _take_literally(drawn: Figure) -> None:

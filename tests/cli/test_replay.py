@@ -27,6 +27,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     capture(scene, simulate(scene, 400), rate=100).save(path / "b.csv")
     noisy = capture(rubbing, simulate(rubbing, 500), noise=1e-3)
     noisy.save(path / "c.parquet")
+    pendulum = load_scene(PENDULUM)
+    capture(pendulum, simulate(pendulum, 200)).save(path / "swing.npz")
     return path
 
 
@@ -69,7 +71,7 @@ def test_table_and_report(capsys: pytest.CaptureFixture[str], folder: Path, tmp_
 
 
 def test_whole_recordings(capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path) -> None:
-    files = [folder / "scene.xml", folder / "a.npz"]
+    files = [folder / "pendulum.xml", folder / "swing.npz"]
     arguments = ["--window", "0", "--out", tmp_path]
     status, out, _ = output(capsys, "replay", *files, *arguments)
     assert status == 0

@@ -29,6 +29,13 @@ def example(arm: orbisim.Scene) -> Diagnosis:
     return orbisim.diagnose(ARM / "scene.xml", runs, progress=False)
 
 
+@pytest.fixture(scope="module")
+def saved(example: Diagnosis, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("example")
+    example.save(folder)
+    return folder
+
+
 def test_finds_the_friction_of_the_example(example: Diagnosis) -> None:
     (effect,) = example.effects
     assert (effect.effect, effect.target) == ("coulomb_friction", "elbow")
@@ -58,16 +65,15 @@ def test_held_out_recordings_are_not_fitted(example: Diagnosis) -> None:
     assert not fit & held
 
 
-def test_files(example: Diagnosis, tmp_path: Path) -> None:
-    example.save(tmp_path)
-    report = json.loads((tmp_path / "report.json").read_text())
+def test_files(saved: Path) -> None:
+    report = json.loads((saved / "report.json").read_text())
     assert report["schema"] == "orbisim.diagnosis/1"
     assert {"scene", "recordings", "noise", "residual", "verdict", "effects"} <= report.keys()
     assert {"alternatives", "error", "augmented_scene"} <= report.keys()
     assert report["effects"][0]["native"] is True
-    model = mujoco.MjModel.from_xml_path(str(tmp_path / report["augmented_scene"]))
+    model = mujoco.MjModel.from_xml_path(str(saved / report["augmented_scene"]))
     assert model.joint("elbow").frictionloss[0] == pytest.approx(0.12, rel=0.01)
-    page = (tmp_path / "report.html").read_text()
+    page = (saved / "report.html").read_text()
     assert "Coulomb friction" in page
     assert "src=" not in page.split("</head>")[0]
 
@@ -91,9 +97,8 @@ def test_what_it_was_made_from(example: Diagnosis, tmp_path: Path) -> None:
     assert _digest("made here") is None
 
 
-def test_the_augmented_scene_replays_as_reported(example: Diagnosis, tmp_path: Path) -> None:
-    example.save(tmp_path)
-    found = orbisim.replay(tmp_path / "augmented" / "scene.xml", list(example.held_out))
+def test_the_augmented_scene_replays_as_reported(example: Diagnosis, saved: Path) -> None:
+    found = orbisim.replay(saved / "augmented" / "scene.xml", list(example.held_out))
     assert found.rms == pytest.approx(example.error["held_out"]["after"], rel=1e-6)
 
 

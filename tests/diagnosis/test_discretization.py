@@ -39,7 +39,7 @@ def _scene(step: float) -> orbisim.Scene:
 
 
 def test_a_step_that_is_too_long_is_shortened_instead_of_explained() -> None:
-    runs = inject_effect(_scene(0.0005), [], duration=4.0, episodes=4, noise=5e-4, seed=1)
+    runs = inject_effect(_scene(0.0005), [], duration=2.0, episodes=3, noise=5e-4, seed=1)
     result = orbisim.diagnose(_scene(0.01), runs, progress=False)
     assert result.verdict == "no_residual" and not result.effects
     assert result.augmented_scene.model.opt.timestep < 0.006
@@ -49,7 +49,7 @@ def test_a_step_that_is_too_long_is_shortened_instead_of_explained() -> None:
 
 def test_an_effect_is_found_beside_it() -> None:
     friction = EffectInstance("coulomb_friction", "hinge", {"torque": 0.05})
-    runs = inject_effect(_scene(0.0005), friction, duration=4.0, episodes=4, noise=5e-4, seed=1)
+    runs = inject_effect(_scene(0.0005), friction, duration=2.0, episodes=3, noise=5e-4, seed=1)
     few = Settings(effects=("coulomb_friction", "viscous_damping", "clock_skew"))
     result = orbisim.diagnose(_scene(0.01), runs, settings=few, progress=False)
     assert [(e.effect, e.target) for e in result.effects] == [("coulomb_friction", "hinge")]
@@ -91,7 +91,7 @@ def test_controls_are_looked_for_elsewhere_with_another_step() -> None:
 
 def test_a_step_that_is_right_stays() -> None:
     scene = _scene(0.005)
-    runs = inject_effect(scene, [], duration=4.0, episodes=4, noise=5e-4, seed=1)
+    runs = inject_effect(scene, [], duration=2.0, episodes=3, noise=5e-4, seed=1)
     bench = make_bench(scene, prepare_all(runs, scene), 0.5)
     context = begun(bench, Settings(), lambda _: None)
     judged = context.judge.judge(Hypothesis())
@@ -103,7 +103,7 @@ def test_a_step_does_not_stand_in_for_an_effect_in_the_end() -> None:
     """As long as damping is missing, another step is better; beside it, none is."""
     scene = _scene(0.005)
     damping = EffectInstance("viscous_damping", "hinge", {"coefficient": 0.05})
-    runs = inject_effect(scene, damping, duration=4.0, episodes=4, noise=5e-4, seed=1)
+    runs = inject_effect(scene, damping, duration=2.0, episodes=3, noise=5e-4, seed=1)
     few = Settings(effects=("viscous_damping", "armature", "clock_skew"))
     result = orbisim.diagnose(scene, runs, settings=few, progress=False)
     assert [(e.effect, e.target) for e in result.effects] == [("viscous_damping", "hinge")]
@@ -112,7 +112,7 @@ def test_a_step_does_not_stand_in_for_an_effect_in_the_end() -> None:
 
 def test_one_that_was_shortened_in_vain_grows_again() -> None:
     scene = _scene(0.005)
-    runs = inject_effect(scene, [], duration=4.0, episodes=4, noise=5e-4, seed=1)
+    runs = inject_effect(scene, [], duration=2.0, episodes=3, noise=5e-4, seed=1)
     fine = timestep.with_timestep(scene, 0.00125)
     bench = make_bench(fine, prepare_all(runs, fine), 0.5)
     context = begun(bench, Settings(), lambda _: None)
@@ -134,7 +134,7 @@ def _commanded(seed: int, tick: float, early: float | None = None) -> orbisim.Re
     levels = rng.uniform(-1, 1, 402)
     phase = (rng.uniform(0, tick) if early is None else early) + 1e-6
     rows = []
-    for step in range(4000):
+    for step in range(2000):
         data.ctrl[0] = levels[int((data.time + phase) / tick)]
         if step % 10 == 0:
             rows.append((data.time, data.qpos[0] + 5e-4 * rng.normal(), data.ctrl[0]))
@@ -181,7 +181,7 @@ def test_the_time_by_which_controls_lead_is_found() -> None:
 def test_the_step_that_predicts_best_is_found(true: float) -> None:
     """Not only halves of the declared one: what is left of a simulated machine's own step would be
     named as a damping or a clock."""
-    runs = inject_effect(_scene(true), [], duration=4.0, episodes=4, noise=2e-4, seed=1)
+    runs = inject_effect(_scene(true), [], duration=2.0, episodes=3, noise=2e-4, seed=1)
     scene = _scene(0.01)
     bench = make_bench(scene, prepare_all(runs, scene), 0.5)
     context = begun(bench, Settings(), lambda _: None)
@@ -200,7 +200,7 @@ def test_a_step_is_shortened_where_bodies_touch() -> None:
       <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass=".3"/></body></worldbody>
       <actuator><position name="servo" joint="hinge" kp="4" kv=".2"/></actuator></mujoco>"""
     truth, scene = (orbisim.load_scene(ball.format(step=step)) for step in (0.001, 0.008))
-    runs = inject_effect(truth, [], duration=2.0, episodes=4, noise=2e-4, seed=1)
+    runs = inject_effect(truth, [], duration=1.0, episodes=3, noise=2e-4, seed=1)
     bench = make_bench(scene, prepare_all(runs, scene), 0.25)
     context = begun(bench, Settings(), lambda _: None)
     judged = context.judge.judge(Hypothesis())
@@ -217,7 +217,7 @@ def test_controls_that_hardly_change_are_not_asked() -> None:
 
 
 def test_no_step_is_finer_where_most_windows_have_impacts() -> None:
-    runs = inject_effect(_scene(0.001), [], duration=4.0, episodes=2, noise=5e-4, seed=1)
+    runs = inject_effect(_scene(0.001), [], duration=2.0, episodes=2, noise=5e-4, seed=1)
     scene = _scene(0.01)
     smooth = make_bench(scene, prepare_all(runs, scene), 0.5)
     jumps = [np.ones_like(one.jumps) for one in smooth.samples]

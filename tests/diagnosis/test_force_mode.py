@@ -29,7 +29,7 @@ from orbisim.testing import inject_effect
 
 
 def recorded(arm: orbisim.Scene, *effects: EffectInstance) -> list[Recording]:
-    return inject_effect(arm, effects, duration=4.0, episodes=4, noise=1e-4, seed=5)
+    return inject_effect(arm, effects, duration=3.0, episodes=3, noise=1e-4, seed=5)
 
 
 def test_finds_several_effects_at_once(

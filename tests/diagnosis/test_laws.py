@@ -30,7 +30,7 @@ CORD = EffectInstance(
 
 def found(arm: orbisim.Scene, truth: EffectInstance) -> tuple[Bench, Judged, str]:
     """A spring fitted to recordings of the arm with an effect, and the law that is better."""
-    runs = inject_effect(arm, truth, duration=6.0, episodes=3, noise=2e-4, seed=3)
+    runs = inject_effect(arm, truth, duration=3.0, episodes=3, noise=2e-4, seed=3)
     bench = make_bench(arm, prepare_all(runs, arm), 0.5)
     context = begun(bench, Settings(), lambda _: None)
     judged = context.judge.judge(Hypothesis((SPRING,)), 8)
@@ -85,7 +85,7 @@ def test_a_scale_and_an_offset_are_no_names_for_an_eccentric_encoder(arm: orbisi
     """Two waves a turn are none of the catalogue's; along a part of a turn a scale and an offset
     do some of what they do."""
     runs = []
-    for run in inject_effect(arm, [], duration=6.0, episodes=3, noise=2e-4, seed=3):
+    for run in inject_effect(arm, [], duration=3.0, episodes=3, noise=2e-4, seed=3):
         q = run["qpos/elbow"]
         read = q + 0.02 * np.sin(2 * q + 0.7)
         kept = {n: v for n, v in run.signals.items() if not n.startswith("qvel")}

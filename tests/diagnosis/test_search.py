@@ -37,9 +37,13 @@ ALLOWED = ("coulomb_friction", "viscous_damping", "torque_bias", "joint_spring",
 
 
 def bench_of(
-    arm: orbisim.Scene, *effects: EffectInstance, true: orbisim.Scene | None = None
+    arm: orbisim.Scene,
+    *effects: EffectInstance,
+    true: orbisim.Scene | None = None,
+    seconds: float = 2.0,
 ) -> Bench:
-    runs = inject_effect(true or arm, list(effects), duration=4.0, episodes=3, noise=1e-4, seed=4)
+    made = {"duration": seconds, "episodes": 2, "noise": 1e-4, "seed": 4}
+    runs = inject_effect(true or arm, list(effects), **made)
     return make_bench(arm, prepare_all(runs, arm), 0.5)
 
 
@@ -90,7 +94,7 @@ def test_the_scene_as_declared_is_no_start_for_other_effects(arm: orbisim.Scene)
 def test_a_needless_effect_is_dropped(arm: orbisim.Scene) -> None:
     """On a machine with another effect besides; what is left is far above the noise."""
     other = EffectInstance("cogging", "elbow", {"amplitude": 0.1, "periods": 3.0, "phase": 0.4})
-    context = begun(bench_of(arm, FRICTION, other), Settings(), lambda _: None)
+    context = begun(bench_of(arm, FRICTION, other, seconds=4.0), Settings(), lambda _: None)
     idle = EffectInstance("armature", "shoulder", {"inertia": 1e-4})
     declared = context.judge.judge(Hypothesis())
     both = context.judge.judge(Hypothesis((FRICTION, idle)))
@@ -194,9 +198,9 @@ class Counted:
 
 def test_the_best_so_far_is_returned_when_the_time_is_up(arm: orbisim.Scene) -> None:
     whole = bench_of(arm, FRICTION, DAMPING, BIAS)
-    soon, few = cast(Any, Counted(700)), Settings(retune=False, effects=ALLOWED)
+    soon, few = cast(Any, Counted(200)), Settings(retune=False, effects=ALLOWED)
     found = attribute(dataclasses.replace(whole, deadline=soon), few)
-    assert found.cut_short and found.before.ratio > 10
+    assert found.cut_short and 10 < found.after.ratio < 0.9 * found.before.ratio
     assert found.bench.deadline is NEVER
     none = search(dataclasses.replace(whole, deadline=Deadline(0.0)), Settings())
     assert none.late and none.best is none.declared

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import re
+from typing import Any
 from xml.etree import ElementTree
 
+import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from orbisim.report import figures
 
@@ -40,6 +44,28 @@ def test_two_figures_of_a_page_share_no_name() -> None:
     used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', svg))
     assert used
     assert used <= names
+
+
+def test_a_figure_is_drawn_once_and_placed_as_savefig_places_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def made() -> tuple[Figure, Any]:
+        figure, axes = figures.figure()
+        axes.plot([0, 1], [1e5, 2e5], label="line")
+        axes.set(title="two\nlines", ylabel="a label")
+        return figure, axes
+
+    expected, box = made()
+    with mpl.rc_context(figures._STYLE):
+        expected.savefig(io.BytesIO(), format="svg")
+    figure, axes = made()
+    before, draws = np.array(axes.get_position()), []
+    draw = type(axes).draw
+    monkeypatch.setattr(type(axes), "draw", lambda *given: (draws.append(1), draw(*given)))
+    figures.to_svg(figure, "alt")
+    assert len(draws) == 1
+    np.testing.assert_allclose(np.array(axes.get_position()), np.array(box.get_position()))
+    assert np.abs(np.array(axes.get_position()) - before).max() > 0.01
 
 
 def test_a_band_is_median_and_quantiles_of_what_is_finite() -> None:

@@ -50,7 +50,7 @@ def test_training_brings_the_error_down(name: str, tmp_path: Path) -> None:
     """Of what it was trained on: below that of going on as before, and of its own start."""
     lines: list[dict[str, Any]] = []
     stages = {"train__stages": "1x4x8", "train__noise": "0.05"}
-    run = Run(out=tmp_path / "out", steps=150, log_every=25)
+    run = Run(out=tmp_path / "out", steps=60, log_every=10)
     train_cloth(falls(), toy_cloth(name, **stages), run, lines.append, held=falls())
     assert lines[-1]["loss"] < 0.9 * lines[0]["loss"]
     metrics = read_cloth_manifest(tmp_path / "out")["metrics"]
