@@ -35,7 +35,7 @@ def _shares(time: Floats, period: float, phase: float) -> Floats:
     return shares
 
 
-@settings(deadline=None, max_examples=50)  # each takes 40 ms
+@settings(deadline=None, max_examples=100)  # each takes 40 ms
 @given(st.floats(1.15, 8.0), st.floats(0.0, 1.0))
 def test_a_share_is_what_is_left_of_an_interval_after_the_change(
     samples: float, place: float
