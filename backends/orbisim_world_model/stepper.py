@@ -14,6 +14,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
+from orbisim.errors import EngineError
 from orbisim_world_model.dynamics import Dynamics
 from orbisim_world_model.entities import Context, Entities
 from orbisim_world_model.graphs import Graphed
@@ -190,6 +191,12 @@ class Stepper:
             except Exception as error:  # compilers fail in many ways; the step itself does not
                 if compiler is None and self._kernels is None:
                     raise
+                if not answers(self.device):
+                    raise EngineError(
+                        f"{self.device} no longer answers after the first step of {len(x.pos)} "
+                        f"worlds ({cause(error)}), and nothing in this process can use it any "
+                        "more: begin anew with compiled=False, which leaves torch's compiler out"
+                    ) from error
                 if compiler == "joined":  # the youngest of torch's options, and the least needed
                     self._compiler = "fused"
                     continue
@@ -201,6 +208,15 @@ class Stepper:
                     self._kernels, self._compiler = None, self.speedups.compiled
                 continue
             return Slot(step, describe, compiler is not None, self.speedups.graphed, *given)
+
+
+def answers(device: torch.device) -> bool:
+    """Whether a device still computes: after an illegal access to its memory it does not, and what
+    is tried next would hide what went wrong first."""
+    try:
+        return bool(torch.zeros(1, device=device).item() == 0)
+    except RuntimeError:
+        return False
 
 
 def _shared(context: Context) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.force_data import ForceData, counts, spread
-from orbisim.diagnosis.worth import courses, prior
+from orbisim.diagnosis.worth import prior
 from orbisim.errors import OrbiSimError
 from orbisim.evidence import Blocks, Gain, counted, gain, independent_share
 from orbisim.shooting.bench import Bench
@@ -74,7 +74,7 @@ def _of_runs(bench: Bench, *both: Hypothesis) -> tuple[list[Floats], Blocks]:
     left = [lost if fit is None else mean_squares(judge.fitted, fit) for fit in fits]
     best, share = fits[int(np.argmin([np.log1p(one).mean() for one in left]))], 1.0
     if best is not None:
-        share = independent_share(courses(best, judge.fitted.windows.length))
+        share = independent_share(best.courses(judge.fitted.windows.length))
     return left, counted(judge.fitted.data, share)
 
 

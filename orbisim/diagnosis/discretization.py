@@ -19,7 +19,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 
-import mujoco
 import numpy as np
 
 from orbisim.diagnosis.context import Context
@@ -31,7 +30,7 @@ from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.halving import halving
 from orbisim.shooting.judge import Judged
-from orbisim.shooting.timestep import peak, taken, typical_interval, with_timestep
+from orbisim.shooting.timestep import peak, stepped, taken, typical_interval
 
 Other = tuple[Context, Judged]
 
@@ -76,7 +75,7 @@ def as_declared(context: Context, judged: Judged, declared: float) -> Other | No
     def doubled(bench: Bench) -> Bench | None:
         if 2 * taken(bench) > _SLACK * taken(bench, declared):
             return None
-        return _stepped(bench, 2 * taken(bench))
+        return stepped(bench, 2 * taken(bench))
 
     found = None
     for change in (_logged, doubled):
@@ -118,7 +117,7 @@ def _finer(context: Context, judged: Judged) -> Other | None:
     if context.bench.rugged:
         return None
     interval, step = typical_interval(context.bench), taken(context.bench)
-    gains, found, gain = _line(context, judged, _stepped, (step,))
+    gains, found, gain = _line(context, judged, stepped, (step,))
     error, matters = 2.0 * halving(context.bench), _MATTERS * max(judged.ratio, 1.0)
     while error > matters and len(gains) <= _HALVINGS:
         step, most, error = step / 2.0, max(gains.values()), error / 2.0
@@ -159,18 +158,6 @@ def _squares(gains: dict[float, float]) -> dict[float, float]:
     """What is left of mean squares, negative: in a model that is linear in its controls a parabola
     in their share, and nearly one in the step, which the logarithm is not far from its peak."""
     return {place: -float(np.exp(-gain)) for place, gain in gains.items()}
-
-
-def _stepped(bench: Bench, timestep: float) -> Bench:
-    """With another timestep, and controls that are looked for between samples where they do the
-    same: MuJoCo's Euler and implicit integrators move a body by the velocity that a step ends with,
-    so that a force acts half a step early."""
-    other = dataclasses.replace(bench, scene=with_timestep(bench.scene, timestep))
-    if not bench.lead or bench.scene.model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-        return other
-    later = (taken(bench) - taken(other)) / (2 * typical_interval(bench))
-    share = float(np.clip(bench.lead.share + later, -1.0, 1.0))
-    return _led(other, dataclasses.replace(bench.lead, share=share))
 
 
 _MATTERS = 0.25
@@ -228,7 +215,7 @@ def _led_best(
     bounds = (-0.5, 0.5) if lead.clock else (-1.0, 1.0)
 
     def change(bench: Bench, share: float) -> Bench:
-        return _led(bench, dataclasses.replace(lead, share=share))
+        return bench.led(dataclasses.replace(lead, share=share))
 
     gains, found, gain = _line(context, judged, change, known)
     for share in tried:
@@ -242,18 +229,12 @@ def _led_best(
 
 
 def _logged(bench: Bench) -> Bench | None:
-    return _led(bench, Lead()) if bench.lead else None
-
-
-def _led(bench: Bench, lead: Lead) -> Bench:
-    """With controls that lead their samples, and derivatives as they were."""
-    samples = tuple(one.led(lead) for one in bench.samples)
-    return dataclasses.replace(bench, samples=samples, lead=lead)
+    return bench.led(Lead()) if bench.lead else None
 
 
 def leading(bench: Bench, lead: Lead) -> Bench:
     """The same data with controls that lead their samples."""
-    return _linearized(_led(bench, lead))
+    return _linearized(bench.led(lead))
 
 
 def asked(bench: Bench) -> Bench:

@@ -15,7 +15,6 @@ import numpy.typing as npt
 from orbisim.backend import Backend
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.scoring import score
-from orbisim.diagnosis.worth import courses, data_in
 from orbisim.effects import find
 from orbisim.effects.residual_network import Network, with_rest
 from orbisim.evidence import counted, gain, independent_share
@@ -29,6 +28,7 @@ from orbisim.learned_rest.result import Rest
 from orbisim.recording import Recording
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
+from orbisim.shooting.fits import data_in
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judge
 
@@ -90,7 +90,7 @@ def _better(bench: Bench, hypothesis: Hypothesis, added: WithRest) -> tuple[bool
     judge = Judge(bench, bench.intervals, most=_MOST_WINDOWS)
     fits = [judge.score(one) for one in (hypothesis, added)]
     means = [fit.per_window / np.maximum(judge.fitted.data, 1) for fit in fits]
-    share = independent_share(courses(fits[1], judge.fitted.windows.length))
+    share = independent_share(fits[1].courses(judge.fitted.windows.length))
     sure = gain(means[0], means[1], counted(data_in([fits[1]]), share)).sure > 0
     without, with_it = (float(np.sqrt(part.mean())) for part in means)
     return sure, {"without": without, "with": with_it}

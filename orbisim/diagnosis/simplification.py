@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +21,7 @@ from orbisim.diagnosis.explanations import (
     winner,
 )
 from orbisim.diagnosis.proposals import exchanges, laws
-from orbisim.diagnosis.worth import apart, gains, sized, vague, worth
+from orbisim.diagnosis.worth import apart, gains, vague, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.unnamed import POWERS
 from orbisim.evidence import NEAR, Gain
@@ -126,31 +126,12 @@ def told(context: Context, judged: Judged) -> Judged:
 
 def _dropped(scene: Scene, fit: Fit, hypothesis: Hypothesis, number: int) -> tuple[Fit, Hypothesis]:
     """Without an effect, the numbers of the others as a fit's covariance says they then are."""
-    own, neutral = sized(scene, hypothesis, number)
+    own, neutral = hypothesis.sizes(scene, number)
     every = [k for k, (i, _) in enumerate(hypothesis.free(scene)) if i == number]
-    fit, hypothesis = _held(fit, own, neutral, every), hypothesis.without(number)
+    fit, hypothesis = fit.held(own, neutral, every), hypothesis.without(number)
     bounds = hypothesis.unknowns(scene)
     values = np.clip(fit.values, [one.low for one in bounds], [one.high for one in bounds])
     return fit, hypothesis.at(scene, values)
-
-
-def _held(fit: Fit, own: Sequence[int], neutral: Sequence[float], gone: Sequence[int]) -> Fit:
-    """A fit with some numbers at neutral values, as far as its covariance tells, and without those
-    that are gone then."""
-    c, index = np.nan_to_num(fit.covariance), list(own)
-    moved = c[:, index] @ np.linalg.pinv(c[np.ix_(index, index)], rcond=1e-12, hermitian=True)
-    kept = np.setdiff1d(np.arange(len(fit.values)), gone)
-    values = fit.values - moved @ (fit.values[index] - np.array(neutral))
-    covariance = c - moved @ c[index]
-    both = np.ix_(kept, kept)
-    return dataclasses.replace(
-        fit,
-        values=values[kept],
-        covariance=covariance[both],
-        information=fit.information[:, both[0], both[1]],
-        score=fit.score[:, kept],
-        prior=None if fit.prior is None else fit.prior[both],
-    )
 
 
 def only_sure(context: Context, judged: Judged, refit: Refit, bare: Judged | None = None) -> Sure:

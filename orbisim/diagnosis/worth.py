@@ -14,7 +14,7 @@ from orbisim.motion.samples import extent
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.confidence import confidence, told
-from orbisim.shooting.fits import Fit
+from orbisim.shooting.fits import Fit, data_in
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
 from orbisim.shooting.retune import SPREAD
@@ -59,7 +59,7 @@ def blocks_of(judged: Judged, beyond: float = np.inf) -> Blocks:
     Args:
       beyond: as of `Blocks`.
     """
-    share = independent_share(courses(judged.fit, judged.windows.length))
+    share = independent_share(judged.fit.courses(judged.windows.length))
     own, every = data_in([judged.fit]), _all_data(judged)
     most = judged.independent * every.sum() / max(own.sum(), 1.0)
     return counted(every, share, most, beyond)
@@ -129,8 +129,6 @@ def retuning_costs(bench: Bench, judged: Judged, data: float) -> Floats:
     factor, times the width of what the data leave of it (Laplace), which costs no more than any
     other number."""
     hypothesis = judged.hypothesis
-    if not hypothesis.factors:
-        return np.zeros(0)
     first = len(hypothesis.free(bench.scene))
     factors = np.array([factor for _, factor in hypothesis.factors])
     deviation = np.sqrt(np.maximum(np.diag(judged.fit.covariance)[first:], 1e-300))
@@ -162,7 +160,7 @@ def told_of(
     Args:
       number: of the effect. independent: how many of the data count as independent.
     """
-    own, neutral = sized(scene, hypothesis, number)
+    own, neutral = hypothesis.sizes(scene, number)
     if not own:
         return True
     intervals = confidence(fit, [str(k) for k in range(len(fit.values))], 0, independent)
@@ -182,7 +180,7 @@ def vague(scene: Scene, judged: Judged) -> list[int]:
 def apart(scene: Scene, hypothesis: Hypothesis, fit: Fit, number: int) -> float:
     """How far an effect is from nothing, in linear approximation: the mean square of its numbers in
     standard deviations (Wald's statistic). Infinite for what no derivative says anything of."""
-    own, neutral = sized(scene, hypothesis, number)
+    own, neutral = hypothesis.sizes(scene, number)
     if not own:
         return np.inf
     away = fit.values[own] - np.array(neutral)
@@ -191,31 +189,7 @@ def apart(scene: Scene, hypothesis: Hypothesis, fit: Fit, number: int) -> float:
     return float(away @ inverse @ away) / len(own)
 
 
-def sized(scene: Scene, hypothesis: Hypothesis, number: int) -> tuple[list[int], list[float]]:
-    """Which of the fitted numbers say how much there is of an effect, and where that is nothing;
-    none of what no derivative says anything of."""
-    free, instance = hypothesis.free(scene), hypothesis.effects[number]
-    effect, model = find(instance.effect), scene.model
-    if effect.stated or effect.structural:
-        return [], []
-    sizes = effect.sizes(model, instance.target)
-    own = [k for k, (i, name) in enumerate(free) if i == number and name in sizes]
-    neutral = {p.name: p.neutral for p in effect.parameters(model, instance.target)}
-    return own, [neutral.get(free[k][1], 0.0) for k in own]
-
-
 def independent_data(judged: Judged) -> float:
     """How many of the data that an explanation was fitted to count as independent."""
     blocks = blocks_of(judged)
     return blocks.count * data_in([judged.fit]).sum() / max(_all_data(judged).sum(), 1.0)
-
-
-def data_in(fits: Sequence[Fit]) -> Floats:
-    """[B]: number of data of each window of some fits."""
-    return np.concatenate([(fit.residual != 0).sum(axis=1) for fit in fits]).astype(np.float64)
-
-
-def courses(fit: Fit, length: int) -> list[Floats]:
-    """What is left of each signal in each window of so many intervals."""
-    course = fit.residual.reshape(len(fit.residual), length + 1, -1)
-    return [one for window in course for one in window.T]

@@ -101,6 +101,11 @@ class Bench:
             found.append(measurement.of(one.absolute[None], still, one.time[None])[0])
         return found
 
+    def led(self, lead: Lead) -> Bench:
+        """With controls that lead their samples."""
+        samples = tuple(one.led(lead) for one in self.samples)
+        return dataclasses.replace(self, samples=samples, lead=lead)
+
     def whole(self, noise: Noise | None = None) -> Bench:
         """All windows are fitted and checked; with another noise, if one is given."""
         every = np.ones(len(self.windows), bool)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -37,6 +37,35 @@ class Fit:
     score: Floats
     recording: npt.NDArray[np.int64] | None = None
     prior: Floats | None = None
+
+    def courses(self, length: int) -> list[Floats]:
+        """What is left of each signal in each window of so many intervals."""
+        course = self.residual.reshape(len(self.residual), length + 1, -1)
+        return [one for window in course for one in window.T]
+
+    def held(self, own: Sequence[int], neutral: Sequence[float], gone: Sequence[int]) -> Fit:
+        """With some numbers at given values, the others moved as the covariance tells.
+
+        Args:
+          own: which numbers. neutral: their values. gone: numbers that are not there then.
+        """
+        c, index = np.nan_to_num(self.covariance), list(own)
+        moved = c[:, index] @ np.linalg.pinv(c[np.ix_(index, index)], rcond=1e-12, hermitian=True)
+        kept = np.setdiff1d(np.arange(len(self.values)), gone)
+        both = np.ix_(kept, kept)
+        return dataclasses.replace(
+            self,
+            values=(self.values - moved @ (self.values[index] - np.array(neutral)))[kept],
+            covariance=(c - moved @ c[index])[both],
+            information=self.information[:, both[0], both[1]],
+            score=self.score[:, kept],
+            prior=None if self.prior is None else self.prior[both],
+        )
+
+
+def data_in(fits: Sequence[Fit]) -> Floats:
+    """[B]: number of data of each window of some fits."""
+    return np.concatenate([(fit.residual != 0).sum(axis=1) for fit in fits]).astype(np.float64)
 
 
 @dataclasses.dataclass(frozen=True)

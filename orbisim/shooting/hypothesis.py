@@ -97,6 +97,18 @@ class Hypothesis:
             and not (name in find(e.effect).shared and (find(e.effect).refines, e.target) in there)
         ]
 
+    def sizes(self, declared: Scene, number: int) -> tuple[list[int], list[float]]:
+        """Which of the fitted numbers say how much there is of an effect, and where that is
+        nothing; none of what no derivative says anything of."""
+        model, instance = declared.model, self.effects[number]
+        effect, free = find(instance.effect), self.free(declared)
+        if effect.stated or effect.structural:
+            return [], []
+        names = effect.sizes(model, instance.target)
+        own = [k for k, (i, name) in enumerate(free) if i == number and name in names]
+        neutral = {p.name: p.neutral for p in effect.parameters(model, instance.target)}
+        return own, [neutral.get(free[k][1], 0.0) for k in own]
+
     def values(self, declared: Scene) -> Floats:
         """The present values of the free parameters, then of the factors."""
         coded = [_free_values(declared, e) for e in self.effects]

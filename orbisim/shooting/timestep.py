@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+
+import mujoco
 import numpy as np
 
 from orbisim.motion.samples import substeps
@@ -27,6 +30,18 @@ def with_timestep(scene: Scene, timestep: float) -> Scene:
     spec = scene.spec
     spec.option.timestep = timestep
     return Scene.from_spec(spec, source=scene.source, unsupported=scene.unsupported)
+
+
+def stepped(bench: Bench, timestep: float) -> Bench:
+    """With another timestep, and controls that are looked for between samples where they do the
+    same: MuJoCo's Euler and implicit integrators move a body by the velocity that a step ends with,
+    so that a force acts half a step early."""
+    other = dataclasses.replace(bench, scene=with_timestep(bench.scene, timestep))
+    if not bench.lead or bench.scene.model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        return other
+    later = (taken(bench) - taken(other)) / (2 * typical_interval(bench))
+    share = float(np.clip(bench.lead.share + later, -1.0, 1.0))
+    return other.led(dataclasses.replace(bench.lead, share=share))
 
 
 def peak(gains: dict[float, float], low: float, high: float) -> float | None:

@@ -12,8 +12,6 @@ import pytest
 import orbisim
 from orbisim.diagnosis.context import begun
 from orbisim.diagnosis.discretization import (
-    _led,
-    _stepped,
     as_declared,
     asked,
     earlier,
@@ -77,15 +75,15 @@ def test_controls_are_looked_for_elsewhere_with_another_step() -> None:
     length that begins with them, as if it had begun half a step earlier."""
     runs = [_commanded(seed, 0.01, -0.004) for seed in range(2)]
     scene = _scene(0.005)
-    bench = _led(make_bench(scene, prepare_all(runs, scene), 0.5), Lead(-0.4))
-    finer = _stepped(bench, 0.0025)
+    bench = make_bench(scene, prepare_all(runs, scene), 0.5).led(Lead(-0.4))
+    finer = timestep.stepped(bench, 0.0025)
     assert finer.lead is not None and finer.lead.share == pytest.approx(-0.4 + 0.0025 / 2 / 0.01)
-    again = _stepped(finer, 0.005)
+    again = timestep.stepped(finer, 0.005)
     assert again.lead is not None and again.lead.share == pytest.approx(-0.4)
     model = _scene(0.005).spec
     model.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     other = dataclasses.replace(bench, scene=orbisim.Scene.from_spec(model, source="servo"))
-    exact = _stepped(other, 0.0025)
+    exact = timestep.stepped(other, 0.0025)
     assert exact.lead is not None and exact.lead.share == -0.4
 
 
@@ -100,7 +98,7 @@ def test_a_step_that_is_right_stays() -> None:
 
 
 def test_a_step_does_not_stand_in_for_an_effect_in_the_end() -> None:
-    """As long as damping is missing, another step is better; beside it, none is."""
+    """What damping explains, another step does not have to; the next test asks for its way back."""
     scene = _scene(0.005)
     damping = EffectInstance("viscous_damping", "hinge", {"coefficient": 0.05})
     runs = inject_effect(scene, damping, duration=2.0, episodes=3, noise=5e-4, seed=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import warnings
+from typing import Literal
 
 import mujoco
 import pytest
@@ -14,6 +15,7 @@ from orbisim_world_model.network.folded import FoldedNetwork
 from orbisim_world_model.stepper import Speedups, Stepper, cause, compiled_step, plain_step
 from orbisim_world_model.trainer import new_model
 
+from orbisim.errors import EngineError
 from tests.backends.world_model.conftest import toy
 from tests.backends.world_model.robots import CRAWLER, of_limbs
 from tests.backends.world_model.synthetic import BOX, PENDULUM, TABLE, simulate
@@ -160,6 +162,43 @@ def test_a_step_that_cannot_be_compiled_is_taken_as_it_is(monkeypatch: pytest.Mo
         expected, _ = plain_step(model)(*inputs)
     assert not slot.compiled
     assert torch.equal(state.pos, expected.pos)
+
+
+@pytest.mark.parametrize("compiler", ["joined", "fused"])
+def test_a_device_that_no_longer_answers_is_not_tried_again(
+    compiler: Literal["joined", "fused"], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from orbisim_world_model import stepper
+
+    def fail(*_: object) -> None:
+        raise OSError("an illegal memory access")
+
+    asked: list[object] = []
+
+    def broken(_: object, how: object) -> object:
+        asked.append(how)
+        return fail
+
+    monkeypatch.setattr(stepper, "compiled_step", broken)
+    monkeypatch.setattr(stepper, "answers", lambda _: False)
+    model = _trained_looking(BOX)
+    steps = Stepper(model, CPU, Speedups(folded=False, graphed=False, compiled=compiler))
+    told = "no longer answers after the first step of 2 worlds .OSError: an illegal memory access"
+    with pytest.raises(EngineError, match=told + ".*compiled=False"):
+        steps.prepared(*_inputs(model, 2))
+    assert asked == [compiler]
+
+
+def test_a_device_answers_as_long_as_it_computes(monkeypatch: pytest.MonkeyPatch) -> None:
+    from orbisim_world_model.stepper import answers
+
+    assert answers(CPU)
+
+    def lost(*_: object, **__: object) -> None:
+        raise RuntimeError("CUDA error: an illegal memory access was encountered")
+
+    monkeypatch.setattr(torch, "zeros", lost)
+    assert not answers(CPU)
 
 
 def test_the_cause_of_a_failure_names_its_type_and_place() -> None:
