@@ -94,10 +94,10 @@ def plain(context: Context, judged: Judged, refit: Refit) -> Judged:
     scene, hypothesis = context.bench.scene, judged.hypothesis
     fit, path = judged.fit, list[Hypothesis]()
     while len(hypothesis.effects) > 1:
-        refined = {(find(one.effect).refines, one.target) for one in hypothesis.effects}
+        refined = _refined(hypothesis)
         known = [
-            np.inf if (one.effect, one.target) in refined else apart(scene, hypothesis, fit, n)
-            for n, one in enumerate(hypothesis.effects)
+            np.inf if n in refined else apart(scene, hypothesis, fit, n)
+            for n in range(len(hypothesis.effects))
         ]
         least = int(np.argmin(known))
         if not np.isfinite(known[least]):
@@ -114,12 +114,18 @@ def plain(context: Context, judged: Judged, refit: Refit) -> Judged:
     return simpler[best] if worths[best].total > 0 else judged
 
 
+def _refined(hypothesis: Hypothesis) -> set[int]:
+    """Numbers of the effects that another one refines."""
+    places = {(find(one.effect).refines, one.target) for one in hypothesis.effects}
+    return {n for n, e in enumerate(hypothesis.effects) if (e.effect, e.target) in places}
+
+
 def told(context: Context, judged: Judged) -> Judged:
     """Without effects that cannot be told from nothing, in linear approximation: the numbers of the
-    others move as the covariance says; what is left of the data stays as it was fitted."""
+    others move as the covariance says, what is left stays. What another refines goes last."""
     scene = context.bench.scene
-    while numbers := vague(scene, judged):
-        fit, hypothesis = _dropped(scene, judged.fit, judged.hypothesis, numbers[0])
+    while numbers := set(vague(scene, judged)) - _refined(judged.hypothesis):
+        fit, hypothesis = _dropped(scene, judged.fit, judged.hypothesis, max(numbers))
         judged = dataclasses.replace(judged, fit=fit, hypothesis=hypothesis)
     return judged
 

@@ -18,7 +18,7 @@ from orbisim.diagnosis.moves import _generalized
 from orbisim.diagnosis.proposals import events, exchanges
 from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.simplification import plain
+from orbisim.diagnosis.simplification import plain, told
 from orbisim.diagnosis.worth import number_costs, prior, retuning_cost, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
@@ -321,6 +321,19 @@ def test_what_cannot_be_told_from_nothing_is_not_the_answer_where_the_time_is_up
     alone = context.judge.judge(Hypothesis((FRICTION,)))
     assert alone is not None
     assert torque == pytest.approx(alone.fit.values[0], rel=0.02)
+
+
+def test_what_is_refined_stays_as_long_as_what_refines_it(arm: orbisim.Scene) -> None:
+    """Nothing is missing: friction and its rise at rest are dropped, the rise first."""
+    context = begun(bench_of(arm), Settings(), lambda _: None)
+    little = EffectInstance("coulomb_friction", "shoulder", {"torque": 1e-5})
+    rise = {"coulomb": 0.0, "static": 1e-5, "velocity": 0.05}
+    both = Hypothesis((EffectInstance("stribeck_friction", "shoulder", rise), little))
+    judged = context.judge.judge(both)
+    assert judged is not None
+    wide = dataclasses.replace(judged.fit, covariance=np.eye(len(judged.fit.values)))
+    found = told(context, dataclasses.replace(judged, fit=wide))
+    assert not found.hypothesis.effects and not len(found.fit.values)
 
 
 def test_where_the_time_was_up_what_was_sure_at_first_is_the_answer(arm: orbisim.Scene) -> None:
