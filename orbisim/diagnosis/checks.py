@@ -14,7 +14,7 @@ from orbisim.shooting.bench import Bench
 from orbisim.shooting.halving import halving
 from orbisim.shooting.judge import Judged
 from orbisim.shooting.remainder import told_as_noise
-from orbisim.shooting.timestep import typical_interval
+from orbisim.shooting.timestep import stepping, typical_interval
 
 
 def coarse_timestep(bench: Bench, residual: float) -> str | None:
@@ -41,16 +41,27 @@ _PART = 0.3
 """... and share of the residual."""
 
 
-def shortened(declared: Scene, taken: Scene) -> str | None:
-    """A note if a shorter timestep than the declared one was taken."""
-    before, after = (float(one.model.opt.timestep) for one in (declared, taken))
+def restepped(declared: Scene, taken: Scene) -> str | None:
+    """A note if another timestep or integrator than the declared one was taken."""
+    before, after = stepping(declared), stepping(taken)
     if before == after:
         return None
+    how = [
+        f"a timestep of {one.timestep:.3g} s ({_NAMES[one.integrator]})" for one in (before, after)
+    ]
     return (
-        f"free runs with a timestep of {after:.3g} s predict surely better than with the declared "
-        f"{before:.3g} s: the augmented scene has the shorter step, and what is named is missing "
-        "beside that"
+        f"free runs with {how[1]} predict surely better than with the declared {how[0]}: the "
+        "augmented scene has it, and what is named is missing beside that"
     )
+
+
+_NAMES = {
+    int(mujoco.mjtIntegrator.mjINT_EULER): "Euler",
+    int(mujoco.mjtIntegrator.mjINT_RK4): "RK4",
+    int(mujoco.mjtIntegrator.mjINT_IMPLICIT): "implicit",
+    int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST): "implicitfast",
+}
+"""As MJCF has them."""
 
 
 def between_samples(bench: Bench) -> str | None:

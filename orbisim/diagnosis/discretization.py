@@ -30,7 +30,7 @@ from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.halving import halving
 from orbisim.shooting.judge import Judged
-from orbisim.shooting.timestep import peak, stepped, taken, typical_interval
+from orbisim.shooting.timestep import Stepping, exact, peak, stepped, stepping, taken
 
 Other = tuple[Context, Judged]
 
@@ -39,23 +39,35 @@ def settled(context: Context, judged: Judged) -> Other | None:
     """The same explanation with a finer step, or controls by the clock that logs show, or another
     lead where controls have one, as long as that surely predicts better; None if it does not. No
     machine has a timestep, and a log's clock is read off the log: neither has to wait for effects.
-    A lead makes up for a part of a step that is too long: each is looked for again with the
-    other."""
-    found = None
-    while True:
-        tried = (_finer(context, judged), _clocked(context, judged), _retimed(context, judged))
-        better = _surest(context, judged, tried)
-        if better is None:
-            return found
-        found = context, judged = better
+    """
+    found = _followed(context, judged)
+    now = found or (context, judged)
+    return _compared(now, _clocked(*now)) or found
 
 
 def earlier(context: Context, judged: Judged) -> Other | None:
     """The same explanation with controls that lead (or follow) their samples by the share of an
     interval that predicts best, and the step that then does, if that is surely better; None if not.
     As long as an effect is missing, a share may stand in for a part of it."""
-    found = _surest(context, judged, (_shared(context, judged),))
-    return found and (settled(*found) or found)
+    return _compared((context, judged), _shared(context, judged))
+
+
+def _compared(now: Other, other: Other | None) -> Other | None:
+    """Another lead, with its own step, if that is surely better."""
+    return _surest(*now, (_followed(*other) or other,)) if other is not None else None
+
+
+def _followed(context: Context, judged: Judged) -> Other | None:
+    """With a finer step and another lead in turns, as long as one surely predicts better: a lead
+    makes up for a part of a step that is too long, so that each is looked for again with the other.
+    """
+    found = None
+    while True:
+        tried = (_finer(context, judged), _retimed(context, judged))
+        better = _surest(context, judged, tried)
+        if better is None:
+            return found
+        found = context, judged = better
 
 
 def _surest(context: Context, judged: Judged, tried: Iterable[Other | None]) -> Other | None:
@@ -64,21 +76,26 @@ def _surest(context: Context, judged: Judged, tried: Iterable[Other | None]) -> 
     return _taken(best[1]) if best is not None and best[0] + EFFECT > 0 else None
 
 
-def as_declared(context: Context, judged: Judged, declared: float) -> Other | None:
-    """The same explanation with controls as they were logged, or twice the step, as often as that
-    is worth no less and the step no longer than declared; None if it does not.
+def as_declared(context: Context, judged: Judged, declared: Stepping) -> Other | None:
+    """The same explanation with controls as they were logged, the integrator of the scene, or twice
+    the step, as often as that is worth no less and the step no longer than declared; None if it
+    does not.
 
     Args:
-      declared: the timestep of the scene as it was given, s.
+      declared: how the scene as it was given is stepped.
     """
 
-    def doubled(bench: Bench) -> Bench | None:
-        if 2 * taken(bench) > _SLACK * taken(bench, declared):
+    def coarser(bench: Bench) -> Bench | None:
+        known, most = stepping(bench.scene), taken(bench, declared.timestep)
+        if known.integrator != declared.integrator:
+            return stepped(bench, known.timestep, declared.integrator)
+        step = 2 * taken(bench)
+        if step > _SLACK * most:
             return None
-        return stepped(bench, 2 * taken(bench))
+        return stepped(bench, declared.timestep if np.isclose(step, most) else step)
 
     found = None
-    for change in (_logged, doubled):
+    for change in (_logged, coarser):
         while (one := _again(context, judged, change)) is not None:
             if not worth(context.bench, judged, one[1]).total - EFFECT > 0:
                 break
@@ -107,28 +124,31 @@ def _taken(one: Other) -> Other:
 
 
 def _finer(context: Context, judged: Judged) -> Other | None:
-    """The same explanation with the finer step that predicts best: half of it, a quarter, ... as
-    long as that is better and the error of the step matters, then the best number of steps a sample
-    between these. None where the step as it is predicts best.
+    """The same explanation with steps that are more exact: by another integrator, or where that is
+    none that predicts better (of a stiff scene it is not stable), half of the step, a quarter, ...
+    as long as that is better and the error of the step matters. None where the step as it is
+    predicts best.
 
-    The error of MuJoCo's integrators falls as the step does (what they hold over a step, they hold
-    for a time of its length): half the step changes as much as it leaves. Where most windows have
-    impacts no step is finer: what a contact does depends on it by definition."""
-    if context.bench.rugged:
+    The error of MuJoCo's other integrators falls as the step does (what they hold over a step, they
+    hold for a time of its length): half the step changes as much as it leaves. Where most windows
+    have impacts no step is finer: what a contact does depends on it by definition."""
+    if not _inexact(context.bench, judged):
         return None
-    interval, step = typical_interval(context.bench), taken(context.bench)
+    other = _again(context, judged, exact)
+    if other is not None and other[1].loss < judged.loss:
+        return other
+    step, best = taken(context.bench), 0.0
     gains, found, gain = _line(context, judged, stepped, (step,))
-    error, matters = 2.0 * halving(context.bench), _MATTERS * max(judged.ratio, 1.0)
-    while error > matters and len(gains) <= _HALVINGS:
-        step, most, error = step / 2.0, max(gains.values()), error / 2.0
-        if not gain(step) > most:
+    while len(gains) <= _HALVINGS and gain(step / 2.0) > best:
+        step, best = step / 2.0, gains[step / 2.0]
+        if not _inexact(found[step][0].bench, judged):
             break
-    place = peak(_squares(gains), min(gains), max(gains))
-    if place is not None:
-        between = interval / round(interval / place)
-        if not any(np.isclose(between, one) for one in gains):
-            gain(between)
-    return found.get(max(gains, key=lambda finer: gains[finer]))
+    return found.get(step)
+
+
+def _inexact(bench: Bench, judged: Judged) -> bool:
+    """Whether the error of the step matters beside what is left."""
+    return not bench.rugged and 2.0 * halving(bench) > _MATTERS * max(judged.ratio, 1.0)
 
 
 def _line(
@@ -156,7 +176,7 @@ def _line(
 
 def _squares(gains: dict[float, float]) -> dict[float, float]:
     """What is left of mean squares, negative: in a model that is linear in its controls a parabola
-    in their share, and nearly one in the step, which the logarithm is not far from its peak."""
+    in their share, which the logarithm is not far from its peak."""
     return {place: -float(np.exp(-gain)) for place, gain in gains.items()}
 
 
@@ -180,14 +200,24 @@ def _clocked(context: Context, judged: Judged) -> Other | None:
     most, period = max((sum(o.clocked(one) for o in bench.samples), one) for one in periods)
     if 2 * most <= len(bench.samples):
         return None
-    lead = Lead(clock=True, period=period)
-    return _led_best(context, judged, lead, (0.0, -_NEAR, _NEAR), ())
+    return _begun(context, judged, Lead(clock=True, period=period), (0.0, -_NEAR, _NEAR))
 
 
 def _shared(context: Context, judged: Judged) -> Other | None:
     if context.bench.lead is None or context.bench.lead:
         return None
-    return _led_best(context, judged, Lead(), _SHARES, (0.0,))
+    return _begun(context, judged, Lead(), (0.0, *_SHARES))
+
+
+def _begun(context: Context, judged: Judged, lead: Lead, tried: Sequence[float]) -> Other | None:
+    """With the lead that predicts best, of the steps that there are or of exact ones. Forces act
+    half a step early: a step that is too long may happen to make up for when controls change, and
+    then neither is better without the other."""
+    benches = [context.bench]
+    if _inexact(context.bench, judged) and (other := exact(context.bench)) is not None:
+        benches.append(other)
+    forms = [_led_best(context.trying(one), judged, lead, tried) for one in benches]
+    return min((one for one in forms if one), key=lambda one: one[1].loss, default=None)
 
 
 def _retimed(context: Context, judged: Judged) -> Other | None:
@@ -204,7 +234,7 @@ def _led_best(
     judged: Judged,
     lead: Lead,
     tried: Sequence[float],
-    known: Sequence[float],
+    known: Sequence[float] = (),
 ) -> Other | None:
     """The same explanation with controls that lead by the share of an interval that predicts best:
     one that is tried, or where a parabola through these is highest. None if none is better.

@@ -17,6 +17,7 @@ from orbisim.motion.samples import extent
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judge, Judged
+from orbisim.shooting.timestep import Stepping
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -46,8 +47,8 @@ class Found:
 
     Attributes:
       context: data and noise as they were known in the end.
-      timestep: of the scene as it was given, s.
-      declared: the declared scene, fitted, with timestep and controls as in the end. best: the best
+      stepping: of the scene as it was given.
+      declared: the declared scene, fitted, with step and controls as in the end. best: the best
         explanation.
       screening: of the declared scene; None if nothing had to be explained.
       tried: explanations of all rounds. law: a law without a name that is the better explanation;
@@ -55,7 +56,7 @@ class Found:
     """
 
     context: Context
-    timestep: float
+    stepping: Stepping
     declared: Judged
     best: Judged
     screening: Screening | None = None

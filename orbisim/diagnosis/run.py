@@ -16,7 +16,7 @@ import numpy as np
 from orbisim.backend import Backend
 from orbisim.diagnosis.alternatives import alternatives_of, candidates_of
 from orbisim.diagnosis.both import by_runs, worth_in_both
-from orbisim.diagnosis.checks import between_samples, disabled, doubts, shortened
+from orbisim.diagnosis.checks import between_samples, disabled, doubts, restepped
 from orbisim.diagnosis.combinations import combined_in_runs
 from orbisim.diagnosis.conclusion import Attribution, attribute
 from orbisim.diagnosis.discretization import asked, read_as
@@ -61,7 +61,7 @@ from orbisim.sensing.faults import Sensed
 from orbisim.shooting.bench import Bench, Noise, make_bench
 from orbisim.shooting.cutting import touches, windows_enough
 from orbisim.shooting.horizon import telling_window
-from orbisim.shooting.timestep import with_timestep
+from orbisim.shooting.timestep import stepping, with_stepping
 
 Source = Recording | str | Path
 
@@ -199,7 +199,7 @@ def _by_motion(
         notes.append(f"the search was ended after {settings.patience:g} s; more may be found")
     say("checking on held-out data")
     unseen = read_as(unseen.whole(found.bench.noise), found.bench)
-    forms = shortened(scene, found.bench.scene), between_samples(found.bench)
+    forms = restepped(scene, found.bench.scene), between_samples(found.bench)
     notes += [note for note in forms if note is not None]
     notes += doubts(found)
     sensed = sensor_faults(found, unseen, notes, say)
@@ -334,8 +334,8 @@ def _result(
     notes: list[str],
     sensed: Sensed,
 ) -> Diagnosis:
-    hypothesis, step = found.after.hypothesis, float(found.bench.scene.model.opt.timestep)
-    stepped = scene if step == scene.model.opt.timestep else with_timestep(scene, step)
+    hypothesis, taken = found.after.hypothesis, stepping(found.bench.scene)
+    stepped = scene if taken == stepping(scene) else with_stepping(scene, taken)
     augmented = hypothesis.scene(stepped)
     measuring = [e for e in hypothesis.effects if find(e.effect).measurement]
     measuring += sensed.instances

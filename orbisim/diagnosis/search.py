@@ -27,6 +27,7 @@ from orbisim.host.deadline import NEVER, TimeIsUpError
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
+from orbisim.shooting.timestep import stepping
 
 
 def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> Found:
@@ -46,7 +47,7 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
         declared = unlimited.judge.judge(Hypothesis(), 1)
     if declared is None:
         raise FloatingPointError("the scene cannot be simulated along the recordings")
-    found = Found(context, float(bench.scene.model.opt.timestep), declared, declared, late=late)
+    found = Found(context, stepping(bench.scene), declared, declared, late=late)
     if late or quiet(settings, declared):
         return found
     try:

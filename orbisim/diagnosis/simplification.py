@@ -46,7 +46,7 @@ def simplified(found: Found, number: int) -> Found:
 
 
 def _as_declared(found: Found, number: int) -> Found:
-    other = as_declared(found.context, found.best, found.timestep)
+    other = as_declared(found.context, found.best, found.stepping)
     return found if other is None else in_form(found, other)
 
 

@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.shooter import Variant
+from orbisim.shooting.timestep import stepped, taken
 from orbisim.shooting.windows import evenly
+
+Floats = npt.NDArray[np.float64]
 
 
 def halving(bench: Bench) -> float:
     """By how many times the noise free runs of the scene differ from those with half its timestep:
     root mean square over a typical window, without impacts if most windows have none."""
-    every = np.ones(len(bench.windows), bool)
-    shooter = bench.shooter(evenly(every if bench.rugged else bench.smooth, _MOST))
-    still = np.zeros((len(shooter), 2 * shooter.nv))
-    variant = Variant(bench.scene)
-    runs = [one.scaled(one.simulate(variant, still)) for one in (shooter, shooter.halved())]
+    some = evenly(np.ones(len(bench.windows), bool) if bench.rugged else bench.smooth, _MOST)
+
+    def run(one: Bench) -> Floats:
+        shooter = one.shooter(some)
+        still = np.zeros((len(shooter), 2 * shooter.nv))
+        return shooter.scaled(shooter.simulate(Variant(one.scene), still))
+
+    runs = run(bench), run(stepped(bench, taken(bench) / 2.0))
     return float(np.median(np.sqrt(np.mean((runs[1] - runs[0]) ** 2, axis=1))))
 
 

@@ -96,13 +96,6 @@ class Shooter:
             np.array([self.inputs[i][n][r : r + k] for i, r in rows]) for n in (0, 1)
         )
 
-    def halved(self) -> Shooter:
-        """The same windows with half the timestep."""
-        part = copy.copy(self)
-        part.substeps = 2 * self.substeps
-        part._read_inputs()
-        return part
-
     def __len__(self) -> int:
         return len(self.windows)
 

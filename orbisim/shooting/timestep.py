@@ -1,8 +1,9 @@
-"""The timestep of a scene along recordings."""
+"""The timestep and the integrator of a scene along recordings."""
 
 from __future__ import annotations
 
 import dataclasses
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -10,6 +11,18 @@ import numpy as np
 from orbisim.motion.samples import substeps
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
+
+
+class Stepping(NamedTuple):
+    """How a scene is stepped: timestep in s, integrator as of `mujoco.mjtIntegrator`."""
+
+    timestep: float
+    integrator: int
+
+
+def stepping(scene: Scene) -> Stepping:
+    """How a scene is stepped."""
+    return Stepping(float(scene.model.opt.timestep), int(scene.model.opt.integrator))
 
 
 def typical_interval(bench: Bench) -> float:
@@ -25,23 +38,40 @@ def taken(bench: Bench, timestep: float | None = None) -> float:
     return interval / int(substeps(interval, timestep))
 
 
-def with_timestep(scene: Scene, timestep: float) -> Scene:
-    """The scene with another timestep, s."""
+def with_stepping(scene: Scene, other: Stepping) -> Scene:
+    """The scene, stepped in another way."""
     spec = scene.spec
-    spec.option.timestep = timestep
+    spec.option.timestep, spec.option.integrator = other
     return Scene.from_spec(spec, source=scene.source, unsupported=scene.unsupported)
 
 
-def stepped(bench: Bench, timestep: float) -> Bench:
-    """With another timestep, and controls that are looked for between samples where they do the
-    same: MuJoCo's Euler and implicit integrators move a body by the velocity that a step ends with,
-    so that a force acts half a step early."""
-    other = dataclasses.replace(bench, scene=with_timestep(bench.scene, timestep))
-    if not bench.lead or bench.scene.model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+def stepped(bench: Bench, timestep: float, integrator: int | None = None) -> Bench:
+    """With another timestep, and integrator if one is given, and controls that are looked for
+    between samples where they do the same."""
+    known = stepping(bench.scene)
+    changed = Stepping(timestep, known.integrator if integrator is None else integrator)
+    other = dataclasses.replace(bench, scene=with_stepping(bench.scene, changed))
+    if not bench.lead:
         return other
-    later = (taken(bench) - taken(other)) / (2 * typical_interval(bench))
+    later = (_early(bench) - _early(other)) / typical_interval(bench)
     share = float(np.clip(bench.lead.share + later, -1.0, 1.0))
     return other.led(dataclasses.replace(bench.lead, share=share))
+
+
+def exact(bench: Bench) -> Bench | None:
+    """With the classical Runge-Kutta method, whose error falls as the fourth power of the step, in
+    the steps that there are; None if it has it."""
+    known = stepping(bench.scene)
+    return None if known.integrator == _RK4 else stepped(bench, known.timestep, _RK4)
+
+
+def _early(bench: Bench) -> float:
+    """By how much a force acts too early, s: MuJoCo's Euler and implicit integrators move a body by
+    the velocity that a step ends with."""
+    return 0.0 if stepping(bench.scene).integrator == _RK4 else taken(bench) / 2.0
+
+
+_RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 
 
 def peak(gains: dict[float, float], low: float, high: float) -> float | None:

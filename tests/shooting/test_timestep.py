@@ -8,7 +8,7 @@ import pytest
 import orbisim
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import make_bench
-from orbisim.shooting.timestep import peak, taken, typical_interval, with_timestep
+from orbisim.shooting.timestep import Stepping, peak, taken, typical_interval, with_stepping
 from orbisim.testing import inject_effect
 
 
@@ -38,6 +38,6 @@ def test_a_sampling_interval_has_a_whole_number_of_steps(arm: orbisim.Scene) -> 
 
 def test_the_scene_itself_keeps_its_timestep(arm: orbisim.Scene) -> None:
     before = float(arm.model.opt.timestep)
-    finer = with_timestep(arm, before / 4)
+    finer = with_stepping(arm, Stepping(before / 4, arm.model.opt.integrator))
     assert finer.model.opt.timestep == pytest.approx(before / 4)
     assert arm.model.opt.timestep == before
