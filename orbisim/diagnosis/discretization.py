@@ -86,13 +86,13 @@ def as_declared(context: Context, judged: Judged, declared: Stepping) -> Other |
     """
 
     def coarser(bench: Bench) -> Bench | None:
-        known, most = stepping(bench.scene), taken(bench, declared.timestep)
-        if known.integrator != declared.integrator:
-            return stepped(bench, known.timestep, declared.integrator)
-        step = 2 * taken(bench)
+        step, most = taken(bench), taken(bench, declared.timestep)
+        if stepping(bench.scene).integrator == declared.integrator:
+            step *= 2
         if step > _SLACK * most:
             return None
-        return stepped(bench, declared.timestep if np.isclose(step, most) else step)
+        step = declared.timestep if np.isclose(step, most) else step
+        return stepped(bench, step, declared.integrator)
 
     found = None
     for change in (_logged, coarser):

@@ -79,7 +79,7 @@ def _round(found: Found, number: int) -> Found:
     what is there. The same if there is none."""
     found.context.say(f"round {number}: {found.best.ratio:.3g} times the noise")
     if number > 1:
-        found = reselected(_in_best_form(found))
+        found = _anew(found, number)
     full = len(found.best.hypothesis.effects) >= found.context.settings.most_effects
     if not found.late and (done(found.context, found.best) or full):
         return simplified(found, number)
@@ -100,6 +100,19 @@ def _round(found: Found, number: int) -> Found:
         return simplified(found, number) if best is None else _made(found, number, best)
     except TimeIsUpError:  # what was found is the answer, and not to be lost
         return dataclasses.replace(kept, late=True)
+
+
+def _anew(found: Found, number: int) -> Found:
+    """In the form of the data that predicts best, without what that makes superfluous, and with
+    effects selected anew. What was done before the time was up is kept."""
+    there = found
+    try:
+        found = _in_best_form(there)
+        if found.best is not there.best:
+            found = removed(found, number)
+        return reselected(found)
+    except TimeIsUpError:
+        return dataclasses.replace(found, late=True)
 
 
 def _in_best_form(found: Found) -> Found:

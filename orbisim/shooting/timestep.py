@@ -62,7 +62,7 @@ def exact(bench: Bench) -> Bench | None:
     """With the classical Runge-Kutta method, whose error falls as the fourth power of the step, in
     the steps that there are; None if it has it."""
     known = stepping(bench.scene)
-    return None if known.integrator == _RK4 else stepped(bench, known.timestep, _RK4)
+    return None if known.integrator == _RK4 else stepped(bench, taken(bench), _RK4)
 
 
 def _early(bench: Bench) -> float:
