@@ -20,7 +20,7 @@ from orbisim.diagnosis.explanations import EVEN, Found, done, quiet
 from orbisim.diagnosis.moves import best_move
 from orbisim.diagnosis.reselection import reselected
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.simplification import in_form, named, removed, simplified
+from orbisim.diagnosis.simplification import in_form, named, removed, simplified, without_vague
 from orbisim.diagnosis.worth import gains, worth
 from orbisim.evidence import EFFECT
 from orbisim.host.deadline import NEVER, TimeIsUpError
@@ -79,7 +79,7 @@ def _round(found: Found, number: int) -> Found:
     what is there. The same if there is none."""
     found.context.say(f"round {number}: {found.best.ratio:.3g} times the noise")
     if number > 1:
-        found = _anew(found, number)
+        found = _anew(found)
     full = len(found.best.hypothesis.effects) >= found.context.settings.most_effects
     if not found.late and (done(found.context, found.best) or full):
         return simplified(found, number)
@@ -102,14 +102,14 @@ def _round(found: Found, number: int) -> Found:
         return dataclasses.replace(kept, late=True)
 
 
-def _anew(found: Found, number: int) -> Found:
+def _anew(found: Found) -> Found:
     """In the form of the data that predicts best, without what that makes superfluous, and with
     effects selected anew. What was done before the time was up is kept."""
     there = found
     try:
         found = _in_best_form(there)
         if found.best is not there.best:
-            found = removed(found, number)
+            found = without_vague(found)
         return reselected(found)
     except TimeIsUpError:
         return dataclasses.replace(found, late=True)

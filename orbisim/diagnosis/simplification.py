@@ -64,13 +64,32 @@ def in_form(found: Found, other: tuple[Context, Judged]) -> Found:
 
 
 def removed(found: Found, number: int) -> Found:
-    """Without effects that are not surely worth it beside the others."""
+    """Without effects that are not surely worth it beside the others, as far as there is time."""
     context = found.context
 
     def refit(less: Hypothesis, now: Judged) -> Judged | None:
         return fitted_from(context, less, now)
 
-    return dataclasses.replace(found, best=only_sure(context, found.best, refit).judged)
+    best, late = found.best, found.late
+    try:
+        for sure in pruned(context, best, refit):
+            best = sure.judged
+    except TimeIsUpError:
+        late = True
+    return dataclasses.replace(found, best=best, late=late)
+
+
+def without_vague(found: Found) -> Found:
+    """Without effects that cannot be told from nothing, and fitted again; with all where that is
+    worth less."""
+    context, best = found.context, found.best
+    fewer = told(context, best)
+    if fewer is best:
+        return found
+    again = fitted_from(context, fewer.hypothesis, best)
+    if again is None or not worth(context.bench, best, again).total > 0:
+        return found
+    return dataclasses.replace(found, best=again)
 
 
 class Sure(NamedTuple):

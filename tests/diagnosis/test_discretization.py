@@ -42,7 +42,8 @@ def test_a_step_that_is_too_long_is_shortened_instead_of_explained() -> None:
     runs = inject_effect(_scene(0.0005), [], duration=2.0, episodes=3, noise=5e-4, seed=1)
     result = orbisim.diagnose(_scene(0.01), runs, progress=False)
     assert result.verdict == "no_residual" and not result.effects
-    assert timestep.stepping(result.augmented_scene) == (pytest.approx(0.01), RK4)
+    taken = timestep.stepping(result.augmented_scene)
+    assert taken.integrator == RK4 and taken.timestep == pytest.approx(0.01)
     assert any(
         "surely better than with the declared a timestep of 0.01 s (implicitfast)" in n
         for n in result.notes
@@ -210,7 +211,8 @@ def test_steps_that_are_more_exact_are_found(true: float) -> None:
     assert judged is not None
     found = settled(context, judged)
     assert found is not None and found[1].ratio < 1.06 < judged.ratio
-    assert timestep.stepping(found[0].bench.scene) == (pytest.approx(0.01), RK4)
+    taken = timestep.stepping(found[0].bench.scene)
+    assert taken.integrator == RK4 and taken.timestep == pytest.approx(0.01)
 
 
 def test_a_step_is_halved_where_another_integrator_is_not_stable() -> None:
