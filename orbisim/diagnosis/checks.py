@@ -46,11 +46,11 @@ def restepped(declared: Scene, taken: Scene) -> str | None:
     before, after = stepping(declared), stepping(taken)
     if before == after:
         return None
-    how = [
-        f"a timestep of {one.timestep:.3g} s ({_NAMES[one.integrator]})" for one in (before, after)
+    ways = [
+        f"timestep of {one.timestep:.3g} s ({_NAMES[one.integrator]})" for one in (before, after)
     ]
     return (
-        f"free runs with {how[1]} predict surely better than with the declared {how[0]}: the "
+        f"free runs with a {ways[1]} predict better than with the declared {ways[0]}: the "
         "augmented scene has it, and what is named is missing beside that"
     )
 

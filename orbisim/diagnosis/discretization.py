@@ -40,9 +40,25 @@ def settled(context: Context, judged: Judged) -> Other | None:
     lead where controls have one, as long as that surely predicts better; None if it does not. No
     machine has a timestep, and a log's clock is read off the log: neither has to wait for effects.
     """
-    found = _followed(context, judged)
+    found = _exactly(context, judged)
+    found = _followed(*(found or (context, judged))) or found
     now = found or (context, judged)
     return _compared(now, _clocked(*now)) or found
+
+
+def _exactly(context: Context, judged: Judged) -> Other | None:
+    """The same explanation in exact steps, if these predict better and the error of those that
+    there are matters beside the noise. No odds are against them, and they need not be sure: they
+    are what the scene says, and forces that act half a step early look like a sensor's time."""
+    found = _again(context, judged, _exact)
+    return _taken(found) if found is not None and found[1].loss < judged.loss else None
+
+
+def _exact(bench: Bench) -> Bench | None:
+    """In exact steps; None if those that there are do, or none are (a stiff scene)."""
+    if not _inexact(bench, 1.0):
+        return None
+    return next((one for one in exact(bench) if not _inexact(one, 1.0)), None)
 
 
 def earlier(context: Context, judged: Judged) -> Other | None:
@@ -86,9 +102,9 @@ def as_declared(context: Context, judged: Judged, declared: Stepping) -> Other |
     """
 
     def coarser(bench: Bench) -> Bench | None:
-        step, most = taken(bench), taken(bench, declared.timestep)
-        if stepping(bench.scene).integrator == declared.integrator:
-            step *= 2
+        step, most = 2 * taken(bench), taken(bench, declared.timestep)
+        if stepping(bench.scene).integrator != declared.integrator:
+            step = min(taken(bench), most)
         if step > _SLACK * most:
             return None
         step = declared.timestep if np.isclose(step, most) else step
@@ -124,31 +140,26 @@ def _taken(one: Other) -> Other:
 
 
 def _finer(context: Context, judged: Judged) -> Other | None:
-    """The same explanation with steps that are more exact: by another integrator, or where that is
-    none that predicts better (of a stiff scene it is not stable), half of the step, a quarter, ...
-    as long as that is better and the error of the step matters. None where the step as it is
-    predicts best.
+    """The same explanation with half of the step, a quarter, ... as long as that is better and the
+    error of the step matters; None where the step as it is predicts best.
 
     The error of MuJoCo's other integrators falls as the step does (what they hold over a step, they
     hold for a time of its length): half the step changes as much as it leaves. Where most windows
     have impacts no step is finer: what a contact does depends on it by definition."""
-    if not _inexact(context.bench, judged):
+    if not _inexact(context.bench, judged.ratio):
         return None
-    other = _again(context, judged, exact)
-    if other is not None and other[1].loss < judged.loss:
-        return other
     step, best = taken(context.bench), 0.0
     gains, found, gain = _line(context, judged, stepped, (step,))
     while len(gains) <= _HALVINGS and gain(step / 2.0) > best:
         step, best = step / 2.0, gains[step / 2.0]
-        if not _inexact(found[step][0].bench, judged):
+        if not _inexact(found[step][0].bench, judged.ratio):
             break
     return found.get(step)
 
 
-def _inexact(bench: Bench, judged: Judged) -> bool:
-    """Whether the error of the step matters beside what is left."""
-    return not bench.rugged and 2.0 * halving(bench) > _MATTERS * max(judged.ratio, 1.0)
+def _inexact(bench: Bench, ratio: float) -> bool:
+    """Whether the error of the step matters beside so much, over the noise (at least the noise)."""
+    return not bench.rugged and not 2.0 * halving(bench) <= _MATTERS * max(ratio, 1.0)
 
 
 def _line(
@@ -214,7 +225,7 @@ def _begun(context: Context, judged: Judged, lead: Lead, tried: Sequence[float])
     half a step early: a step that is too long may happen to make up for when controls change, and
     then neither is better without the other."""
     benches = [context.bench]
-    if _inexact(context.bench, judged) and (other := exact(context.bench)) is not None:
+    if (other := _exact(context.bench)) is not None:
         benches.append(other)
     forms = [_led_best(context.trying(one), judged, lead, tried) for one in benches]
     return min((one for one in forms if one), key=lambda one: one[1].loss, default=None)

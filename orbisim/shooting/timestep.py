@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import mujoco
@@ -58,11 +59,17 @@ def stepped(bench: Bench, timestep: float, integrator: int | None = None) -> Ben
     return other.led(dataclasses.replace(bench.lead, share=share))
 
 
-def exact(bench: Bench) -> Bench | None:
-    """With the classical Runge-Kutta method, whose error falls as the fourth power of the step, in
-    the steps that there are; None if it has it."""
-    known = stepping(bench.scene)
-    return None if known.integrator == _RK4 else stepped(bench, taken(bench), _RK4)
+def exact(bench: Bench) -> Iterator[Bench]:
+    """With the classical Runge-Kutta method, whose error falls as the fourth power of the step: in
+    steps that take no longer, as each has four evaluations, then in those that there are; only in
+    these where bodies touch, as what a contact does depends on them. Nothing where it is there."""
+    if stepping(bench.scene).integrator == _RK4:
+        return
+    interval = typical_interval(bench)
+    steps = round(interval / taken(bench))
+    few = steps if bench.contacts else -(-steps // _EVALUATIONS)
+    for count in sorted({few, steps}):
+        yield stepped(bench, interval / count, _RK4)
 
 
 def _early(bench: Bench) -> float:
@@ -72,6 +79,8 @@ def _early(bench: Bench) -> float:
 
 
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
+_EVALUATIONS = 4
+"""Of forces, in a step of that method."""
 
 
 def peak(gains: dict[float, float], low: float, high: float) -> float | None:

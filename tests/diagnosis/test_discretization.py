@@ -45,7 +45,7 @@ def test_a_step_that_is_too_long_is_shortened_instead_of_explained() -> None:
     taken = timestep.stepping(result.augmented_scene)
     assert taken.integrator == RK4 and taken.timestep == pytest.approx(0.01)
     assert any(
-        "surely better than with the declared a timestep of 0.01 s (implicitfast)" in n
+        "predict better than with the declared timestep of 0.01 s (implicitfast)" in n
         for n in result.notes
     )
     assert result.error["held_out"]["after"] < 0.8 * result.error["held_out"]["before"]
