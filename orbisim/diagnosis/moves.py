@@ -50,8 +50,8 @@ def best_move(found: Found, number: int) -> tuple[Judged | None, list[Tried], bo
     late = False
     share = _OF_TIME * context.deadline.left
     until = Deadline.after(share)
-    sets = (functools.partial(_together, one) for one in (_by_windows, _usual, _by_forces))
-    kinds: list[Kind] = [_added, _retuned, *sets]
+    windows, *sets = (functools.partial(_together, o) for o in (_by_windows, _usual, _by_forces))
+    kinds: list[Kind] = [_added, _tuned, windows, _retuned, *sets]
     for kind in kinds:
         if best is not None and _enough_for_now(context, current, best):
             break
@@ -192,19 +192,26 @@ def _refined(
                     yield judged
 
 
-def _retuned(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
-    """With declared parameters retuned, alone and with the best additions."""
+def _tuned(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
+    """With declared parameters retuned."""
     context, current = found.context, found.best
     if not context.tunables or current.hypothesis.factors:
         return
     context.say("retuning declared parameters")
     tuned = fitted_from(context, current.hypothesis.tuned(context.tunables), current)
-    if tuned is None:
-        return
-    if tuned.hypothesis.factors:  # else it is what there is
+    if tuned is not None and tuned.hypothesis.factors:  # else it is what there is
         yield tuned
+
+
+def _retuned(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
+    """The best additions with declared parameters retuned."""
+    context, current = found.context, found.best
+    if not context.tunables or current.hypothesis.factors:
+        return
     context.say("effects with declared parameters retuned")
-    first = best_few(context, current, fitted)
+    alone = [o for o in fitted if o.hypothesis.factors and not _more(o, current)]
+    tuned = alone[-1] if alone else current
+    first = best_few(context, current, [one for one in fitted if _more(one, current) == 1])
     near = [one.hypothesis for one in first]
     if number == 1 and found.screening is not None:
         suspects = found.screening.tuned[: context.settings.shortlist]
@@ -222,6 +229,11 @@ def _retuned(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Ju
             both = (current, tuned), (first[0], judged)
             if all(b is None or worth(context.bench, a, b).total <= 0 for a, b in both):
                 return  # worth nothing alone nor beside the best: nor beside the others
+
+
+def _more(one: Judged, current: Judged) -> int:
+    """How many effects more there are."""
+    return len(one.hypothesis.effects) - len(current.hypothesis.effects)
 
 
 def _together(

@@ -198,7 +198,7 @@ class Counted:
 
 def test_the_best_so_far_is_returned_when_the_time_is_up(arm: orbisim.Scene) -> None:
     whole = bench_of(arm, FRICTION, DAMPING, BIAS)
-    soon, few = cast(Any, Counted(200)), Settings(retune=False, effects=ALLOWED)
+    soon, few = cast(Any, Counted(300)), Settings(retune=False, effects=ALLOWED)
     found = attribute(dataclasses.replace(whole, deadline=soon), few)
     assert found.cut_short and 10 < found.after.ratio < 0.9 * found.before.ratio
     assert found.bench.deadline is NEVER
