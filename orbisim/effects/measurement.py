@@ -67,8 +67,8 @@ class Measurement:
     def _delayed(
         self, truth: Floats, reference: Floats, late: npt.NDArray[np.int64], time: Floats
     ) -> Floats:
-        """Cubic in positions, linear in velocities; extrapolated at a window's ends: before it with
-        the shape of what was measured, as that is the same motion late."""
+        """Cubic in positions, and its slope in velocities; extrapolated at a window's ends: before it
+        with the shape of what was measured, as that is the same motion late."""
         assert self.delay is not None
         out = truth.copy()
         for w in range(len(truth)):
@@ -78,7 +78,8 @@ class Measurement:
                 value = self._at(truth[w], t, t - delay, c)
                 early = t < t[0] + delay
                 if t[0] + delay < t[-1]:
-                    shape = reference[w, early, c] - self._at(reference[w], t, t[:1] + delay, c)
+                    there = self._at(reference[w], t, t[:1] + delay, c, noisy=True)
+                    shape = reference[w, early, c] - there
                     value[early] = truth[w, 0, c] + shape / self._scale(c)
                 out[w, :, c] = value
         return out
@@ -89,16 +90,23 @@ class Measurement:
         return float(self.scale[c])
 
     @staticmethod
-    def _at(values: Floats, t: Floats, at: Floats, c: int) -> Floats:
-        """One column of [K, 2 nv] at other times; linear beyond the ends."""
+    def _at(values: Floats, t: Floats, at: Floats, c: int, noisy: bool = False) -> Floats:
+        """One column of [K, 2 nv] at other times; linear beyond the ends.
+
+        Args:
+          noisy: whether positions are measured: they would make velocities noisy, which are linear
+            between samples then.
+        """
         nv = values.shape[1] // 2
         k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
         h, u = t[k + 1] - t[k], (at - t[k]) / (t[k + 1] - t[k])
-        y = values[:, c]
-        if c >= nv:
-            return np.asarray(y[k] + u * (y[k + 1] - y[k]))
-        v = values[:, nv + c]
+        y, v = values[:, c % nv], values[:, nv + c % nv]
         inside = np.clip(u, 0.0, 1.0)
+        if c >= nv and noisy:
+            return np.asarray(v[k] + u * (v[k + 1] - v[k]))
+        if c >= nv:
+            slope = _hermite_slope(inside, y[k], y[k + 1], h * v[k], h * v[k + 1]) / h
+            return np.asarray(slope + (u - inside) * (v[k + 1] - v[k]))
         cubic = _hermite(inside, y[k], y[k + 1], h * v[k], h * v[k + 1])
         return np.asarray(cubic + (u - inside) * h * np.where(u < 0, v[k], v[k + 1]))
 
@@ -110,6 +118,13 @@ def _hermite(u: Floats, y0: Floats, y1: Floats, d0: Floats, d1: Floats) -> Float
         + u * (1 - u) ** 2 * d0
         + u**2 * (3 - 2 * u) * y1
         + u**2 * (u - 1) * d1
+    )
+
+
+def _hermite_slope(u: Floats, y0: Floats, y1: Floats, d0: Floats, d1: Floats) -> Floats:
+    """Its derivative by u: a parabola from d0 to d1 whose mean is y1 - y0."""
+    return np.asarray(
+        6 * u * (1 - u) * (y1 - y0) + (1 - u) * (1 - 3 * u) * d0 + u * (3 * u - 2) * d1
     )
 
 

@@ -18,6 +18,7 @@ from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
+from orbisim.shooting.timestep import stepping
 from orbisim.testing import inject_effect
 
 SPRING = EffectInstance("joint_spring", "elbow", {"stiffness": 0.3, "rest_position": 0.0})
@@ -35,7 +36,11 @@ def found(arm: orbisim.Scene, truth: EffectInstance) -> tuple[Bench, Judged, str
     context = begun(bench, Settings(), lambda _: None)
     judged = context.judge.judge(Hypothesis((SPRING,)), 8)
     assert judged is not None
-    return bench, judged, simplification.named(Found(context, 0.002, judged, judged)).law
+    return (
+        bench,
+        judged,
+        simplification.named(Found(context, stepping(context.bench.scene), judged, judged)).law,
+    )
 
 
 @pytest.mark.slow
@@ -69,9 +74,14 @@ def test_what_leaves_but_noise_by_itself_keeps_its_name(
         for effects in ((), (damping,), (damping, needless))
     )
     assert declared is not None and alone is not None and both is not None
-    assert "'elbow' alone" in simplification.named(Found(context, 0.002, declared, both)).law
+    assert (
+        "'elbow' alone"
+        in simplification.named(Found(context, stepping(context.bench.scene), declared, both)).law
+    )
     tried = Tried(alone, 1, worth(context.bench, declared, alone))
-    kept = simplification.named(Found(context, 0.002, declared, both, tried=(tried,)))
+    kept = simplification.named(
+        Found(context, stepping(context.bench.scene), declared, both, tried=(tried,))
+    )
     assert kept.best is alone and not kept.law
 
 
@@ -97,5 +107,5 @@ def test_a_scale_and_an_offset_are_no_names_for_an_eccentric_encoder(arm: orbisi
     both = context.judge.judge(Hypothesis((scale, offset)), 8)
     assert declared is not None and both is not None
     assert worth(context.bench, declared, both).sure > 0
-    law = simplification.named(Found(context, 0.002, declared, both)).law
+    law = simplification.named(Found(context, stepping(context.bench.scene), declared, both)).law
     assert "smooth function of the position" in law and "'elbow' alone" in law

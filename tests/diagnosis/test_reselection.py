@@ -12,11 +12,13 @@ from orbisim.diagnosis.context import begun
 from orbisim.diagnosis.explanations import Found
 from orbisim.diagnosis.reselection import reselected
 from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.simplification import without_vague
 from orbisim.effects import EffectInstance
 from orbisim.host.deadline import Deadline
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import make_bench
 from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.timestep import stepping
 from orbisim.testing import inject_effect
 
 CLOCK = EffectInstance("clock_skew", "recording", {"factor": 1.05})
@@ -36,7 +38,7 @@ def found_of(
     declared, best = (context.judge.judge(Hypothesis(some)) for some in ((), named))
     assert declared is not None and best is not None
     context = context.along(best)
-    return Found(context, float(arm.model.opt.timestep), declared, best)
+    return Found(context, stepping(arm), declared, best)
 
 
 def names(found: Found) -> set[tuple[str, str]]:
@@ -58,6 +60,16 @@ def test_a_load_in_the_place_of_two_parts_of_it(arm: orbisim.Scene) -> None:
     force = EffectInstance("constant_force", "forearm", down)
     inertia = EffectInstance("armature", "elbow", {"inertia": 0.002})
     assert names(reselected(found_of(arm, (LOAD,), (force, inertia)))) == {("payload", "forearm")}
+
+
+def test_what_cannot_be_told_from_nothing_goes(arm: orbisim.Scene) -> None:
+    scale = EffectInstance("sensor_scale", "elbow", {"factor": 1.01})
+    there = found_of(arm, (LATE, DAMPING), (LATE, DAMPING, scale))
+    best = there.context.judge.judge(there.best.hypothesis)  # with the noise as it is known now
+    assert best is not None
+    found = without_vague(dataclasses.replace(there, best=best))
+    assert names(found) == {(one.effect, one.target) for one in (LATE, DAMPING)}
+    assert without_vague(found) is found
 
 
 def test_what_is_there_stays(arm: orbisim.Scene) -> None:

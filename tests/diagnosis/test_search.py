@@ -27,6 +27,7 @@ from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
 from orbisim.shooting.retune import SPREAD, Tunable, retuned
+from orbisim.shooting.timestep import stepping
 from orbisim.testing import inject_effect
 
 ASSETS = Path(__file__).parents[2] / "mjcf_assets"
@@ -99,7 +100,7 @@ def test_a_needless_effect_is_dropped(arm: orbisim.Scene) -> None:
     declared = context.judge.judge(Hypothesis())
     both = context.judge.judge(Hypothesis((FRICTION, idle)))
     assert declared is not None and both is not None and both.ratio > 3
-    found = concluded(Found(context, 0.002, declared, both), NEVER)
+    found = concluded(Found(context, stepping(context.bench.scene), declared, both), NEVER)
     assert names(found.hypothesis) == {("coulomb_friction", "shoulder")}
     ((gone, reason),) = found.rejected
     assert gone.effect == "armature" and "an explanation without it" in reason
@@ -287,7 +288,7 @@ def test_what_was_fitted_in_time_is_compared_and_kept(
     monkeypatch.setattr(module, "earlier", lambda *_: None)
     monkeypatch.setattr(module, "best_move", lambda *_: (best, [tried], False))
     monkeypatch.setattr(module, "_fairly", lambda *_: late.check())
-    found = module._round(Found(context, 0.002, declared, declared), 1)
+    found = module._round(Found(context, stepping(context.bench.scene), declared, declared), 1)
     assert found.late and found.best is best and found.tried == (tried,)
 
 
@@ -304,7 +305,7 @@ def test_controls_that_lead_are_not_lost_where_the_time_is_up(
     monkeypatch.setattr(module, "done", lambda *_: False)
     monkeypatch.setattr(module, "earlier", lambda *_: (context, better))
     monkeypatch.setattr(module, "best_move", lambda *_: (None, [], True))
-    found = module._round(Found(context, 0.002, declared, declared), 1)
+    found = module._round(Found(context, stepping(context.bench.scene), declared, declared), 1)
     assert found.late and found.best is better
 
 
@@ -315,7 +316,9 @@ def test_what_cannot_be_told_from_nothing_is_not_the_answer_where_the_time_is_up
     idle = EffectInstance("armature", "shoulder", {"inertia": 1e-4})
     declared, both = (context.judge.judge(Hypothesis(e)) for e in ((), (FRICTION, idle)))
     assert declared is not None and both is not None
-    found = _as_found(Found(context, 0.002, declared, both, late=True), Deadline(0.0))
+    found = _as_found(
+        Found(context, stepping(context.bench.scene), declared, both, late=True), Deadline(0.0)
+    )
     assert names(found.hypothesis) == {("coulomb_friction", "shoulder")}
     (torque,) = found.hypothesis.values(arm)
     alone = context.judge.judge(Hypothesis((FRICTION,)))
@@ -342,7 +345,9 @@ def test_where_the_time_was_up_what_was_sure_at_first_is_the_answer(arm: orbisim
     declared, sure = (context.judge.judge(Hypothesis(e)) for e in ((), (FRICTION,)))
     assert declared is not None and sure is not None
     tried = Tried(sure, 1, worth(context.bench, declared, sure))
-    found = Found(context, 0.002, declared, declared, tried=(tried,), late=True)
+    found = Found(
+        context, stepping(context.bench.scene), declared, declared, tried=(tried,), late=True
+    )
     assert _best_first(found) == [sure]
     assert _best_first(dataclasses.replace(found, best=sure)) == [sure]
     for after in (concluded(found, NEVER), _as_found(found), _as_found(found, Deadline(0.0))):

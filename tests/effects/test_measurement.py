@@ -8,7 +8,7 @@ import pytest
 import orbisim
 from orbisim.effects import EffectInstance
 from orbisim.effects.measured import distort
-from orbisim.effects.measurement import TRUE, measurement_of
+from orbisim.effects.measurement import TRUE, Measurement, measurement_of
 from orbisim.recording import Recording
 
 SCENE = """
@@ -51,3 +51,14 @@ def test_a_clock_is_read_apart() -> None:
     assert not TRUE and TRUE.clock == 1.0
     friction = EffectInstance("coulomb_friction", "a", {"torque": 1.0})
     assert not measurement_of(scene.model, [friction])
+
+
+def test_velocities_between_samples_are_slopes_of_the_motion() -> None:
+    """Exactly so of a cubic, which linear interpolation misses by an eighth of its jerk times the
+    square of an interval."""
+    time = np.linspace(0.0, 0.5, 6)
+    truth = np.stack([time**3, 3 * time**2], axis=-1)[None]
+    late = Measurement(bias=np.zeros(2), scale=np.ones(2), delay=np.full(2, 0.03))
+    read = late.of(np.zeros_like(truth), truth, time[None])[0, 1:]
+    assert read[:, 0] == pytest.approx((time[1:] - 0.03) ** 3)
+    assert read[:, 1] == pytest.approx(3 * (time[1:] - 0.03) ** 2)

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
+
+import mujoco
 import numpy as np
 import pytest
 
 import orbisim
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import make_bench
-from orbisim.shooting.timestep import Stepping, peak, taken, typical_interval, with_stepping
+from orbisim.shooting.timestep import (
+    Stepping,
+    exact,
+    peak,
+    stepping,
+    taken,
+    typical_interval,
+    with_stepping,
+)
 from orbisim.testing import inject_effect
 
 
@@ -41,3 +52,17 @@ def test_the_scene_itself_keeps_its_timestep(arm: orbisim.Scene) -> None:
     finer = with_stepping(arm, Stepping(before / 4, arm.model.opt.integrator))
     assert finer.model.opt.timestep == pytest.approx(before / 4)
     assert arm.model.opt.timestep == before
+
+
+def test_exact_steps_take_no_longer_first(arm: orbisim.Scene) -> None:
+    runs = inject_effect(arm, [], rate=100.0, duration=1.0, episodes=1, noise=1e-3, seed=0)
+    euler = with_stepping(arm, Stepping(0.002, int(mujoco.mjtIntegrator.mjINT_EULER)))
+    bench = make_bench(euler, prepare_all(runs, euler), 0.3)
+    other = [stepping(one.scene) for one in exact(bench)]
+    method = int(mujoco.mjtIntegrator.mjINT_RK4)
+    assert [one.integrator for one in other] == [method, method]
+    # five steps of 2 ms make an interval; two of four evaluations each are the fewest that do
+    assert [one.timestep for one in other] == pytest.approx([0.005, 0.002])
+    touching = dataclasses.replace(bench, contacts=True)
+    assert [stepping(one.scene).timestep for one in exact(touching)] == pytest.approx([0.002])
+    assert not list(exact(next(exact(bench))))
