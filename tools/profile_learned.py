@@ -190,7 +190,9 @@ def step(rest: str, options: Any) -> Measure:
     kind, *more = words.split("/")
     compiler: Any = "fused" if "fused" in more else "joined"
     model = _model(options)
-    stepper = Stepper(model, _device(), Speedups(kernels=kind == "kernels", compiled=compiler))
+    own, variances = kind == "kernels", "variances" in more
+    speedups = Speedups(kernels=own, variances=variances, compiled=compiler)
+    stepper = Stepper(model, _device(), speedups)
     tiles = [word for word in more if "," in word]
     if tiles and stepper._kernels is not None:
         stepper._kernels.network.tile = Tile(*map(int, tiles[0].split(",")))

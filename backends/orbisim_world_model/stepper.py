@@ -59,6 +59,8 @@ class Speedups:
       precision: of the network, on a GPU; physics is always computed in float32.
       kernels: compute the network by kernels of our own (`network.fused`), on a GPU in fp16, where
         they suit it.
+      variances: compute `Spread` by a kernel of our own, too. Off: on a GPU it has accessed memory
+        that it may not (docs/benchmarks.md, "Known limits"), which ends the process.
       compiled: how torch compiles the step, if it can; None does not compile.
       graphed: one CUDA graph for each number of worlds.
     """
@@ -66,6 +68,7 @@ class Speedups:
     folded: bool | None = None
     precision: Literal["fp16", "bf16", "fp32"] = "fp16"
     kernels: bool = True
+    variances: bool = False
     compiled: Compiler | None = "joined"
     graphed: bool = True
 
@@ -122,7 +125,8 @@ class Stepper:
             return None
         made = self._made(model, folded=False)
         made.network = FusedNetwork(model.network).to(self.device, torch.float16)
-        if made.spread is not None and FusedSpread.suits(made.sizes):
+        own = self.speedups.variances and made.spread is not None
+        if own and FusedSpread.suits(made.sizes):
             made.spread = FusedSpread(made.spread, made.sizes).to(self.device)
         return made.requires_grad_(False)
 

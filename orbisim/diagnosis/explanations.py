@@ -79,7 +79,9 @@ def quiet(settings: Settings, declared: Judged) -> bool:
 
 
 def done(context: Context, judged: Judged) -> bool:
-    """Whether nothing is left to explain."""
+    """Whether nothing is left to explain; without any effect, in no window (see `quiet`)."""
+    if not judged.hypothesis.effects and not judged.hypothesis.factors:
+        return quiet(context.settings, judged)
     return judged.ratio <= enough(context.settings, judged)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.explanations import quiet
+from orbisim.diagnosis.explanations import done, quiet
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
 from orbisim.motion.samples import prepare_all
@@ -82,3 +82,9 @@ def test_a_residual_in_few_windows_is_looked_at() -> None:
     assert quiet(Settings(), declared(1.0, 1.05))
     assert not quiet(Settings(), declared(1.0, 1.3))
     assert not quiet(Settings(), declared(1.3, 1.0))
+    context: Any = SimpleNamespace(settings=Settings())
+    friction = EffectInstance("coulomb_friction", "elbow", {"torque": 0.1})
+    for effects, ended in ((), False), ((friction,), True):  # a few impacts no fit reproduces
+        judged: Any = declared(1.0, 1.3)
+        judged.hypothesis = Hypothesis(effects)
+        assert done(context, judged) == ended
