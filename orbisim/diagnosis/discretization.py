@@ -28,9 +28,18 @@ from orbisim.motion.linear import IntervalMap, linearize
 from orbisim.recording.command_clock import Lead
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
-from orbisim.shooting.halving import halving
+from orbisim.shooting.halving import difference, halving
 from orbisim.shooting.judge import Judged
-from orbisim.shooting.timestep import Stepping, exact, peak, stepped, stepping, taken
+from orbisim.shooting.timestep import (
+    Stepping,
+    exact,
+    held,
+    peak,
+    stepped,
+    stepping,
+    taken,
+    typical_interval,
+)
 
 Other = tuple[Context, Judged]
 
@@ -56,9 +65,10 @@ def _exactly(context: Context, judged: Judged) -> Other | None:
 
 def _exact(bench: Bench) -> Bench | None:
     """In exact steps; None if those that there are do, or none are (a stiff scene)."""
-    if not _inexact(bench, 1.0):
+    other = exact(bench)
+    if other is None or not _inexact(bench, 1.0) or _inexact(other, 1.0):
         return None
-    return next((one for one in exact(bench) if not _inexact(one, 1.0)), None)
+    return other
 
 
 def earlier(context: Context, judged: Judged) -> Other | None:
@@ -79,7 +89,7 @@ def _followed(context: Context, judged: Judged) -> Other | None:
     """
     found = None
     while True:
-        tried = (_finer(context, judged), _retimed(context, judged))
+        tried = (_finer(context, judged), _held(context, judged), _retimed(context, judged))
         better = _surest(context, judged, tried)
         if better is None:
             return found
@@ -157,6 +167,29 @@ def _finer(context: Context, judged: Judged) -> Other | None:
     return found.get(step)
 
 
+def _held(context: Context, judged: Judged) -> Other | None:
+    """The same explanation in steps over which forces are held, instead of exact ones, of the
+    length that predicts best: a simulated machine has steps of its own, and what they do would be
+    named as an inertia or a damping (MuJoCo's implicit damping adds its product with the step to
+    the inertia). What they do grows as the step does, so that three lengths tell the best."""
+    interval = typical_interval(context.bench)
+    long = interval / _HELD
+    other = held(context.bench, long)
+    if other is None or context.bench.rugged:
+        return None
+    if not difference(context.bench, other) > _MATTERS * max(judged.ratio, 1.0):
+        return None
+    gains, found, gain = _line(context, judged, held, (0.0,))
+    gain(long / 2.0)
+    gain(long)
+    place = peak(_squares(gains), 0.0, 2.0 * long)
+    if place is not None and place > long / _SHORTEST:
+        between = interval / round(interval / place)
+        if not any(np.isclose(between, one) for one in gains):
+            gain(between)
+    return found.get(max(gains, key=lambda step: gains[step]))
+
+
 def _inexact(bench: Bench, ratio: float) -> bool:
     """Whether the error of the step matters beside so much, over the noise (at least the noise)."""
     return not bench.rugged and not 2.0 * halving(bench) <= _MATTERS * max(ratio, 1.0)
@@ -165,7 +198,7 @@ def _inexact(bench: Bench, ratio: float) -> bool:
 def _line(
     context: Context,
     judged: Judged,
-    change: Callable[[Bench, float], Bench],
+    change: Callable[[Bench, float], Bench | None],
     known: Sequence[float],
 ) -> tuple[dict[float, float], dict[float, Other], Callable[[float], float]]:
     """Gains by places along a line of forms, the forms there, and what adds a place to both.
@@ -194,6 +227,9 @@ def _squares(gains: dict[float, float]) -> dict[float, float]:
 _MATTERS = 0.25
 """Error of a step, over what is left (at least the noise), that matters: three hundredths of that
 are the step's then. While effects are missing, a coarser one does, and simulates faster."""
+_HELD, _SHORTEST = 8, 8
+"""Steps a sampling interval that are tried first, as a simulated machine's own; how many times
+shorter ones are as good as exact."""
 _HALVINGS = 5
 """At once: a simulation takes as many times as long."""
 

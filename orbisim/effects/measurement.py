@@ -67,7 +67,7 @@ class Measurement:
     def _delayed(
         self, truth: Floats, reference: Floats, late: npt.NDArray[np.int64], time: Floats
     ) -> Floats:
-        """Cubic in positions, and its slope in velocities; extrapolated at a window's ends: before it
+        """Cubic in positions, its slope in velocities; extrapolated at a window's ends: before it
         with the shape of what was measured, as that is the same motion late."""
         assert self.delay is not None
         out = truth.copy()

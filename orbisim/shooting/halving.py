@@ -15,6 +15,12 @@ Floats = npt.NDArray[np.float64]
 
 def halving(bench: Bench) -> float:
     """By how many times the noise free runs of the scene differ from those with half its timestep:
+    see `difference`."""
+    return difference(bench, stepped(bench, taken(bench) / 2.0))
+
+
+def difference(bench: Bench, other: Bench) -> float:
+    """By how many times the noise free runs differ from those of another form of the same data:
     root mean square over a typical window, without impacts if most windows have none."""
     some = evenly(np.ones(len(bench.windows), bool) if bench.rugged else bench.smooth, _MOST)
 
@@ -23,8 +29,7 @@ def halving(bench: Bench) -> float:
         still = np.zeros((len(shooter), 2 * shooter.nv))
         return shooter.scaled(shooter.simulate(Variant(one.scene), still))
 
-    runs = run(bench), run(stepped(bench, taken(bench) / 2.0))
-    return float(np.median(np.sqrt(np.mean((runs[1] - runs[0]) ** 2, axis=1))))
+    return float(np.median(np.sqrt(np.mean((run(other) - run(bench)) ** 2, axis=1))))
 
 
 _MOST = 24

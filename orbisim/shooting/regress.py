@@ -213,17 +213,25 @@ class Projected(NamedTuple):
 
 
 def without_start(design: Floats, target: Floats, free: int, count: int) -> Projected:
-    """Removes what the first columns explain.
+    """Removes what the first columns explain. What is chained through impacts may grow beyond what
+    squares of numbers hold: such rows say nothing.
 
     Args:
       design: [R, free + C]. target: [R]. free: number of columns that fix the start.
       count: of data.
     """
+    known = (np.abs(design) < _LARGEST).all(axis=1) & (np.abs(target) < _LARGEST)
+    design, target = np.where(known[:, None], design, 0.0), np.where(known, target, 0.0)
+    count -= int(np.count_nonzero(~known))
     basis, triangle = np.linalg.qr(design[:, :free])
     strength = np.abs(np.diag(triangle))
     basis = basis[:, strength > 1e-9 * max(strength.max(initial=0.0), 1e-300)]
     rest = design[:, free:] - basis @ (basis.T @ design[:, free:])
     return Projected(rest, target - basis @ (basis.T @ target), count - basis.shape[1])
+
+
+_LARGEST = 1e100
+"""Sums of squares of a million such numbers are finite."""
 
 
 def total(normals: Sequence[Normal]) -> Normal:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import mujoco
@@ -59,17 +58,21 @@ def stepped(bench: Bench, timestep: float, integrator: int | None = None) -> Ben
     return other.led(dataclasses.replace(bench.lead, share=share))
 
 
-def exact(bench: Bench) -> Iterator[Bench]:
-    """With the classical Runge-Kutta method, whose error falls as the fourth power of the step: in
-    steps that take no longer, as each has four evaluations, then in those that there are; only in
-    these where bodies touch, as what a contact does depends on them. Nothing where it is there."""
+def exact(bench: Bench) -> Bench | None:
+    """With the classical Runge-Kutta method, whose error falls as the fourth power of the step, in
+    the steps that there are; None where it is there. Longer ones would do for what is smooth, but
+    not for stops."""
     if stepping(bench.scene).integrator == _RK4:
-        return
-    interval = typical_interval(bench)
-    steps = round(interval / taken(bench))
-    few = steps if bench.contacts else -(-steps // _EVALUATIONS)
-    for count in sorted({few, steps}):
-        yield stepped(bench, interval / count, _RK4)
+        return None
+    return stepped(bench, taken(bench), _RK4)
+
+
+def held(bench: Bench, timestep: float) -> Bench | None:
+    """In steps over which forces are held, by MuJoCo's implicitfast integrator; None for those of
+    another integrator than `exact` ones."""
+    if stepping(bench.scene).integrator != _RK4:
+        return None
+    return stepped(bench, timestep, int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
 
 
 def _early(bench: Bench) -> float:
@@ -79,8 +82,6 @@ def _early(bench: Bench) -> float:
 
 
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
-_EVALUATIONS = 4
-"""Of forces, in a step of that method."""
 
 
 def peak(gains: dict[float, float], low: float, high: float) -> float | None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import mujoco
 import numpy as np
 import pytest
@@ -14,6 +12,7 @@ from orbisim.shooting.bench import make_bench
 from orbisim.shooting.timestep import (
     Stepping,
     exact,
+    held,
     peak,
     stepping,
     taken,
@@ -54,15 +53,17 @@ def test_the_scene_itself_keeps_its_timestep(arm: orbisim.Scene) -> None:
     assert arm.model.opt.timestep == before
 
 
-def test_exact_steps_take_no_longer_first(arm: orbisim.Scene) -> None:
+def test_exact_steps_are_those_that_there_are(arm: orbisim.Scene) -> None:
     runs = inject_effect(arm, [], rate=100.0, duration=1.0, episodes=1, noise=1e-3, seed=0)
-    euler = with_stepping(arm, Stepping(0.002, int(mujoco.mjtIntegrator.mjINT_EULER)))
+    euler = with_stepping(arm, Stepping(0.003, int(mujoco.mjtIntegrator.mjINT_EULER)))
     bench = make_bench(euler, prepare_all(runs, euler), 0.3)
-    other = [stepping(one.scene) for one in exact(bench)]
-    method = int(mujoco.mjtIntegrator.mjINT_RK4)
-    assert [one.integrator for one in other] == [method, method]
-    # five steps of 2 ms make an interval; two of four evaluations each are the fewest that do
-    assert [one.timestep for one in other] == pytest.approx([0.005, 0.002])
-    touching = dataclasses.replace(bench, contacts=True)
-    assert [stepping(one.scene).timestep for one in exact(touching)] == pytest.approx([0.002])
-    assert not list(exact(next(exact(bench))))
+    other = exact(bench)
+    assert other is not None
+    found = stepping(other.scene)
+    assert found.integrator == int(mujoco.mjtIntegrator.mjINT_RK4)
+    assert found.timestep == pytest.approx(0.0025)  # four make an interval of 10 ms
+    assert exact(other) is None
+    assert held(bench, 0.001) is None
+    own = held(other, 0.001)
+    assert own is not None
+    assert stepping(own.scene) == (0.001, int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
