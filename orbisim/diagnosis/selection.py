@@ -379,13 +379,15 @@ class _Search:
         ones = [i for group in chosen if group.fixed for i in group.index]
         x = fit(with_ones(self.whole, ones), index)[0]
         gram = self.whole.gram[np.ix_(index, index)]
-        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        inverse = np.linalg.inv(gram / np.outer(scale, scale) + _RIDGE * np.eye(len(index)))
+        strength = np.diag(gram)  # none, but for rounding, where others explain it all
+        scale = np.sqrt(np.where(strength > 0, strength, np.inf))
+        alike = np.clip(gram / np.outer(scale, scale), -1.0, 1.0)
+        inverse = np.linalg.inv(alike + _RIDGE * np.eye(len(index)))
         found, start = {}, 0
         for group in free:
             own = slice(start, start + len(group.index))
             start = own.stop
-            y = x[own] * scale[own]
+            y = x[own] * np.sqrt(np.maximum(strength[own], 0.0))
             # columns of a group may be one beside the others: a puck's centre of mass by height
             found[id(group)] = float(y @ np.linalg.pinv(inverse[own, own], hermitian=True) @ y)
         return [found.get(id(group), 0.0) for group in chosen]

@@ -230,8 +230,8 @@ def without_start(design: Floats, target: Floats, free: int, count: int) -> Proj
     return Projected(rest, target - basis @ (basis.T @ target), count - basis.shape[1])
 
 
-_LARGEST = 1e100
-"""Sums of squares of a million such numbers are finite."""
+_LARGEST = 1e30
+"""Of weighted data and columns: products of such numbers with the forces of impacts are finite."""
 
 
 def total(normals: Sequence[Normal]) -> Normal:

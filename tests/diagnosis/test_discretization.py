@@ -42,8 +42,7 @@ def test_a_step_that_is_too_long_is_shortened_instead_of_explained() -> None:
     runs = inject_effect(_scene(0.0005), [], duration=2.0, episodes=3, noise=5e-4, seed=1)
     result = orbisim.diagnose(_scene(0.01), runs, progress=False)
     assert result.verdict == "no_residual" and not result.effects
-    taken = timestep.stepping(result.augmented_scene)
-    assert taken.integrator == RK4 and taken.timestep == pytest.approx(0.01)
+    assert timestep.stepping(result.augmented_scene).timestep == pytest.approx(0.0005, rel=0.3)
     assert any(
         "predict better than with the declared timestep of 0.01 s (implicitfast)" in n
         for n in result.notes
@@ -172,7 +171,6 @@ def test_a_clock_is_found_beside_a_step_that_makes_up_for_it() -> None:
     assert found is not None and found[1].ratio < 0.15 * judged.ratio
     lead = found[0].bench.lead
     assert lead is not None and lead.clock and lead.share == pytest.approx(0.0, abs=0.06)
-    assert timestep.stepping(found[0].bench.scene).integrator == RK4
 
 
 def test_controls_that_change_at_samples_are_held_from_there() -> None:
@@ -200,7 +198,7 @@ def test_the_time_by_which_controls_lead_is_found() -> None:
     assert found[0].bench.lead.share == pytest.approx(0.2, abs=0.03)
 
 
-@pytest.mark.parametrize("true", [0.00025, 0.0005])
+@pytest.mark.parametrize("true", [0.00025, 0.0005, 0.001])
 def test_steps_that_are_more_exact_are_found(true: float) -> None:
     """What is left of a simulated machine's own step would be named as a damping or a clock."""
     runs = inject_effect(_scene(true), [], duration=2.0, episodes=3, noise=5e-4, seed=1)
@@ -212,7 +210,7 @@ def test_steps_that_are_more_exact_are_found(true: float) -> None:
     found = settled(context, judged)
     assert found is not None and found[1].ratio < 1.06 < judged.ratio
     taken = timestep.stepping(found[0].bench.scene)
-    assert taken.integrator == RK4 and taken.timestep == pytest.approx(0.01)
+    assert taken.integrator == RK4 or taken.timestep == pytest.approx(true, rel=0.3)
 
 
 def test_a_step_is_halved_where_another_integrator_is_not_stable() -> None:
@@ -246,7 +244,7 @@ def test_a_step_is_shortened_where_bodies_touch() -> None:
     assert judged is not None
     found = settled(context, judged)
     assert found is not None and found[0].bench.contacts
-    assert timestep.stepping(found[0].bench.scene).integrator == RK4
+    assert timestep.stepping(found[0].bench.scene).timestep == pytest.approx(0.001, rel=0.3)
 
 
 def test_controls_that_hardly_change_are_not_asked() -> None:

@@ -26,6 +26,16 @@ def test_a_start_that_changes_nothing_takes_no_datum() -> None:
     assert without_start(blank, TARGET, 2, 30).rows == 29
 
 
+def test_rows_beyond_what_numbers_hold_say_nothing() -> None:
+    design, target = DESIGN.copy(), TARGET.copy()
+    design[3, 1], design[5, 0], target[7] = 1e200, np.nan, np.inf
+    kept = without_start(design, target, 2, 30)
+    rest = np.delete(np.arange(30), (3, 5, 7))
+    there = without_start(DESIGN[rest], TARGET[rest], 2, 27)
+    assert kept.rows == there.rows == 25
+    assert np.linalg.norm(kept.target) == pytest.approx(np.linalg.norm(there.target))
+
+
 def test_nuisance_columns_with_a_prior_are_fitted_away() -> None:
     ridge = np.array([3.0, 0.5])
     padded = np.vstack([DESIGN, np.diag([0, 0, 0, *np.sqrt(ridge)])])
