@@ -44,22 +44,37 @@ from orbisim.shooting.timestep import (
 Other = tuple[Context, Judged]
 
 
-def settled(context: Context, judged: Judged) -> Other | None:
+def settled(context: Context, judged: Judged, declared: Stepping | None = None) -> Other | None:
     """The same explanation with a finer step, or controls by the clock that logs show, or another
     lead where controls have one, as long as that surely predicts better; None if it does not. No
     machine has a timestep, and a log's clock is read off the log: neither has to wait for effects.
+
+    Args:
+      declared: how the scene as it was given is stepped; the same as the bench's if None.
     """
-    found = _exactly(context, judged)
+    found = _back(context, judged, declared) or _exactly(context, judged)
     found = _followed(*(found or (context, judged))) or found
     now = found or (context, judged)
     return _compared(now, _clocked(*now)) or found
 
 
 def _exactly(context: Context, judged: Judged) -> Other | None:
-    """The same explanation in exact steps, if these predict better and the error of those that
-    there are matters beside the noise. No odds are against them, and they need not be sure: they
-    are what the scene says, and forces that act half a step early look like a sensor's time."""
+    """The same explanation in exact steps, if these are worth more and the error of those that
+    there are matters beside the noise. They need not be sure: they are what the scene says, and
+    forces that act half a step early look like a sensor's time."""
     found = _again(context, judged, _exact)
+    if found is None or not worth(context.bench, judged, found[1]).total + EFFECT > 0:
+        return None
+    return _taken(found)
+
+
+def _back(context: Context, judged: Judged, declared: Stepping | None) -> Other | None:
+    """The same explanation in the declared steps, if they are others and these predict better.
+    Steps are exact of the scene without effects, and while much is missing hardly anything tells
+    which are: through dry friction long ones are not, and what they leave would be named."""
+    if declared is None or stepping(context.bench.scene) == declared:
+        return None
+    found = _again(context, judged, lambda bench: stepped(bench, *declared))
     return _taken(found) if found is not None and found[1].loss < judged.loss else None
 
 

@@ -37,7 +37,7 @@ def reselected(found: Found) -> Found:
         if other is None or _places(other) == _places(best.hypothesis):
             return found
         for judged in fitted_set(context, other, best):
-            form = settled(context, judged) or (context, judged)
+            form = settled(context, judged, found.stepping) or (context, judged)
             if worth(form[0].bench, best, form[1]).sure > 0:
                 return in_form(found, (form[0].until(whole), form[1]))
     except TimeIsUpError:

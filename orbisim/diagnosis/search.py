@@ -117,7 +117,7 @@ def _anew(found: Found) -> Found:
 
 def _in_best_form(found: Found) -> Found:
     """In the form of the data that predicts best, and screened."""
-    form = settled(found.context, found.best)
+    form = settled(found.context, found.best, found.stepping)
     if form is not None:
         return in_form(found, form)
     screening = found.screening or found.context.screen(found.best)

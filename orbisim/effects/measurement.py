@@ -67,8 +67,8 @@ class Measurement:
     def _delayed(
         self, truth: Floats, reference: Floats, late: npt.NDArray[np.int64], time: Floats
     ) -> Floats:
-        """Cubic in positions, its slope in velocities; extrapolated at a window's ends: before it
-        with the shape of what was measured, as that is the same motion late."""
+        """Cubic in positions, and its slope in velocities; extrapolated at a window's ends: before
+        it with the shape of what was measured, as that is the same motion late."""
         assert self.delay is not None
         out = truth.copy()
         for w in range(len(truth)):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.context import begun
+from orbisim.diagnosis.context import Context, begun
 from orbisim.diagnosis.discretization import (
     as_declared,
     asked,
@@ -24,6 +24,7 @@ from orbisim.recording.command_clock import Lead
 from orbisim.shooting import timestep
 from orbisim.shooting.bench import make_bench
 from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.judge import Judged
 from orbisim.testing import inject_effect
 
 SERVO = """<mujoco><option timestep="{step}" integrator="implicitfast"/><worldbody>
@@ -127,6 +128,38 @@ def test_one_that_was_shortened_in_vain_grows_again() -> None:
     found = as_declared(context, judged, timestep.stepping(scene))
     assert found is not None
     assert timestep.stepping(found[0].bench.scene) == timestep.stepping(scene)
+
+
+def _in_exact_steps(
+    scene: orbisim.Scene, runs: list[orbisim.Recording], step: float, *effects: EffectInstance
+) -> tuple[Context, Judged]:
+    exact = timestep.with_stepping(scene, timestep.Stepping(step, RK4))
+    bench = make_bench(exact, prepare_all(runs, exact), 0.5)
+    context = begun(bench, Settings(), lambda _: None)
+    judged = context.judge.judge(Hypothesis(effects))
+    assert judged is not None
+    return context, judged
+
+
+def test_declared_steps_come_back_once_friction_shows_that_they_predict_better(
+    arm: orbisim.Scene,
+) -> None:
+    """Long steps through dry friction are not exact; what they leave was named."""
+    friction = EffectInstance("coulomb_friction", "elbow", {"torque": 0.0231})
+    runs = inject_effect(arm, friction, duration=2.0, episodes=2, noise=1e-4, seed=4)
+    declared = timestep.stepping(arm)
+    context, judged = _in_exact_steps(arm, runs, 0.005, friction)
+    found = settled(context, judged, declared)
+    assert found is not None and found[1].ratio < 1.1 < 2.0 < judged.ratio
+    assert timestep.stepping(found[0].bench.scene) == declared
+    assert settled(*found, declared) is None  # and stay
+
+
+def test_declared_steps_do_not_come_back_where_exact_ones_predict_better() -> None:
+    runs = inject_effect(_scene(0.00025), [], duration=2.0, episodes=3, noise=5e-4, seed=1)
+    scene = _scene(0.01)
+    context, judged = _in_exact_steps(scene, runs, 0.01)
+    assert settled(context, judged, timestep.stepping(scene)) is None
 
 
 def _commanded(seed: int, tick: float, early: float | None = None) -> orbisim.Recording:
