@@ -20,7 +20,9 @@ NUDGE = 1e-4
 
 
 def table(checkpoints: dict[str, Path], seeds: int, workers: int) -> dict[str, Any]:
-    """Mean return, and its standard error, of the same episodes under each backend.
+    """Mean return, and its standard error, of the same episodes under each backend; `apart` is the
+    mean of the paired differences over MuJoCo's mean, `apart_error` its standard error. Episodes in
+    which a backend diverges count as `diverged`, and not in the differences.
 
     `nudged` is C MuJoCo with noise on velocities: two runs of a chaotic system are no closer to
     each other than this.
@@ -33,6 +35,7 @@ def table(checkpoints: dict[str, Path], seeds: int, workers: int) -> dict[str, A
     found: dict[str, Any] = {}
     for domain, checkpoint in checkpoints.items():
         rows: dict[str, Any] = {}
+        totals: dict[str, Any] = {}
         kinds = {
             "mujoco": ("mujoco", 0.0),
             "nudged": ("mujoco", NUDGE),
@@ -40,11 +43,19 @@ def table(checkpoints: dict[str, Path], seeds: int, workers: int) -> dict[str, A
         }
         for name, (backend, nudge) in kinds.items():
             run = functools.partial(episode_return, domain, backend, nudge)
-            totals = np.array(_in_processes(run, seeds, workers))
-            spread = totals.std() / len(totals) ** 0.5
-            rows[name] = {"mean": totals.mean(), "standard_error": spread}
-        exact = rows["mujoco"]["mean"]
-        rows["apart"] = {name: rows[name]["mean"] / exact - 1.0 for name in ("nudged", "learned")}
+            totals[name] = np.array(_in_processes(run, seeds, workers))
+            whole = totals[name][np.isfinite(totals[name])]
+            spread = float(np.std(whole)) / max(len(whole), 1) ** 0.5
+            rows[name] = {"mean": float(np.mean(whole)), "standard_error": spread}
+            rows[name]["diverged"] = seeds - len(whole)
+        exact = totals["mujoco"]
+        differences = {name: totals[name] - exact for name in ("nudged", "learned")}
+        kept = {name: d[np.isfinite(d)] for name, d in differences.items()}
+        mean = abs(rows["mujoco"]["mean"])
+        rows["apart"] = {name: float(d.mean()) / mean for name, d in kept.items()}
+        rows["apart_error"] = {
+            name: float(d.std(ddof=1)) / len(d) ** 0.5 / mean for name, d in kept.items()
+        }
         found[domain] = rows
         print(json.dumps({domain: rows}), flush=True)
     return found
@@ -62,11 +73,13 @@ def _in_processes(run: Callable[[int], float], seeds: int, workers: int) -> list
 
 
 def episode_return(domain: str, backend: str, nudge: float, seed: int) -> float:
-    """Return of an episode of the domain's feedback policy (a rhythm, where it has none)."""
+    """Return of an episode of the domain's feedback policy (a rhythm, where it has none); NaN where
+    the backend diverges."""
     import torch
 
     from_source.register("mujoco", "learned", "null")
     from orbisim import suite
+    from orbisim.errors import DivergedError
     from orbisim.tasks.domains import SUITE_DOMAINS
     from orbisim.tasks.suite_feedback import feedback, has_feedback
     from orbisim.tasks.suite_policies import rhythm
@@ -84,6 +97,9 @@ def episode_return(domain: str, backend: str, nudge: float, seed: int) -> float:
     while not step.last():
         if nudge:
             physics.data.ptr.qvel[:] += nudge * rng.standard_normal(model.nv)
-        step = environment.step(policy(physics.data.ptr))
+        try:
+            step = environment.step(policy(physics.data.ptr))
+        except DivergedError:
+            return float("nan")
         total += step.reward or 0.0
     return total
