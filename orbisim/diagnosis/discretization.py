@@ -7,8 +7,8 @@ logger, changes it somewhere between two samples, half an interval before the lo
 average; one that is logged by the loop that reads the sensors changes it a fixed part of an
 interval before. Sensors that are earlier than the clock would be named for that.
 
-So a finer step, and controls that lead their samples, are moves like any other, with the odds of an
-effect. A finer step, and changes by a clock that the log shows, come before effects: what no
+So other steps, and controls that lead their samples, are moves like any other, with the odds of an
+effect. Steps, and changes by a clock that the log shows, come before effects: what no
 machine has is no reason to name what it may have. A share of an interval by which controls lead may
 stand in for a little of an effect that is missing: it is taken if no effect does more. All are
 undone where the scene or the log as it was is worth no less.
@@ -99,7 +99,7 @@ def _compared(now: Other, other: Other | None) -> Other | None:
 
 
 def _followed(context: Context, judged: Judged) -> Other | None:
-    """With a finer step and another lead in turns, as long as one surely predicts better: a lead
+    """With other steps and another lead in turns, as long as one surely predicts better: a lead
     makes up for a part of a step that is too long, so that each is looked for again with the other.
     """
     found = None
@@ -268,7 +268,8 @@ def _clocked(context: Context, judged: Judged) -> Other | None:
 def _shared(context: Context, judged: Judged) -> Other | None:
     if context.bench.lead is None or context.bench.lead:
         return None
-    return _begun(context, judged, Lead(), (0.0, *_SHARES))
+    found = _begun(context, judged, Lead(), (0.0, *_SHARES))
+    return found if found is not None and found[0].bench.lead else None
 
 
 def _begun(context: Context, judged: Judged, lead: Lead, tried: Sequence[float]) -> Other | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from orbisim.evidence import NEAR
 from orbisim.host.deadline import TimeIsUpError
 from orbisim.motion.linear import linearize
@@ -14,9 +16,12 @@ from orbisim.shooting.timestep import typical_interval
 
 def left_of(bench: Bench, judged: Judged) -> Remainder | None:
     """What an explanation leaves, as noise; None where that is not known: bodies touch, joints are
-    added, the white noise of sensors is all, recordings are short, or the bench's time is up."""
+    added, the white noise of sensors is all or all in most windows (noise is in all of them, an
+    event is not), recordings are short, or the bench's time is up."""
     hypothesis = judged.hypothesis
     if judged.ratio <= NEAR or bench.contacts or is_structural(hypothesis):
+        return None
+    if np.median(np.concatenate([judged.fitted, judged.checked])) <= NEAR**2:
         return None
     try:
         intervals = linearize(bench.flow(hypothesis))

@@ -82,3 +82,13 @@ def test_nothing_is_said_where_that_is_not_known(arm: orbisim.Scene) -> None:
     late = dataclasses.replace(bench, deadline=Deadline(time.monotonic()))
     assert left_of(late, judged) is None
     assert told_as_noise(bench, judged, None) is None
+
+
+def test_what_is_in_few_windows_is_no_noise(arm: orbisim.Scene) -> None:
+    bench, judged = _judged(arm, _runs(arm, [], 2))
+    assert left_of(bench, judged) is not None
+    few, most = np.full(2, 400.0), np.full(len(judged.fitted) - 2, 1.1)
+    event = dataclasses.replace(
+        judged, fitted=np.concatenate([few, most]), checked=np.full(len(judged.checked), 1.1)
+    )
+    assert left_of(bench, event) is None
