@@ -49,6 +49,7 @@ class Parameter:
       possible: beyond these no machine is: where a fit ends. A value that ends there, or at a
         bound, is none unless it is neutral: what would have to be larger than it can be stands for
         something else.
+      choice: whether it is one of its bounds (the side of a stop), which no fit changes.
     """
 
     name: str
@@ -59,11 +60,12 @@ class Parameter:
     neutral: float = 0.0
     usual: float = 0.0
     possible: tuple[float, float] = (-np.inf, np.inf)
+    choice: bool = False
 
     def tail(self, value: float) -> float:
         """Logarithm of the prior density at a value over that at its peak."""
         low, high = max(self.low, self.possible[0]), min(self.high, self.possible[1])
-        if not low < value < high and value != self.neutral:
+        if not low < value < high and value != self.neutral and not self.choice:
             return -np.inf
         return -float(np.log1p(((value - self.neutral) / self.usual) ** 2)) if self.usual else 0.0
 

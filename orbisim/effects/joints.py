@@ -277,7 +277,7 @@ class HardStop(JointEffect):
         unit = joint_unit(model, target, "rad", "m")
         return (
             Parameter("position", unit, -100.0, 100.0, 0.5),
-            Parameter("side", "1", -1.0, 1.0, 1.0),
+            Parameter("side", "1", -1.0, 1.0, 1.0, choice=True),
         )
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:

@@ -102,7 +102,7 @@ class OneSidedLaw(Law):
             Parameter("stiffness", "SI", -LARGE, LARGE, 0.1),
             Parameter("damping", "SI", -LARGE, LARGE, 0.1),
             Parameter("position", "SI", -LARGE, LARGE, 0.1),
-            Parameter("side", "1", -1.0, 1.0, 1.0),
+            Parameter("side", "1", -1.0, 1.0, 1.0, choice=True),
         )
 
     def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:

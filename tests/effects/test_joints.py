@@ -198,3 +198,10 @@ def test_sizes_say_how_much_there_is() -> None:
     assert find("cogging").sizes(HINGE, "hinge") == ("amplitude",)
     assert find("stribeck_friction").sizes(HINGE, "hinge") == ("coulomb", "excess")
     assert find("coulomb_friction").sizes(HINGE, "hinge") == ("torque",)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_stop_is_possible_on_either_side(scene: Scene, side: float) -> None:
+    """Its side is a bound of what sides there are, and no fit has ended there."""
+    stop = EffectInstance("hard_stop", "shoulder", {"position": 0.3 * side, "side": side})
+    assert find("hard_stop").log_prior(scene.model, stop) == 0.0
