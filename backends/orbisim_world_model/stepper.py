@@ -60,7 +60,7 @@ class Speedups:
       kernels: compute the network by kernels of our own (`network.fused`), on a GPU in fp16, where
         they suit it.
       variances: compute `Spread` by a kernel of our own, too. Off: on a GPU it has accessed memory
-        that it may not (docs/benchmarks.md, "Known limits"), which ends the process.
+        that it may not (docs/benchmarks.md, "Vision"), which ends the process.
       compiled: how torch compiles the step, if it can; None does not compile.
       graphed: one CUDA graph for each number of worlds.
     """
@@ -199,7 +199,8 @@ class Stepper:
                     raise EngineError(
                         f"{self.device} no longer answers after the first step of {len(x.pos)} "
                         f"worlds ({cause(error)}), and nothing in this process can use it any "
-                        "more: begin anew with compiled=False, which leaves torch's compiler out"
+                        "more: begin anew with compiled=False, which leaves torch's compiler out, "
+                        "or with half=False, which leaves our own kernels out"
                     ) from error
                 if compiler == "joined":  # the youngest of torch's options, and the least needed
                     self._compiler = "fused"

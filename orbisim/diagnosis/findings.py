@@ -45,9 +45,11 @@ def verdict_of(found: Attribution, settings: Settings) -> Verdict:
 
 
 def _significant(found: Attribution, settings: Settings) -> bool:
-    """Whether the declared scene leaves more than noise, white or not."""
-    noise = found.left is not None and not found.left.structured
-    return not noise and found.before.ratio > max(NEAR, enough(settings, found.before))
+    """Whether the declared scene leaves more than noise, white or not; where the time was up, in
+    any window: that nothing explains what is off in a few was not found out then."""
+    before, noise = found.before, found.left is not None and not found.left.structured
+    left = max(before.ratio, before.pooled) if found.cut_short else before.ratio
+    return not noise and left > max(NEAR, enough(settings, before))
 
 
 def residual_of(found: Attribution, settings: Settings) -> dict[str, Any]:

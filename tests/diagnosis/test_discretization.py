@@ -22,7 +22,7 @@ from orbisim.effects import EffectInstance
 from orbisim.motion.samples import prepare_all
 from orbisim.recording.command_clock import Lead
 from orbisim.shooting import timestep
-from orbisim.shooting.bench import make_bench
+from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
 from orbisim.testing import inject_effect
@@ -37,6 +37,14 @@ RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 
 def _scene(step: float) -> orbisim.Scene:
     return orbisim.load_scene(SERVO.format(step=step))
+
+
+def _judged(bench: Bench) -> tuple[Context, Judged]:
+    """The declared scene, fitted."""
+    context = begun(bench, Settings(), lambda _: None)
+    judged = context.judge.judge(Hypothesis())
+    assert judged is not None
+    return context, judged
 
 
 def test_a_step_that_is_too_long_is_shortened_instead_of_explained() -> None:
@@ -97,9 +105,7 @@ def test_a_step_that_is_right_stays() -> None:
     scene = _scene(0.005)
     runs = inject_effect(scene, [], duration=2.0, episodes=3, noise=5e-4, seed=1)
     bench = make_bench(scene, prepare_all(runs, scene), 0.5)
-    context = begun(bench, Settings(), lambda _: None)
-    judged = context.judge.judge(Hypothesis())
-    assert judged is not None
+    context, judged = _judged(bench)
     assert (
         settled(context, judged) is None
         and as_declared(context, judged, timestep.stepping(scene)) is None
@@ -122,9 +128,7 @@ def test_one_that_was_shortened_in_vain_grows_again() -> None:
     runs = inject_effect(scene, [], duration=2.0, episodes=3, noise=5e-4, seed=1)
     fine = timestep.with_stepping(scene, timestep.Stepping(0.00125, RK4))
     bench = make_bench(fine, prepare_all(runs, fine), 0.5)
-    context = begun(bench, Settings(), lambda _: None)
-    judged = context.judge.judge(Hypothesis())
-    assert judged is not None
+    context, judged = _judged(bench)
     found = as_declared(context, judged, timestep.stepping(scene))
     assert found is not None
     assert timestep.stepping(found[0].bench.scene) == timestep.stepping(scene)
@@ -197,9 +201,7 @@ def test_a_clock_is_found_beside_a_step_that_makes_up_for_it() -> None:
     runs = [_commanded(seed, 0.0273) for seed in range(4)]
     scene = _scene(0.01)
     bench = asked(make_bench(scene, prepare_all(runs, scene), 0.5))
-    context = begun(bench, Settings(), lambda _: None)
-    judged = context.judge.judge(Hypothesis())
-    assert judged is not None
+    context, judged = _judged(bench)
     found = settled(context, judged)
     assert found is not None and found[1].ratio < 0.15 * judged.ratio
     lead = found[0].bench.lead
@@ -211,9 +213,7 @@ def test_controls_that_change_at_samples_are_held_from_there() -> None:
     runs = [_commanded(seed, 0.01, 0.0) for seed in range(4)]
     bench = asked(make_bench(scene, prepare_all(runs, scene), 0.5))
     assert bench.lead == Lead()
-    context = begun(bench, Settings(), lambda _: None)
-    judged = context.judge.judge(Hypothesis())
-    assert judged is not None
+    context, judged = _judged(bench)
     found = earlier(context, judged)
     assert found is None or not found[0].bench.lead
 
@@ -222,9 +222,7 @@ def test_the_time_by_which_controls_lead_is_found() -> None:
     scene = _scene(0.001)
     runs = [_commanded(seed, 0.01, 0.002) for seed in range(4)]
     bench = asked(make_bench(scene, prepare_all(runs, scene), 0.5))
-    context = begun(bench, Settings(), lambda _: None)
-    judged = context.judge.judge(Hypothesis())
-    assert judged is not None
+    context, judged = _judged(bench)
     found = earlier(context, judged)
     assert found is not None
     assert found[0].bench.lead is not None and not found[0].bench.lead.clock
@@ -237,9 +235,7 @@ def test_steps_that_are_more_exact_are_found(true: float) -> None:
     runs = inject_effect(_scene(true), [], duration=2.0, episodes=3, noise=5e-4, seed=1)
     scene = _scene(0.01)
     bench = make_bench(scene, prepare_all(runs, scene), 0.5)
-    context = begun(bench, Settings(), lambda _: None)
-    judged = context.judge.judge(Hypothesis())
-    assert judged is not None
+    context, judged = _judged(bench)
     found = settled(context, judged)
     assert found is not None and found[1].ratio < 1.06 < judged.ratio
     taken = timestep.stepping(found[0].bench.scene)
@@ -247,15 +243,11 @@ def test_steps_that_are_more_exact_are_found(true: float) -> None:
 
 
 def test_a_step_is_halved_where_another_integrator_is_not_stable() -> None:
-    stiff = SERVO.replace(
-        'kv=".2"', 'kv="5"'
-    )  # 5 / 0.009 kg m^2 in 10 ms: explicit steps overshoot
+    stiff = SERVO.replace('kv=".2"', 'kv="5"')  # over 0.009 kg m^2: too much for explicit 10 ms
     truth, scene = (orbisim.load_scene(stiff.format(step=step)) for step in (0.0005, 0.01))
     runs = inject_effect(truth, [], duration=2.0, episodes=3, noise=1e-4, seed=1)
     bench = make_bench(scene, prepare_all(runs, scene), 0.5)
-    context = begun(bench, Settings(), lambda _: None)
-    judged = context.judge.judge(Hypothesis())
-    assert judged is not None
+    context, judged = _judged(bench)
     found = settled(context, judged)
     assert found is not None
     taken = timestep.stepping(found[0].bench.scene)
@@ -272,9 +264,7 @@ def test_a_step_is_shortened_where_bodies_touch() -> None:
     truth, scene = (orbisim.load_scene(ball.format(step=step)) for step in (0.001, 0.008))
     runs = inject_effect(truth, [], duration=1.0, episodes=3, noise=2e-4, seed=1)
     bench = make_bench(scene, prepare_all(runs, scene), 0.25)
-    context = begun(bench, Settings(), lambda _: None)
-    judged = context.judge.judge(Hypothesis())
-    assert judged is not None
+    context, judged = _judged(bench)
     found = settled(context, judged)
     assert found is not None and found[0].bench.contacts
     assert timestep.stepping(found[0].bench.scene).timestep == pytest.approx(0.001, rel=0.3)

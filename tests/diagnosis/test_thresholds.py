@@ -10,6 +10,7 @@ import pytest
 
 import orbisim
 from orbisim.diagnosis.explanations import done, quiet
+from orbisim.diagnosis.findings import verdict_of
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
 from orbisim.motion.samples import prepare_all
@@ -88,3 +89,13 @@ def test_a_residual_in_few_windows_is_looked_at() -> None:
         judged: Any = declared(1.0, 1.3)
         judged.hypothesis = Hypothesis(effects)
         assert done(context, judged) == ended
+
+
+@pytest.mark.parametrize(("cut_short", "verdict"), [(False, "no_residual"), (True, "unexplained")])
+def test_a_search_that_was_ended_says_nothing_of_few_windows(cut_short: bool, verdict: str) -> None:
+    """They are in `pooled`; where it ended by itself, nothing explains them: impacts."""
+    before = SimpleNamespace(ratio=1.07, pooled=8.0, fit=SimpleNamespace(count=5000))
+    found: Any = SimpleNamespace(
+        hypothesis=Hypothesis(), before=before, after=before, left=None, cut_short=cut_short
+    )
+    assert verdict_of(found, Settings()) == verdict
