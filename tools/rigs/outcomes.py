@@ -15,6 +15,14 @@ VISIBLE = 2.0
 """Times the noise from which on a law must be found; below it, silence is right, too."""
 BINS = (0.0, 2.0, 5.0, 20.0, 100.0, math.inf)
 """Of visibility."""
+DECLARED_AS = {
+    "armature": "armature",
+    "damping": "viscous_damping",
+    "frictionloss": "coulomb_friction",
+    "gain": "torque_gain",
+}
+"""What a declared parameter that is off is called as an effect: the same physics exactly, as both
+change the same number of the model."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -23,7 +31,7 @@ class Outcome:
 
     Attributes:
       truth: the trial's file. tool, verdict: words. found: effects, the first one first.
-      retuned: number of declared parameters that are said to be off.
+      retuned: declared parameters that are said to be off, as the report calls them.
       failure: why there is no report. before, after: held-out error. seconds: it took.
     """
 
@@ -31,7 +39,7 @@ class Outcome:
     tool: str
     verdict: str
     found: tuple[dict[str, Any], ...]
-    retuned: int
+    retuned: tuple[str, ...]
     failure: str
     before: float
     after: float
@@ -49,7 +57,10 @@ class Outcome:
 
     @property
     def names(self) -> list[tuple[str, str]]:
-        """What was reported."""
+        """What was reported. Declared parameters that are off are findings where there are no
+        others; beside effects, they are what no scene is exact in."""
+        if not self.found:
+            return [_named(label) for label in self.retuned]
         return [(str(one["effect"]), str(one["target"])) for one in self.found]
 
     @property
@@ -138,12 +149,18 @@ def _outcome(truth: dict[str, Any], entry: dict[str, Any]) -> Outcome:
         tool=entry["tool"],
         verdict=str(report.get("verdict", "")),
         found=tuple(report.get("effects", ())),
-        retuned=len(report.get("retuned", ())),
+        retuned=tuple(str(one["label"]) for one in report.get("retuned", ())),
         failure=str(entry["failure"] or ""),
         before=_number(error.get("before")),
         after=_number(error.get("after")),
         seconds=float(entry["seconds"]),
     )
+
+
+def _named(label: str) -> tuple[str, str]:
+    """The effect and the target of a declared parameter, as in `gain of elbow_motor`."""
+    kind, _, target = label.partition(" of ")
+    return DECLARED_AS.get(kind, f"declared {kind}"), target
 
 
 def _number(value: Any) -> float:

@@ -82,7 +82,7 @@ def _names(own: Sequence[Outcome]) -> list[str]:
         ("... right among the findings", [o.right_any for o in single]),
         ("... right and nothing needless", [o.right_first and not o.needless for o in single]),
         ("... wrong name", [o.wrong for o in single]),
-        ("... nothing named", [not o.found for o in single]),
+        ("... nothing named", [not o.names for o in single]),
         ("single, shows less: right, or nothing named",
          [o.right_first or not o.needless for o in faint]),
         ("pair: both found", [o.all_found for o in pairs]),
@@ -159,7 +159,7 @@ def _table(
         counts = [
             sum(o.right_any for o in some),
             sum(o.wrong for o in some),
-            sum(not o.found for o in some),
+            sum(not o.names for o in some),
             sum(bool(o.needless) and o.right_any for o in some),
         ]
         first = share(sum(o.right_first for o in some), len(some))
@@ -232,7 +232,7 @@ def _failures(own: Sequence[Outcome]) -> list[str]:
             f"{x['effect'] or x['kind']}({x['target']}, {x['size']:.2g})" for x in t["laws"]
         )
         said = ", ".join(f"{e}({x})" for e, x in o.names) or "nothing"
-        said += f" and {o.retuned} declared parameters off" if o.retuned else ""
+        said += f" and off: {', '.join(o.retuned)}" if o.retuned else ""
         where = f"{t['machine']}, {'+'.join(t['artefacts']) or 'white'}, "
         shows = f"shows {t['visibility']:.3g} times, {o.seconds:.0f} s"
         lines.append(

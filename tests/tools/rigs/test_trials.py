@@ -117,7 +117,7 @@ def outcome(
     }
     numbers = {"p": {"value": 2.1, "ci95": [1.9, 2.3]}}
     effects = tuple({"effect": e, "target": t, "parameters": numbers} for e, t in found)
-    return Outcome(truth, "diagnose", "explained", effects, 0, "", 1.0, 0.1, 3.0)
+    return Outcome(truth, "diagnose", "explained", effects, (), "", 1.0, 0.1, 3.0)
 
 
 def test_names_are_judged() -> None:
@@ -139,6 +139,22 @@ def test_names_are_judged() -> None:
     assert not outcome([("sensor_delay", "x")], "none", ("sensor_delay",)).needless
 
 
+def test_a_declared_parameter_is_judged_as_the_effect_that_it_is() -> None:
+    law = {"effect": "torque_gain", "target": "motor", "value": 1.02, "size": 0.02}
+    nothing = outcome([])
+    nothing = dataclasses.replace(nothing, truth={**nothing.truth, "laws": [law]})
+    off = dataclasses.replace(nothing, retuned=("gain of motor",))
+    assert off.right_first and not off.needless and not off.wrong
+    assert dataclasses.replace(nothing, retuned=("gain of other",)).wrong
+    assert dataclasses.replace(nothing, retuned=("mass of motor",)).wrong
+    both = dataclasses.replace(nothing, retuned=("mass of arm", "gain of motor"))
+    assert not both.right_first and both.needless == [("declared mass", "arm")]
+    beside = dataclasses.replace(outcome([("a", "x")]), retuned=("mass of arm",))
+    assert beside.right_first and not beside.needless
+    alone = dataclasses.replace(outcome([], "none"), retuned=("mass of arm",))
+    assert alone.needless  # a false alarm
+
+
 def test_a_summary_counts_with_bounds() -> None:
     some = [outcome([("a", "x")]), outcome([("d", "x")]), outcome([("d", "x")], "none")]
     text = "\n".join(scoring.summary(some, [o.truth for o in some]))
@@ -149,7 +165,7 @@ def test_a_summary_counts_with_bounds() -> None:
 def test_without_an_effect_nothing_may_be_off() -> None:
     late = outcome([("sensor_delay", "x")], "none", ("sensor_delay",))
     assert late.quiet
-    assert not dataclasses.replace(late, retuned=2).quiet
+    assert not dataclasses.replace(late, retuned=("mass of m",)).quiet
     assert dataclasses.replace(outcome([], "none"), verdict="no_residual").quiet
     assert not outcome([], "none").quiet  # explained by nothing
 
