@@ -17,12 +17,14 @@ undone where the scene or the log as it was is worth no less.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
 from orbisim.diagnosis.context import Context
+from orbisim.diagnosis.explanations import fitted_from
 from orbisim.diagnosis.worth import worth
+from orbisim.effects import find
 from orbisim.evidence import EFFECT
 from orbisim.motion.linear import IntervalMap, linearize
 from orbisim.recording.command_clock import Lead
@@ -55,7 +57,8 @@ def settled(context: Context, judged: Judged, declared: Stepping | None = None) 
     found = _back(context, judged, declared) or _exactly(context, judged)
     found = _followed(*(found or (context, judged))) or found
     now = found or (context, judged)
-    return _compared(now, _clocked(*now)) or found
+    clock = _clock(now[0].bench)
+    return _surest(*now, _led(*now, clock, (0.0, -_NEAR, _NEAR)) if clock else ()) or found
 
 
 def _exactly(context: Context, judged: Judged) -> Other | None:
@@ -89,13 +92,33 @@ def _exact(bench: Bench) -> Bench | None:
 def earlier(context: Context, judged: Judged) -> Other | None:
     """The same explanation with controls that lead (or follow) their samples by the share of an
     interval that predicts best, and the step that then does, if that is surely better; None if not.
-    As long as an effect is missing, a share may stand in for a part of it."""
-    return _compared((context, judged), _shared(context, judged))
+    As long as an effect is missing, a share may stand in for a part of it. It may also stand in the
+    place of effects that change when things are seen or done: if all sensors are early alike, the
+    commands are late.
+    """
+    if context.bench.lead is None or context.bench.lead:
+        return None
+    return _surest(context, judged, _led(context, judged, Lead(), (0.0, *_SHARES)))
 
 
-def _compared(now: Other, other: Other | None) -> Other | None:
-    """Another lead, with its own step, if that is surely better."""
-    return _surest(*now, (_followed(*other) or other,)) if other is not None else None
+def _led(context: Context, judged: Judged, lead: Lead, tried: Sequence[float]) -> Iterator[Other]:
+    """With a lead by the share of an interval that predicts best, and the step that then does: the
+    same explanation, and what it is without effects that change when things are seen or done."""
+    for one in (judged, *_untimed(context, judged)):
+        other = _begun(context, one, lead, tried)
+        if other is not None and other[0].bench.lead:
+            yield _followed(*other) or other
+
+
+def _untimed(context: Context, judged: Judged) -> Iterator[Judged]:
+    """Without the effects that change when things are seen or done, if there are some."""
+    every = judged.hypothesis.effects
+    kept = tuple(one for one in every if not find(one.effect).timing)
+    if len(kept) < len(every):
+        fewer = dataclasses.replace(judged.hypothesis, effects=kept, frozen=frozenset())
+        again = fitted_from(context, fewer, judged)
+        if again is not None:
+            yield again
 
 
 def _followed(context: Context, judged: Judged) -> Other | None:
@@ -249,27 +272,17 @@ _HALVINGS = 5
 """At once: a simulation takes as many times as long."""
 
 
-def _clocked(context: Context, judged: Judged) -> Other | None:
-    """By the clock that logs show, and by how much later or earlier than that predicts best: when a
-    command acts is not when it is logged. Logs of one machine have one period, and most follow it;
-    in the others commands change seldom."""
-    bench = context.bench
+def _clock(bench: Bench) -> Lead | None:
+    """The clock that logs show of when controls change, if that is not asked already, and they do.
+    When a command acts is not when it is logged. Logs of one machine have one period, and most
+    follow it; in the others commands change seldom."""
     periods = [one.command_period for one in bench.samples if one.command_period is not None]
     if bench.lead is None or bench.lead or not periods:
         return None
     # as many follow an alias (rates of it and of the clock add up to the log's), with more ticks
     # at which nothing changes: so the longest
     most, period = max((sum(o.clocked(one) for o in bench.samples), one) for one in periods)
-    if 2 * most <= len(bench.samples):
-        return None
-    return _begun(context, judged, Lead(clock=True, period=period), (0.0, -_NEAR, _NEAR))
-
-
-def _shared(context: Context, judged: Judged) -> Other | None:
-    if context.bench.lead is None or context.bench.lead:
-        return None
-    found = _begun(context, judged, Lead(), (0.0, *_SHARES))
-    return found if found is not None and found[0].bench.lead else None
+    return Lead(clock=True, period=period) if 2 * most > len(bench.samples) else None
 
 
 def _begun(context: Context, judged: Judged, lead: Lead, tried: Sequence[float]) -> Other | None:

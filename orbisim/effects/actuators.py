@@ -176,6 +176,7 @@ class ActuatorDelay(ActuatorEffect):
     name = "actuator_delay"
     phrase = "a delay"
     family = "late"
+    timing = True
     structural = True
 
     def possible(self, model: mujoco.MjModel, target: str) -> bool:

@@ -174,6 +174,7 @@ class Effect(abc.ABC):
       measured_as: what an effect of the measurement changes of a signal; empty for the others.
       family: what effects share that look alike as long as they are not fitted to the end, at the
         same target; empty for none.
+      timing: whether it changes when something is seen or done, and nothing else.
     """
 
     name: ClassVar[str]
@@ -192,6 +193,7 @@ class Effect(abc.ABC):
     shared: ClassVar[tuple[str, ...]] = ()
     measured_as: ClassVar[Literal["", "offset", "scale", "delay", "clock", "law"]] = ""
     family: ClassVar[str] = ""
+    timing: ClassVar[bool] = False
 
     @abc.abstractmethod
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:

@@ -8,7 +8,14 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from orbisim.effects.base import Effect, EffectInstance, Parameter, index_of, spec_element
+from orbisim.effects.base import (
+    Effect,
+    EffectInstance,
+    Parameter,
+    Values,
+    index_of,
+    spec_element,
+)
 from orbisim.errors import InputError
 
 
@@ -127,11 +134,22 @@ class Restitution(ContactEffect):
         )
 
     def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
-        stiffness = min(1e5, 0.1 / float(model.opt.timestep) ** 2)
-        return [{"coefficient": e, "stiffness": stiffness} for e in (0.1, 0.3, 0.5, 0.7, 0.9)]
+        most = min(1e5, 0.1 / float(model.opt.timestep) ** 2)
+        return [
+            {"coefficient": coefficient, "stiffness": stiffness}
+            for coefficient in (0.1, 0.4, 0.7, 0.9)
+            for stiffness in (most, most / 8)
+        ]
 
-    def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
-        return ("coefficient",)
+    def generalized(
+        self, model: mujoco.MjModel, special: EffectInstance, values: Values | None = None
+    ) -> list[Values]:
+        """A softer contact that bounces a little more than declared, and much."""
+        if special.effect != ContactCompliance.name:
+            return []
+        declared = restitution_of(special.values["damping_ratio"])
+        stiffness = special.values["stiffness"]
+        return [{"coefficient": max(declared, e), "stiffness": stiffness} for e in (0.2, 0.5)]
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         geom = spec_element(spec, "geom", instance.target)
@@ -172,7 +190,8 @@ def damping_ratio_for(coefficient: float) -> float:
 
 
 class ContactCompliance(ContactEffect):
-    """The geom is softer than declared: `solref` as stiffness and damping."""
+    """The geom is softer than declared, or stiffer, and bounces as declared: `solref` as stiffness
+    and damping, of which the ratio stays. What bounces otherwise is `restitution`."""
 
     name = "contact_compliance"
     phrase = "a compliant contact"
@@ -186,11 +205,11 @@ class ContactCompliance(ContactEffect):
         )
 
     def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
-        return [
-            {"stiffness": stiffness, "damping_ratio": ratio}
-            for stiffness in (300.0, 1e3, 4e3)
-            for ratio in (0.3, 1.0)
-        ]
+        _, ratio = _declared_spring(model, target)
+        return [{"stiffness": one, "damping_ratio": ratio} for one in (300.0, 1e3, 4e3)]
+
+    def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
+        return ("stiffness",)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         geom = spec_element(spec, "geom", instance.target)

@@ -139,6 +139,7 @@ class SensorDelay(MeasurementEffect):
 
     name = "sensor_delay"
     measured_as = "delay"
+    timing = True
     phrase = "a sensor delay"
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:

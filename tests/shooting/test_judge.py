@@ -12,6 +12,7 @@ import pytest
 
 import orbisim
 from orbisim.effects import EffectInstance
+from orbisim.effects.contacts import restitution_of
 from orbisim.errors import SceneError
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
@@ -210,13 +211,13 @@ def test_an_explanation_has_the_starts_of_others_too(
     assert apart is not None and some.fair(apart, []) is apart
 
 
-SOFT = {"stiffness": 1500.0, "damping_ratio": 0.4}
+SOFT = {"coefficient": restitution_of(0.4), "stiffness": 1500.0}
 
 
 @pytest.fixture(scope="module")
 def softened(hammer: orbisim.Scene) -> tuple[Judge, Judged]:
     """Recordings of a softer head, and what the declared scene leaves of them."""
-    soft = EffectInstance("contact_compliance", "head", SOFT)
+    soft = EffectInstance("restitution", "head", SOFT)
     _, judge, nothing = struck(hammer, hammer, [soft], most=8)
     return judge, nothing
 
@@ -226,7 +227,8 @@ def test_a_restart_finds_what_a_fit_through_impacts_missed(
 ) -> None:
     """From a head four times as stiff, some windows' starts stay poor without one."""
     judge, nothing = softened
-    far = EffectInstance("contact_compliance", "head", {"stiffness": 6000.0, "damping_ratio": 1.0})
+    hard = {"coefficient": restitution_of(1.0), "stiffness": 6000.0}
+    far = EffectInstance("restitution", "head", hard)
     plain, restarted = (
         judge.judge(Hypothesis((far,)), begin=judge.begin(nothing), restarts=restarts)
         for restarts in (0, 3)
@@ -253,7 +255,7 @@ def test_starts_alone_are_the_better_of_two_in_each_window(
 
 
 def test_slopes_by_numbers_of_contacts_are_taken_over_a_tenth(hammer: orbisim.Scene) -> None:
-    soft = EffectInstance("contact_compliance", "head", SOFT)
+    soft = EffectInstance("restitution", "head", SOFT)
     for unknown in Hypothesis((soft,)).unknowns(hammer):
         assert unknown.step >= 0.1 * unknown.start
     for unknown in Hypothesis((BIAS,)).unknowns(hammer):

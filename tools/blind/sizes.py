@@ -275,8 +275,8 @@ def _restitution(m: Motion, geom: str, rng: np.random.Generator, scale: float) -
 
 def _compliance(m: Motion, geom: str, rng: np.random.Generator, scale: float) -> EffectInstance:
     stiffness = {"ball": 4000.0, "foot": 700.0}.get(geom, 600.0) * _between(rng, 0.4, 1.6) / scale
-    ratio = 0.1 if geom == "ball" else float(rng.uniform(0.5, 1.0))
-    values = {"stiffness": stiffness, "damping_ratio": ratio}
+    _, ratio = find("contact_compliance").parameters(m.model, geom)  # bounces as declared
+    values = {"stiffness": stiffness, "damping_ratio": ratio.neutral}
     return EffectInstance("contact_compliance", geom, values)
 
 
