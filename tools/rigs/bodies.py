@@ -140,20 +140,21 @@ class Soft(Law):
 
 
 def rebound(stiff: float, ratio: float) -> float:
-    """Speed after over speed before a ball falls onto such a plane, in plain MuJoCo."""
+    """Speed after over speed before a ball hits such a plane, in plain MuJoCo, without gravity,
+    which would hold it down for as long as a soft contact lasts."""
     solref = f"{-stiff} {-2 * ratio * np.sqrt(stiff)}"
     model = mujoco.MjModel.from_xml_string(
-        f"""<mujoco><option timestep="0.0002" integrator="implicitfast"/><worldbody>
-        <geom type="plane" size="1 1 1" solref="{solref}"/><body pos="0 0 0.2">
+        f"""<mujoco><option timestep="0.0002" integrator="implicitfast" gravity="0 0 0"/>
+        <worldbody><geom type="plane" size="1 1 1" solref="{solref}"/><body pos="0 0 0.2">
         <joint type="slide" axis="0 0 1"/><geom size="0.05" mass="0.5" solref="{solref}"/>
         </body></worldbody></mujoco>"""
     )
-    data, before = mujoco.MjData(model), 0.0
+    data, before = mujoco.MjData(model), 2.0
+    data.qvel[0] = -before
     for _ in range(5000):
         mujoco.mj_step(model, data)
-        before = min(before, float(data.qvel[0]))
-        if before < -1 and not data.ncon and data.qvel[0] > 0:
-            return float(data.qvel[0]) / -before
+        if not data.ncon and data.qvel[0] > 0:
+            return float(data.qvel[0]) / before
     return 0.0
 
 
