@@ -84,8 +84,14 @@ class Delay(AtDrive):
     def command(self, time: float, command: Floats) -> None:
         self._times.append(time)
         self._given.append(float(command[self._index]))
-        at = bisect.bisect_right(self._times, time - self.value) - 1
-        command[self._index] = self._given[max(at, 0)]
+        asked = time - self.value
+        at = bisect.bisect_right(self._times, asked) - 1
+        if at < 0 or at + 1 == len(self._times):
+            command[self._index] = self._given[max(at, 0)]
+            return
+        # the mean over the step of what is held over steps: else a delay is a whole number of them
+        part = (asked - self._times[at]) / (self._times[at + 1] - self._times[at])
+        command[self._index] = (1 - part) * self._given[at] + part * self._given[at + 1]
 
 
 class TwoMasses(Law, abc.ABC):
