@@ -127,6 +127,9 @@ def job(options: Any) -> int:
     kind, _, rest = options.job.partition(":")
     began = time.perf_counter()
     try:
+        import from_source
+
+        from_source.register("mujoco", "learned")  # where nothing is installed, too
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             measure = PREPARE[kind](rest, options)
@@ -231,7 +234,7 @@ def environment(rest: str, options: Any) -> Measure:
     from bench_policies import runs
 
     worlds = int(rest)
-    random, policy = runs(worlds, str(_device()))
+    random, policy = runs("push", worlds, str(_device()), 100)
     random()
     policy()
 

@@ -333,10 +333,15 @@ def spread_kernel(robot, objects, edges, control, attributes, setting, variance,
         theirs = variance + other * 2 + column % 2
         theirs = tl.load(theirs, mask=there & (column < 4), other=0.0)
         sent += MOST_GAIN * tl.sigmoid(gain) * theirs
-    noise = tl.dot(mine, _weight(weights, AT[6], NARROW, W, NARROW))
-    more = _weight(weights, AT[6] + W * NARROW, NARROW, W, NARROW)
-    noise = tl.dot(all_pairs.to(tl.float16), more, noise) + _vector(biases, AT_BIAS[6], NARROW)
-    noise = tl.exp(tl.minimum(tl.maximum(noise, -20.0), 10.0))
+    # As sums: of these two products with `tl.dot`, ptxas 12.8 (that of Triton 3.6) makes warpgroup
+    # instructions (HGMMA) whose descriptor of the weights lies in registers that nothing has
+    # written, so that they read any address; of the sums its code has no such read.
+    mine, wide = mine.to(tl.float32), tl.arange(0, W)
     for onto in tl.static_range(2):
-        total = tl.where(column // 2 == onto, sent, 0.0) + tl.where(column == onto, noise, 0.0)
-        tl.store(found + row * 2 + onto, tl.minimum(tl.sum(total, 1), MOST), mask=ok)
+        at = weights + AT[6] + onto
+        noise = tl.sum(mine * tl.load(at + wide * NARROW).to(tl.float32)[None, :], 1)
+        more = tl.load(at + (W + wide) * NARROW).to(tl.float32)[None, :]
+        noise += tl.sum(all_pairs * more, 1) + tl.load(biases + AT_BIAS[6] + onto)
+        noise = tl.exp(tl.minimum(tl.maximum(noise, -20.0), 10.0))
+        total = tl.sum(tl.where(column // 2 == onto, sent, 0.0), 1) + noise
+        tl.store(found + row * 2 + onto, tl.minimum(total, MOST), mask=ok)
