@@ -70,15 +70,19 @@ def enough(settings: Settings, judged: Judged) -> float:
     return settings.enough + 3.0 / np.sqrt(2.0 * max(judged.fit.count, 1))
 
 
-def quiet(settings: Settings, judged: Judged) -> bool:
-    """Whether nothing is left to explain: all windows are predicted to within noise. Where bodies
-    touch, what is missing may show in a few windows only, which `Judged.ratio` leaves out."""
-    return max(judged.ratio, judged.pooled) <= enough(settings, judged)
+def quiet(settings: Settings, declared: Judged) -> bool:
+    """Whether there is nothing to explain: the declared scene predicts all windows to within noise.
+
+    Where bodies touch, an effect may show in a few windows only, which `Judged.ratio` leaves out.
+    """
+    return max(declared.ratio, declared.pooled) <= enough(settings, declared)
 
 
 def done(context: Context, judged: Judged) -> bool:
-    """Whether nothing is left to explain (see `quiet`)."""
-    return quiet(context.settings, judged)
+    """Whether nothing is left to explain; without any effect, in no window (see `quiet`)."""
+    if not judged.hypothesis.effects and not judged.hypothesis.factors:
+        return quiet(context.settings, judged)
+    return judged.ratio <= enough(context.settings, judged)
 
 
 def winner(context: Context, current: Judged, fitted: Sequence[Judged]) -> Judged | None:

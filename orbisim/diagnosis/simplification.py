@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbisim.diagnosis.context import Context
-from orbisim.diagnosis.discretization import as_declared
+from orbisim.diagnosis.discretization import as_declared, settled
 from orbisim.diagnosis.explanations import (
     EVEN,
     FEW,
@@ -234,6 +234,12 @@ def _exchanged(found: Found, number: int) -> Found:
         if len(now) > 1 or best.hypothesis.factors:
             fewer = fitted_from(context, best.hypothesis.without(index), best)
         if fewer is None:
+            continue
+        # what steps do, or when commands act, may have been named beside other effects
+        form = settled(context, fewer, found.stepping) if len(now) > 1 else None
+        if form is not None and worth(context.bench, best, form[1]).total > EVEN:
+            found = in_form(found, form)
+            context, best = found.context, found.best
             continue
         context.say(f"looking for another effect instead of {place[0]} at {place[1]}")
         beside = sorted(found.tried, key=lambda t: -t.gain.total)

@@ -229,6 +229,22 @@ def test_the_time_by_which_controls_lead_is_found() -> None:
     assert found[0].bench.lead.share == pytest.approx(0.2, abs=0.03)
 
 
+def test_a_lead_takes_the_place_of_sensors_that_are_early() -> None:
+    scene = _scene(0.001)
+    runs = [_commanded(seed, 0.01, 0.005) for seed in range(4)]
+    bench = asked(make_bench(scene, prepare_all(runs, scene), 0.5))
+    context, declared = _judged(bench)
+    early = EffectInstance("sensor_delay", "hinge", {"delay": -0.005})
+    damping = EffectInstance("viscous_damping", "hinge", {"coefficient": 0.001})
+    named = context.judge.judge(Hypothesis((early, damping)), begin=context.judge.begin(declared))
+    assert named is not None
+    found = earlier(context, named)
+    assert found is not None
+    assert [one.effect for one in found[1].hypothesis.effects] == ["viscous_damping"]
+    assert found[0].bench.lead is not None
+    assert found[0].bench.lead.share == pytest.approx(0.5, abs=0.05)
+
+
 @pytest.mark.parametrize("true", [0.00025, 0.0005, 0.001])
 def test_steps_that_are_more_exact_are_found(true: float) -> None:
     """What is left of a simulated machine's own step would be named as a damping or a clock."""

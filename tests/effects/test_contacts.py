@@ -116,6 +116,17 @@ def test_softness_is_written_as_stiffness_and_damping() -> None:
     assert model.geom("box").priority[0] > model.geom("floor").priority[0]
 
 
+def test_what_is_softer_may_bounce_otherwise_too() -> None:
+    model = load_scene(SLOPE).model
+    soft = EffectInstance("contact_compliance", "box", {"stiffness": 400.0, "damping_ratio": 1.0})
+    assert find("contact_compliance").free_parameters(model, "box") == ("stiffness",)
+    found = find("restitution").generalized(model, soft)
+    assert [one["stiffness"] for one in found] == [400.0, 400.0]
+    assert all(one["coefficient"] >= restitution_of(1.0) for one in found)
+    other = EffectInstance("sliding_friction", "box", {"coefficient": 0.3})
+    assert find("restitution").generalized(model, other) == []
+
+
 def test_the_declared_spring_is_neutral() -> None:
     stiffness, ratio = find("contact_compliance").parameters(load_scene(SLOPE).model, "box")
     # MuJoCo's (timeconst, dampratio): k = 1 / (timeconst dampratio)^2
