@@ -10,7 +10,8 @@ OUT/profile.json has what is finished, early and often; what fails has its error
 
 - tiles: `network.fused` alone, in several ways to cut it, by number of worlds, and its relative
   error against the same network in float32.
-- step: the whole step, with and without these kernels.
+- step: the whole step, with and without these kernels (`kernels/torch_variances`: without that of
+  the variances).
 - environment: `DeviceEnvironment` of push, with a policy.
 - gradient: an update of a policy through 32 control steps.
 - rollout: `backend.rollout` of 20 control steps, with everything that is watched.
@@ -193,7 +194,8 @@ def step(rest: str, options: Any) -> Measure:
     kind, *more = words.split("/")
     compiler: Any = "fused" if "fused" in more else "joined"
     model = _model(options)
-    own, variances = kind == "kernels", "variances" in more
+    own = kind == "kernels"
+    variances = own and "torch_variances" not in more
     speedups = Speedups(kernels=own, variances=variances, compiled=compiler)
     stepper = Stepper(model, _device(), speedups)
     tiles = [word for word in more if "," in word]

@@ -113,9 +113,7 @@ def predicted_episode(
 
 def _rollout(scene: Scene, arrays: Arrays, backend: str) -> npt.NDArray[Any]:
     """Coordinates [T+1, nq] of a free run from the first state under the recorded controls."""
-    # One world in each of many processes, which on a GPU would each compile the step; twelve that
-    # did so at once ended in an illegal memory access, whose cause is not known (see
-    # test_on_a_gpu_scenes_may_follow_each_other_in_a_process).
+    # One world in each of many processes, which on a GPU would each compile the step.
     options: dict[str, Any] = {"native": False, "device": "cpu"} if backend == "learned" else {}
     engine = make_backend(backend, scene, **options)
     start = State(*(arrays[name][:1] for name in ("time", "qpos", "qvel", "act")))  # type: ignore[arg-type]

@@ -59,8 +59,7 @@ class Speedups:
       precision: of the network, on a GPU; physics is always computed in float32.
       kernels: compute the network by kernels of our own (`network.fused`), on a GPU in fp16, where
         they suit it.
-      variances: compute `Spread` by a kernel of our own, too. Off: on a GPU it has accessed memory
-        that it may not (docs/benchmarks.md, "Vision"), which ends the process.
+      variances: compute `Spread` by a kernel of our own, too.
       compiled: how torch compiles the step, if it can; None does not compile.
       graphed: one CUDA graph for each number of worlds.
     """
@@ -68,7 +67,7 @@ class Speedups:
     folded: bool | None = None
     precision: Literal["fp16", "bf16", "fp32"] = "fp16"
     kernels: bool = True
-    variances: bool = False
+    variances: bool = True
     compiled: Compiler | None = "joined"
     graphed: bool = True
 

@@ -255,7 +255,7 @@ def test_a_box_at_rest_needs_no_robot(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
 def test_on_a_gpu_scenes_may_follow_each_other_in_a_process() -> None:
-    """Processes that did so with `push`, twelve at once, ended in an illegal memory access."""
+    """Processes that did so with `push` ended in an illegal memory access (see `spread_kernel`)."""
     scenes_follow_each_other("cuda")
 
 
