@@ -120,7 +120,11 @@ class TorqueSaturation(ActuatorEffect):
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         index = index_of(view.model, "actuator", target)
         force = view.actuator_force[:, index]
-        levels = np.quantile(np.abs(force), [0.15, 0.3, 0.5, 0.65, 0.8, 0.9, 0.96])
+        size = np.abs(force)
+        # shares of the largest, too: most commands of one that switches are at their ends
+        shares = np.array([0.25, 0.5, 0.75]) * size.max(initial=0.0)
+        quantiles = np.quantile(size, [0.15, 0.3, 0.5, 0.65, 0.8, 0.9, 0.96])
+        levels = np.unique(np.concatenate([quantiles, shares]))
         return [
             _known(
                 self.name, target, _force(view, index, np.clip(force, -x, x) - force), {"limit": x}
