@@ -286,7 +286,7 @@ def policy(
     device: str | None,
     as_json: bool,
 ) -> None:
-    """Success and reward of the policy in FOLDER, in C MuJoCo.
+    """Success and reward of the policy in FOLDER (or a name of the zoo: push), in C MuJoCo.
 
     By each definition of success, with 95 % intervals; beside it the same episodes inside the
     learned model. Where the model promises more than MuJoCo keeps, the policy exploits it.
