@@ -236,11 +236,13 @@ def cpu(model: Any, options: Any) -> dict[str, float]:
     """One world on one core: the learned control step against C MuJoCo's, alternating."""
     if not options.checkpoint:
         return {}
-    learned, classical, nstep, _ = _side_by_side(options)
-    state = classical.reset(1)
-    mid = classical.step(state, None, 10 * nstep)
-    mid = learned.step(mid)
-    return _timed(learned, classical, nstep, (mid, mid), None, 60)
+    learned, classical, nstep, episode = _side_by_side(options)
+    # not without controls: servos that are told zero leave the training data, which takes a look
+    controls = episode.controls(episode.horizon, learned.timestep, 0).swapaxes(0, 1)
+    mid = episode.initial
+    for control in controls[:10]:
+        mid = learned.step(mid, control)
+    return _timed(learned, classical, nstep, (mid, mid), controls[10], 60)
 
 
 def phases(model: Any, options: Any) -> dict[str, dict[str, float]]:
@@ -248,10 +250,11 @@ def phases(model: Any, options: Any) -> dict[str, dict[str, float]]:
     if not options.checkpoint:
         return {}
     learned, classical, nstep, episode = _side_by_side(options)
-    controls = episode.controls(episode.horizon, learned.timestep, 0)
-    ours, theirs = learned.step(episode.initial), episode.initial  # it remembers from now on
+    controls = episode.controls(episode.horizon, learned.timestep, 0).swapaxes(0, 1)
+    ours = learned.step(episode.initial, controls[0])  # it remembers from now on
+    theirs = classical.step(episode.initial, controls[0], nstep)
     found: dict[str, list[dict[str, float]]] = {}
-    for control in controls.swapaxes(0, 1):
+    for control in controls[1:]:
         row = _timed(learned, classical, nstep, (ours, theirs), control, 7)
         for name in ("all", _touching(episode.scene.model, theirs)):
             found.setdefault(name, []).append(row)
