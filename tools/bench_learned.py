@@ -1,7 +1,7 @@
 """Speed of the learned step, as ratios within one run.
 
     python tools/bench_learned.py --checkpoint zoo/push [--device cuda] [--json FILE]
-        [--only variants,batch,gradient,cpu,memory]
+        [--only variants,batch,gradient,cpu,phases,memory]
 
 - variants: what each speed-up brings (weights combined, half precision, compiled in three ways),
   at one world (ms) and at 8,192 (control steps/s); the fastest at 8,192 is used by `batch`.
@@ -10,6 +10,7 @@
 - latency: one world, one control step, by the shipped settings.
 - gradient: policy-gradient training steps/s (a two-layer policy, a window of 32 control steps).
 - cpu: one world on one core, against C MuJoCo's control step of the same scene (needs MuJoCo).
+- phases: the same at every step of an episode of the task's script, by what touches what.
 - memory: of a training step against the number of objects, 2 to 8 (GPU); --plot draws it.
 - compile-check: what torch's compiler says to the step and its parts (see compile_check.py).
 
@@ -233,31 +234,90 @@ def update_row(worlds: int, seconds: float) -> dict[str, float]:
 
 def cpu(model: Any, options: Any) -> dict[str, float]:
     """One world on one core: the learned control step against C MuJoCo's, alternating."""
-    import warnings
-
-    from orbisim import load_scene, make_backend
-
     if not options.checkpoint:
         return {}
+    learned, classical, nstep, episode = _side_by_side(options)
+    # not without controls: servos that are told zero leave the training data, which takes a look
+    controls = episode.controls(episode.horizon, learned.timestep, 0).swapaxes(0, 1)
+    mid = episode.initial
+    for control in controls[:10]:
+        mid = learned.step(mid, control)
+    return _timed(learned, classical, nstep, (mid, mid), controls[10], 60)
+
+
+def phases(model: Any, options: Any) -> dict[str, dict[str, float]]:
+    """As `cpu`, at every step of an episode: medians by what touches, and the worst step."""
+    if not options.checkpoint:
+        return {}
+    learned, classical, nstep, episode = _side_by_side(options)
+    controls = episode.controls(episode.horizon, learned.timestep, 0).swapaxes(0, 1)
+    ours = learned.step(episode.initial, controls[0])  # it remembers from now on
+    theirs = classical.step(episode.initial, controls[0], nstep)
+    found: dict[str, list[dict[str, float]]] = {}
+    for control in controls[1:]:
+        row = _timed(learned, classical, nstep, (ours, theirs), control, 7)
+        for name in ("all", _touching(episode.scene.model, theirs)):
+            found.setdefault(name, []).append(row)
+        ours = learned.step(ours, control)
+        theirs = classical.step(theirs, control, nstep)
+    return {
+        name: {
+            "steps": len(rows),
+            **{key: statistics.median(row[key] for row in rows) for key in rows[0]},
+            "worst_ratio": max(row["ratio"] for row in rows),
+        }
+        for name, rows in found.items()
+    }
+
+
+def _side_by_side(options: Any) -> Any:
+    """Both backends on one core, how many of C MuJoCo's steps are one, and an episode."""
+    import warnings
+
+    from orbisim import make_backend
+    from orbisim.episodes import episodes
+
     warnings.simplefilter("ignore")
     torch.set_num_threads(1)
     manifest = json.loads((options.checkpoint / "manifest.json").read_text())
-    scene = load_scene(options.scene or manifest["data"]["sources"][0]["task"])
-    learned = make_backend(f"learned:{options.checkpoint}", scene, device="cpu")
-    classical = make_backend("mujoco", scene, nthread=1)
-    nstep = round(learned.timestep / classical.timestep)
-    state = classical.reset(1)
-    mid = classical.step(state, None, 10 * nstep)
-    mid = learned.step(mid)
-    pairs = []
-    for _ in range(60):
-        begun = time.perf_counter()
-        learned.step(mid)
-        between = time.perf_counter()
-        classical.step(mid, None, nstep)
-        pairs.append((between - begun, time.perf_counter() - between))
+    episode = episodes(options.scene or manifest["data"]["sources"][0]["task"], 1, 0)
+    learned = make_backend(f"learned:{options.checkpoint}", episode.scene, device="cpu")
+    classical = make_backend("mujoco", episode.scene, nthread=1)
+    return learned, classical, round(learned.timestep / classical.timestep), episode
+
+
+def _timed(
+    learned: Any, classical: Any, nstep: int, states: Any, control: Any, repeats: int
+) -> dict[str, float]:
+    """Medians of a control step of each, in turn: of processor time, which others do not take."""
+    pairs, now = [], time.process_time
+    for _ in range(repeats):
+        begun = now()
+        learned.step(states[0], control)
+        between = now()
+        classical.step(states[1], control, nstep)
+        pairs.append((between - begun, now() - between))
     ours, theirs = (statistics.median(values) for values in zip(*pairs, strict=True))
     return {"learned_ms": ours * 1e3, "mujoco_ms": theirs * 1e3, "ratio": ours / theirs}
+
+
+def _touching(model: Any, state: Any) -> str:
+    """What of an episode's step this is: objects touch each other, the robot one, or neither."""
+    import mujoco
+
+    data = mujoco.MjData(model)
+    data.qpos[:] = state.qpos[0]
+    mujoco.mj_fwdPosition(model, data)
+    free = {int(model.jnt_bodyid[j]) for j in range(model.njnt) if model.jnt_type[j] == 0}
+    pairs = [
+        {model.geom_bodyid[geom] in free for geom in contact.geom}
+        if all(model.body_weldid[model.geom_bodyid[geom]] for geom in contact.geom)
+        else set()
+        for contact in data.contact
+    ]
+    if {True} in pairs:
+        return "object and object"
+    return "robot and object" if {True, False} in pairs else "neither"
 
 
 def memory(model: Any, options: Any) -> list[dict[str, float]]:
@@ -333,6 +393,7 @@ BENCHMARKS: dict[str, Callable[[Any, Any], Any]] = {
     "latency": latency,
     "gradient": gradient,
     "cpu": cpu,
+    "phases": phases,
     "memory": memory,
     "compile-check": check,
 }

@@ -53,6 +53,7 @@ def evaluate(
     workers: int = 1,
     backend: str = "learned",
     noise: tuple[float, float] | None = None,
+    seed: int = 0,
     report: Callable[[str], None] = print,
 ) -> dict[str, Any]:
     """Quality of rollouts on the episodes of a file.
@@ -70,7 +71,8 @@ def evaluate(
       workers: processes. backend: what predicts.
       noise: standard deviations, m and rad, of noise on states (`StateNoise`): on the first one,
         from which the backend predicts, and on each one that GT-state and Recon-all show. Images
-        are held against the true ones. report: is told what was measured.
+        are held against the true ones. seed: of this noise, and of the sampler's.
+      report: is told what was measured.
 
     Returns:
       By workflow and steps: PSNR, SSIM (EffNet-PD, LPIPS) by horizon, EffNet-FVD, FVD, TrajErr.
@@ -80,7 +82,7 @@ def evaluate(
     horizon = min(max(horizons), int(store.length.min()) - 1)
     predicted = store
     if mujoco or {"GT-first", "Recon-first"} & set(workflows):
-        first = None if noise is None else StateNoise(*noise)
+        first = None if noise is None else StateNoise(*noise, seed=seed)
         made = predictions or predict(path, chosen, workers, backend, mujoco, first)
         predicted = with_predictions(store, made[: len(chosen)])
     true = _true(store, horizon)
@@ -102,13 +104,13 @@ def evaluate(
         report(f"{path.name} {key}: {row}")
     predicted, shown = dataclasses.replace(predicted, frames=store.frames), store
     if noise is not None and {"GT-state", "Recon-all"} & set(workflows):
-        each = StateNoise(*noise, every=True)
+        each = StateNoise(*noise, every=True, seed=seed)
         shown = with_predictions(store, predict(path, chosen, workers, RECORDED, noise=each))
     for workflow in workflows:
         states = predicted if workflow in ("GT-first", "Recon-first") else shown
         for count in steps:
             parts = [
-                rollout(painter, states, part, workflow, horizon, count)
+                rollout(painter, states, part, workflow, horizon, count, seed)
                 for part in torch.arange(len(store.first), device=store.device).split(_BATCH)
             ]
             key = f"{workflow}, {count} steps"

@@ -41,12 +41,13 @@ class StateNoise:
       metres: standard deviation of each coordinate of a free body's position, and of sliding
         joints. radians: of each component of its turn, and of hinges.
       every: whether each state gets noise of its own; else the first alone, from which the others
-        are predicted.
+        are predicted. seed: beside each episode's own.
     """
 
     metres: float
     radians: float
     every: bool = False
+    seed: int = 0
 
 
 def perturbed(
@@ -87,7 +88,7 @@ def predicted_episode(
     Args:
       path, index: the episode. backend: what predicts, or `RECORDED`.
       seen: whether MuJoCo's images of the predicted states are wanted, too: `frames` [T+1, H, W, 3]
-        of the episode's camera. noise: on the states, drawn from the episode's seed.
+        of the episode's camera. noise: on the states, drawn from the episode's seed and its own.
     """
     torch.set_num_threads(1)
     with EpisodeFile(path) as file:
@@ -97,7 +98,7 @@ def predicted_episode(
         camera = next(n for n in file.names(index) if n.startswith(_FRAMES)) if seen else ""
         size = len(file.episode(index, [camera])[camera][0]) if seen else 0
         camera = camera.removeprefix(_FRAMES)
-    rng = np.random.default_rng([known["seed"], 45])
+    rng = np.random.default_rng([known["seed"], 45, noise.seed if noise else 0])
     qpos = arrays["qpos"]
     if noise is not None and not noise.every:
         arrays["qpos"] = np.concatenate([perturbed(scene.model, qpos[:1], noise, rng), qpos[1:]])

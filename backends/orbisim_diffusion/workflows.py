@@ -7,6 +7,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from orbisim.host.progress import track
 from orbisim_diffusion import edm
 from orbisim_diffusion.autoencoder import to_bytes, to_float
 from orbisim_diffusion.config import MOST_CONTEXT
@@ -19,32 +20,40 @@ Workflow = Literal["GT-first", "GT-state", "Recon-first", "Recon-all"]
 """GT-first and GT-state begin with a true image (their states differ: predicted or true);
 Recon-first with an image made from the first state; Recon-all uses no images as context."""
 _DECODE = 128  # images at once, so that memory does not grow with the number of videos
+_SEEDS = 1_000_003  # of one rollout and the next: more than there are frames
 
 
 @torch.no_grad()  # type: ignore[untyped-decorator]
 def rollout(
-    painter: Painter, store: Store, episodes: Tensor, workflow: Workflow, horizon: int, steps: int
+    painter: Painter,
+    store: Store,
+    episodes: Tensor,
+    workflow: Workflow,
+    horizon: int,
+    steps: int,
+    seed: int = 0,
 ) -> Tensor:
     """Images of episodes [E], autoregressive.
 
     Args:
       painter: the model. store: true images, and the states' geoms (predicted ones by
         `Store.with_poses`). episodes: numbers. workflow: see `Workflow`.
-      horizon: frames after the first. steps: of the sampler.
+      horizon: frames after the first. steps: of the sampler. seed: of its noise.
 
     Returns:
       [E, horizon, H, W, 3] uint8: frames 1 to `horizon`.
     """
     first, past = store.first[episodes], []
+    seed *= _SEEDS
     if workflow in ("GT-first", "GT-state"):
         with mixed(store.device):
             past.append(painter.encode(to_float(store.frames[first])))
     elif workflow == "Recon-first":
-        past.append(_frame(painter, store, first, [], steps, 0))
+        past.append(_frame(painter, store, first, [], steps, seed))
     found = []
-    for t in range(1, horizon + 1):
+    for t in track(range(1, horizon + 1), f"images, {workflow}"):
         context = [] if workflow == "Recon-all" else past[-MOST_CONTEXT:]
-        latent = _frame(painter, store, first + t, context, steps, t)
+        latent = _frame(painter, store, first + t, context, steps, seed + t)
         past.append(latent)
         found.append(latent)
         past = past[-MOST_CONTEXT:]

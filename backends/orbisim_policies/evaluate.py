@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from orbisim.host.progress import track
 from orbisim.tasks.sampling import episode_seed
 from orbisim_policies.learned import LearnedWorlds
 from orbisim_policies.problem import Floats, Problem, Starts
@@ -51,12 +52,18 @@ def begun(act: Any, count: int) -> Act:
 
 
 def in_mujoco(
-    problem: Problem, act: Act, starts: Starts, nthread: int = 0, nominal: bool = False
+    problem: Problem,
+    act: Act,
+    starts: Starts,
+    nthread: int = 0,
+    nominal: bool = False,
+    shown: bool = False,
 ) -> tuple[Floats, Floats, int]:
     """Episodes in C MuJoCo: qpos at the end, `measure` [N, parts], and how many diverged.
 
     What diverges, or has no finite reward, counts as if nothing had been done: it ends where it
     began, with no value. With `nominal`, observations have nominal values of what no image shows.
+    With `shown`, a bar says how far it is.
     """
     ends, values, lost = [], [], 0
     for first in range(0, len(starts), _AT_ONCE):
@@ -65,7 +72,8 @@ def in_mujoco(
             worlds.begin(np.arange(len(part)), part)
             alive, end = np.arange(len(part)), part.qpos.copy()
             playing = begun(act, len(part))
-            for _ in range(problem.steps):
+            steps = range(problem.steps)
+            for _ in track(steps, "playing in MuJoCo") if shown else steps:
                 with torch.no_grad():
                     action = playing(worlds.observation())
                 alive = alive[~worlds.step(action, alive)[alive]]
@@ -135,7 +143,7 @@ def evaluate(
     """
     drawn = [starts_of(problem, episodes, seed) for seed in seeds]
     everything = joined(drawn)
-    qpos, value, lost = in_mujoco(problem, policy.cpu(), everything, nthread, nominal)
+    qpos, value, lost = in_mujoco(problem, policy.cpu(), everything, nthread, nominal, shown=True)
     result: dict[str, Any] = {
         "schema": "orbisim.eval_policy/1",
         "task": problem.name,

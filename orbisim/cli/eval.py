@@ -16,6 +16,7 @@ from orbisim.cli.common import (
     print_table,
     randomize_option,
     scene_options,
+    seed_option,
     torch_device,
     writable_folder,
 )
@@ -140,6 +141,7 @@ _VISION = "Example: orbisim eval vision checkpoints/look test_push.h5 --steps 1 
 )
 @click.option("--workers", type=click.IntRange(min=1), default=1, help="Processes.")
 @device_option
+@seed_option
 @json_option
 def vision(
     checkpoint: Path,
@@ -156,6 +158,7 @@ def vision(
     state_noise: tuple[float, float] | None,
     workers: int,
     device: str | None,
+    seed: int,
     as_json: bool,
 ) -> None:
     """Images of rollouts against the true ones: PSNR, SSIM, EffNet-PD, EffNet-FVD, with the weights
@@ -208,6 +211,7 @@ def vision(
             workers=workers,
             backend=backend,
             noise=noise,
+            seed=seed,
             report=note,
         )
         for path in data
@@ -282,7 +286,7 @@ def policy(
     device: str | None,
     as_json: bool,
 ) -> None:
-    """Success and reward of the policy in FOLDER, in C MuJoCo.
+    """Success and reward of the policy in FOLDER (or a name of the zoo: push), in C MuJoCo.
 
     By each definition of success, with 95 % intervals; beside it the same episodes inside the
     learned model. Where the model promises more than MuJoCo keeps, the policy exploits it.

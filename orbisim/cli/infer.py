@@ -77,6 +77,8 @@ def command(
     """
     if not video.is_file():
         raise InputError(f"{video}: no such file; expected a video (.mp4, .avi, ...)")
+    import numpy as np
+
     from orbisim.cameras import camera_number
     from orbisim.recording.servo import with_controls
     from orbisim.scene import load_scene, visible
@@ -132,6 +134,16 @@ def command(
         recording = infer(loaded, frames, times, point, model)
     recording = with_controls(recording, loaded.model)
     recording.save(out)
+    hidden = [
+        name.removeprefix("xpos/")
+        for name, values in recording.signals.items()
+        if name.startswith("xpos/") and not np.isfinite(values).any()
+    ]
+    if hidden and not free:  # a task's episodes have looks of their own, not those of `task:push`
+        note(
+            f"warning: no frame shows {', '.join(hidden)} as {scene} declares it"
+            + ("; if size or colour may be another: --fit sizes,colors" if network else "")
+        )
     noise = recording.metadata["noise"]
     largest = {name: max(v) if isinstance(v, list) else v for name, v in noise.items()}
     result = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -12,6 +13,7 @@ import torch
 from mujoco import sysid
 from torch import Tensor
 
+from orbisim.host.progress import status
 from orbisim.identification.estimate import LARGE, Estimate, widths
 from orbisim.identification.parameters import Parameter, patched
 from orbisim.identification.residual import counted, errors
@@ -34,12 +36,15 @@ def identify_classical(
       steps: of the search at most.
     """
     run = simulated(scene, parameters, grid, substeps)
+    count = itertools.count(1)
 
     def residual(vector: np.ndarray, _: sysid.ParameterDict) -> tuple[list[np.ndarray], None, None]:
+        say(f"simulation {next(count)}")
         return [(run(vector) / grid.ctrl.shape[1] ** 0.5).numpy().ravel()], None, None
 
     start = np.log([parameter.declared for parameter in parameters])
-    with contextlib.redirect_stdout(io.StringIO()):  # it prints each step, whatever it is told
+    # it prints each step, whatever it is told
+    with contextlib.redirect_stdout(io.StringIO()), status("identifying") as say:
         result = _searched(parameters, start, residual, steps, {})
         left = run(result.x)
         size = max(1.0, 1.48 * float(left[left != 0].abs().median())) if left.any() else 1.0

@@ -17,6 +17,8 @@ from scipy import stats
 from torch import Tensor
 from torch.autograd import forward_ad
 
+from orbisim.host.progress import track
+
 LARGE = 3.0
 """In units of the errors: where weights begin to fall."""
 PRIOR = math.e**1.5
@@ -68,7 +70,7 @@ def estimate(
     errors, slopes = _linear(residuals, z[group])
     cost = _costs(errors, z, origin, group, together)
     history = [cost]
-    for _ in range(steps):
+    for _ in track(range(steps), "identifying"):
         curvature, gradient, _ = _normal(errors, slopes, z, origin, group, together)
         sizes = torch.diagonal(curvature, dim1=1, dim2=2)
         matrix = curvature + torch.diag_embed(damping * sizes)

@@ -93,7 +93,7 @@ class Simulation:
 def identify_learned(
     backend: Conditioned, parameters: Sequence[Parameter], grid: Grid, steps: int, device: str
 ) -> Estimate:
-    """One problem with all windows.
+    """One problem with all windows; with states that were read off frames, the paper's PhyInf.
 
     Raises:
       DivergedError: every window's rollout diverges, with what was found, too.

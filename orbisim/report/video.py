@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from orbisim.files.temporary import temporary_folder
 from orbisim.files.writing import output_errors, writing
+from orbisim.host.progress import track
 from orbisim.renderer import Renderer
 from orbisim.state import State
 
@@ -90,7 +91,7 @@ def frames_of(
     steps = np.searchsorted(time, np.arange(time[0], time[-1] + 1e-9, 1.0 / fps))
     frames: list[Frames] = []
     memory: dict[str, Any] = {}
-    for step in np.minimum(steps, len(time) - 1):
+    for step in track(np.minimum(steps, len(time) - 1), f"drawing with {renderer.name}"):
         if frames and not np.isfinite(qpos[step]).all():
             frames.append(frames[-1])
             continue

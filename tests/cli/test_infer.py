@@ -102,9 +102,16 @@ def test_a_scene_without_a_network_is_read_by_fitting(
     iio.imwrite(video, frames.repeat(2, 1).repeat(2, 2), plugin="FFMPEG", fps=20, quality=9)
     out = ["--out", str(tmp_path / "rec.npz"), "--pixels", str(SIZE), "--json"]
     assert run(["infer", video, "--scene", str(scene), *out]) == 0
-    printed = json.loads(capsys.readouterr().out)
+    said = capsys.readouterr()
+    printed = json.loads(said.out)
+    assert "no frame shows" not in said.err
     assert printed["signals"] == ["ctrl/swing", "qpos/swing", "xpos/cube", "xquat/cube"]
     assert printed["refined"] and printed["not_seen"] == [] and printed["looks"] == {}
+    green = tmp_path / "green.xml"
+    green.write_text(scene.read_text().replace("0.8 0.2 0.2 1", "0.1 0.9 0.2 1"))
+    elsewhere = ["--out", str(tmp_path / "green.npz"), *out[2:]]
+    assert run(["infer", video, "--scene", str(green), *elsewhere]) == 0
+    assert f"no frame shows cube as {green} declares it" in capsys.readouterr().err
     assert run(["infer", video, "--scene", str(scene), *out, "--fit", "colors"]) == 2
     assert "none was trained on" in capsys.readouterr().err
     bound = bind(Recording.load(tmp_path / "rec.npz"), load_scene(scene))

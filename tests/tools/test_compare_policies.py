@@ -33,7 +33,8 @@ def test_each_method_leaves_a_policy_and_what_it_is_worth(
     method: str, job: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(compare_policies, "CHECK", 2)
-    limit = None if method in ("ppo", "ppo_rnd", "sac", "dreamer") else 1.0  # those have steps
+    counted = ("ppo", "ppo_rnd", "sac", "dreamer", "apg_mujoco")  # these have steps
+    limit = None if method in counted else 1.0
     job = dataclasses.replace(job, method=method, limit=limit)
     rewards = ("r1", "r2", "r3")
     if method == "apg_mujoco":  # not of push, whose episodes have scenes of their own

@@ -79,5 +79,10 @@ def test_the_command_prints_a_table(
     (more,) = json.loads(capsys.readouterr().out)["tables"]
     assert all(np.isfinite(row["LPIPS2"]) and row["LPIPS2"] > 0 for row in more["rows"].values())
     assert more["rows"]["GT-state, 1 steps"]["PSNR2"] == table["rows"]["GT-state, 1 steps"]["PSNR2"]
+    rows = []
+    for seed in ("0", "1"):
+        assert run([*command, *options, "--seed", seed, "--json"]) == 0
+        rows.append(json.loads(capsys.readouterr().out)["tables"][0]["rows"]["GT-state, 2 steps"])
+    assert rows[0] == table["rows"]["GT-state, 2 steps"] != rows[1]
     assert run([*command, *options]) == 0
     assert "PSNR2" in capsys.readouterr().out

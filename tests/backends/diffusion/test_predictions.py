@@ -54,8 +54,8 @@ def test_predictions_begin_with_the_truth_and_follow_it(tmp_path: Path) -> None:
     apart = np.linalg.norm(found["geoms/pos"] - true["geoms/pos"], axis=-1)
     assert 0 < apart[:30].max() < 0.05
 
-    def noisy(every: bool) -> np.ndarray:
-        noise = StateNoise(0.01, 0.0, every)
+    def noisy(every: bool, seed: int = 0) -> np.ndarray:
+        noise = StateNoise(0.01, 0.0, every, seed)
         return predicted_episode(path, 0, RECORDED, noise=noise)["geoms/pos"]
 
     exact = predicted_episode(path, 0, RECORDED)["geoms/pos"]
@@ -63,3 +63,5 @@ def test_predictions_begin_with_the_truth_and_follow_it(tmp_path: Path) -> None:
     np.testing.assert_array_equal(noisy(False), exact)  # nothing is predicted from its first state
     off = np.linalg.norm(noisy(True) - exact, axis=-1).max(-1)
     assert (off > 1e-4).all()
+    np.testing.assert_array_equal(noisy(True), noisy(True))
+    assert np.any(noisy(True) != noisy(True, seed=1))

@@ -97,6 +97,7 @@ def test_an_iteration_stays_on_the_device(push: PushProblem, dynamics: str, hori
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)  # torch's compiler takes minutes on a core that others share
 def test_a_compiled_step_is_the_same_step(
     cartpole: SuiteProblem, cartpole_worlds: LearnedWorlds
 ) -> None:
