@@ -102,11 +102,16 @@ class Measurement:
         h, u = t[k + 1] - t[k], (at - t[k]) / (t[k + 1] - t[k])
         y, v = values[:, c % nv], values[:, nv + c % nv]
         inside = np.clip(u, 0.0, 1.0)
-        if c >= nv and noisy:
-            return np.asarray(v[k] + u * (v[k + 1] - v[k]))
         if c >= nv:
+            line = v[k] + u * (v[k + 1] - v[k])
+            if noisy:
+                return np.asarray(line)
             slope = _hermite_slope(inside, y[k], y[k + 1], h * v[k], h * v[k + 1]) / h
-            return np.asarray(slope + (u - inside) * (v[k + 1] - v[k]))
+            near = v[np.clip(k[:, None] + np.arange(-1, 3), 0, len(v) - 1)]
+            most = np.ptp(near, axis=1) / _RESOLVED
+            return np.asarray(
+                line + np.clip(slope + (u - inside) * (v[k + 1] - v[k]) - line, -most, most)
+            )
         cubic = _hermite(inside, y[k], y[k + 1], h * v[k], h * v[k + 1])
         return np.asarray(cubic + (u - inside) * h * np.where(u < 0, v[k], v[k + 1]))
 
@@ -127,6 +132,11 @@ def _hermite_slope(u: Floats, y0: Floats, y1: Floats, d0: Floats, d1: Floats) ->
         6 * u * (1 - u) * (y1 - y0) + (1 - u) * (1 - 3 * u) * d0 + u * (3 * u - 2) * d1
     )
 
+
+_RESOLVED = 8.0
+"""Range of velocities over four samples, over the most that a velocity between the middle two may
+be off a straight line: of a parabola, it is 9 at least. What is further off is a motion that the
+samples do not resolve, and a cubic through two of them swings."""
 
 TRUE = Measurement()
 

@@ -424,6 +424,9 @@ class Problem:
         left, weighted = self._shares(here, slopes, free)
         information = np.einsum("wdp,wdq->wpq", weighted, weighted)
         score = np.einsum("wdp,wd->wp", weighted, left)
+        # a window whose slopes overflow (see `parameter_step`) says nothing
+        told = np.isfinite(information).all(axis=(1, 2)) & np.isfinite(score).all(axis=1)
+        information[~told], score[~told] = 0.0, 0.0
         gram = information.sum(axis=0) + np.diag(self.precision)
         trust, square = self.trust(here.cost), float(here.cost.sum())
         fitted = len(values) + free.shape[2] * len(residual)

@@ -13,6 +13,7 @@ from orbisim.errors import SceneError
 from orbisim.motion.samples import prepare_all
 from orbisim.recording import Recording
 from orbisim.shooting.bench import make_bench
+from orbisim.shooting.confidence import confidence
 from orbisim.shooting.fits import Hints, Unknown
 from orbisim.shooting.gauss_newton import Problem, gauss_newton
 from orbisim.shooting.hypothesis import Hypothesis
@@ -59,6 +60,26 @@ def test_slopes_that_overflow_move_nothing() -> None:
         slopes[0, 2, 1] = flown
         step = problem.parameter_step(np.zeros(2), np.full((1, 4), 3.0), slopes, 0.0)
         np.testing.assert_allclose(step, [3.0, 0.0], rtol=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore:.*overflow.*:RuntimeWarning")
+def test_a_window_whose_slopes_overflow_says_nothing_of_parameters(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    shooter: Any = SimpleNamespace(data=np.array([4, 4]), count=8, recording=np.zeros(2, int))
+    unknowns = [Unknown("a", 0.0, -10.0, 10.0, 1e-3)]
+    problem = Problem(shooter, lambda _: Variant(None), unknowns, Hints(), None)  # type: ignore[arg-type]
+    monkeypatch.setattr(problem, "projected", lambda residual, slopes, free: (residual, slopes))
+    here: Any = SimpleNamespace(
+        values=np.zeros(1), xi=np.zeros((2, 1)), residual=np.ones((2, 4)), cost=np.ones(2)
+    )
+    slopes = np.ones((2, 4, 1))
+    slopes[1, 2] = 1e200
+    found = problem._result(here, np.zeros((2, 4, 1)), slopes)
+    np.testing.assert_array_equal(found.information[:, 0, 0], [4.0, 0.0])
+    assert np.isfinite(found.covariance).all()
+    low, high = confidence(found, ["a"])["a"]
+    assert np.isfinite([low, high]).all()
 
 
 def test_starts_may_be_readings_of_a_sensor_with_an_offset() -> None:
