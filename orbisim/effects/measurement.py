@@ -135,7 +135,7 @@ def _hermite_slope(u: Floats, y0: Floats, y1: Floats, d0: Floats, d1: Floats) ->
 
 _RESOLVED = 8.0
 """Range of velocities over four samples, over the most that a velocity between the middle two may
-be off a straight line: of a parabola, it is 9 at least. What is further off is a motion that the
+be off a straight line: of a parabola, it is 8 at least. What is further off is a motion that the
 samples do not resolve, and a cubic through two of them swings."""
 
 TRUE = Measurement()
