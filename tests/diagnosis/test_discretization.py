@@ -17,7 +17,9 @@ from orbisim.diagnosis.discretization import (
     earlier,
     settled,
 )
+from orbisim.diagnosis.explanations import Found
 from orbisim.diagnosis.settings import Settings
+from orbisim.diagnosis.simplification import simplified
 from orbisim.effects import EffectInstance
 from orbisim.motion.samples import prepare_all
 from orbisim.recording.command_clock import Lead
@@ -256,6 +258,22 @@ def test_steps_that_are_more_exact_are_found(true: float) -> None:
     assert found is not None and found[1].ratio < 1.06 < judged.ratio
     taken = timestep.stepping(found[0].bench.scene)
     assert taken.integrator == RK4 or taken.timestep == pytest.approx(true, rel=0.3)
+
+
+def test_steps_take_the_place_of_what_they_were_named_for_beside_an_effect() -> None:
+    """A simulated servo's steps add to its inertia (implicit damping)."""
+    spring = EffectInstance("joint_spring", "hinge", {"stiffness": 0.5, "rest_position": 0.2})
+    inertia = EffectInstance("armature", "hinge", {"inertia": 1e-4})
+    runs = inject_effect(_scene(0.001), spring, duration=2.0, episodes=3, noise=1e-4, seed=1)
+    scene = _scene(0.01)
+    context, both = _in_exact_steps(scene, runs, 0.001, spring, inertia)
+    alone = context.judge.judge(Hypothesis((spring,)))
+    assert alone is not None and 2.0 < both.ratio < 0.9 * alone.ratio
+    simpler = simplified(Found(context, timestep.stepping(scene), both, both), 2)
+    assert [one.effect for one in simpler.best.hypothesis.effects] == ["joint_spring"]
+    assert simpler.best.ratio < 1.05
+    taken = timestep.stepping(simpler.context.bench.scene)
+    assert taken.integrator != RK4 and taken.timestep == pytest.approx(0.001, rel=0.05)
 
 
 def test_a_step_is_halved_where_another_integrator_is_not_stable() -> None:

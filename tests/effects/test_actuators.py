@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import mujoco
 import numpy as np
 import pytest
@@ -91,6 +93,14 @@ def test_late_controls_are_seen_as_the_motion_has_them(motion: Motion) -> None:
         np.testing.assert_allclose(lag.columns[0].values[:, 1], gain * u * share, atol=1e-12)
         expected = np.full(len(u), -gain * late["delay"])
         np.testing.assert_allclose(delay.columns[0].values[:, 1], expected, atol=1e-12)
+
+
+def test_a_limit_is_tried_below_commands_that_are_all_at_their_ends(motion: Motion) -> None:
+    force = np.tile([[-2.0], [2.0]], (6, motion.model.nu))
+    switched = dataclasses.replace(motion)
+    object.__setattr__(switched, "actuator_force", force)
+    tried = [c.solve(np.ones(1)) for c in find("torque_saturation").screen(switched, "m1")]
+    assert [one["limit"] for one in tried if one] == [0.5, 1.0, 1.5, 2.0]
 
 
 def test_a_limit_only_tightens(scene: Scene) -> None:

@@ -62,3 +62,15 @@ def test_velocities_between_samples_are_slopes_of_the_motion() -> None:
     read = late.of(np.zeros_like(truth), truth, time[None])[0, 1:]
     assert read[:, 0] == pytest.approx((time[1:] - 0.03) ** 3)
     assert read[:, 1] == pytest.approx(3 * (time[1:] - 0.03) ** 2)
+
+
+def test_a_late_velocity_follows_what_samples_resolve_and_does_not_swing() -> None:
+    """Of a parabola it is exact between samples; of one that changes at once, near a line."""
+    t = np.arange(8) * 0.1
+    at = t[2:6] + 0.05
+    smooth = np.stack([t**3, 3 * t**2], axis=1)
+    np.testing.assert_allclose(Measurement._at(smooth, t, at, 1), 3 * at**2, atol=1e-12)
+    speed = np.where(np.arange(8) < 4, 0.0, 1.0)  # and a leap of the position in between
+    jump = np.stack([np.where(np.arange(8) < 4, 0.0, 0.5), speed], axis=1)
+    found = Measurement._at(jump, t, t[3:4] + 0.05, 1)
+    assert abs(found[0] - 0.5) <= 1 / 8 + 1e-12  # the cubic's own slope there is 7.25
