@@ -266,7 +266,7 @@ def test_steps_take_the_place_of_what_they_were_named_for_beside_an_effect() -> 
     inertia = EffectInstance("armature", "hinge", {"inertia": 1e-4})
     runs = inject_effect(_scene(0.001), spring, duration=2.0, episodes=3, noise=1e-4, seed=1)
     scene = _scene(0.01)
-    context, both = _in_exact_steps(scene, runs, 0.001, spring, inertia)
+    context, both = _in_exact_steps(scene, runs, 0.005, spring, inertia)
     alone = context.judge.judge(Hypothesis((spring,)))
     assert alone is not None and 2.0 < both.ratio < 0.9 * alone.ratio
     simpler = simplified(Found(context, timestep.stepping(scene), both, both), 2)
