@@ -16,12 +16,14 @@ from orbisim.shooting.timestep import typical_interval
 
 def left_of(bench: Bench, judged: Judged) -> Remainder | None:
     """What an explanation leaves, as noise; None where that is not known: bodies touch, joints are
-    added, the white noise of sensors is all or all in most windows (noise is in all of them, an
-    event is not), recordings are short, or the bench's time is up."""
+    added, the white noise of sensors is all or all in most windows, or what is left is much more
+    in some windows than in most (noise is in all of them alike, an event is not), recordings are
+    short, or the bench's time is up."""
     hypothesis = judged.hypothesis
     if judged.ratio <= NEAR or bench.contacts or is_structural(hypothesis):
         return None
-    if np.median(np.concatenate([judged.fitted, judged.checked])) <= NEAR**2:
+    typical = float(np.median(np.concatenate([judged.fitted, judged.checked])))
+    if typical <= NEAR**2 or judged.pooled**2 > NEAR**2 * typical:
         return None
     try:
         intervals = linearize(bench.flow(hypothesis))

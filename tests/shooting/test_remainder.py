@@ -92,3 +92,14 @@ def test_what_is_in_few_windows_is_no_noise(arm: orbisim.Scene) -> None:
         judged, fitted=np.concatenate([few, most]), checked=np.full(len(judged.checked), 1.1)
     )
     assert left_of(bench, event) is None
+
+
+def test_an_event_beside_coloured_noise_is_no_noise(arm: orbisim.Scene) -> None:
+    """A stop that one window shows: that noise is in the others does not make it noise."""
+    bench, judged = _judged(arm, _runs(arm, [], 2))
+    assert judged.pooled > 1.5 and left_of(bench, judged) is not None
+    fitted, every = judged.fitted.copy(), len(judged.fitted) + len(judged.checked)
+    fitted[0] = 4e4
+    pooled = float(np.sqrt((fitted.sum() + judged.checked.sum()) / every))
+    event = dataclasses.replace(judged, fitted=fitted, pooled=pooled)
+    assert left_of(bench, event) is None
