@@ -5,13 +5,14 @@
 
 Each episode is a true scene, whose table has a friction between 0.12 and 0.7 (`--without`: the
 declared 0.35). A block is set going over it eight times, a camera films it (an H.264 file each),
-and nothing else is kept. `see` films, reads each video as `orbisim infer` does, and keeps the
-recordings (`run0.npz`, ...; `seen.json` says how far off they are, since here the truth is known).
-`diagnose` takes the recordings alone: `orbisim diagnose` compares six of them with the declared
-scene and holds two out; `diagnosis.json` has verdict, effects, friction found and true, errors
-before and after on what was held out. `both` diagnoses each episode as soon as it is seen, so that
-a run that is ended has whole episodes. All go on where they were ended; `--again` diagnoses anew.
-`summary.json` counts all that is there.
+and what is compared knows nothing else. `see` films, reads each video as `orbisim infer` does, and
+keeps the recordings (`run0.npz`, ...; `seen.json` says how far off they are, since here the truth
+is known). `diagnose` takes the recordings alone: `orbisim diagnose` compares six of them with the
+declared scene and holds two out; `diagnosis.json` has verdict, effects, friction found and true,
+errors before and after on what was held out. `film` makes the films alone, for another machine to
+read; `both` diagnoses each episode as soon as it is seen, so that a run that is ended has whole
+episodes. All go on where they were ended; `--again` diagnoses anew. `summary.json` counts all that
+is there.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ _RUNS, _HELD = 8, 2
 def main() -> None:
     """Films and infers, or diagnoses, on several processes; prints the summary."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("stage", choices=("see", "diagnose", "both"))
+    parser.add_argument("stage", choices=("film", "see", "diagnose", "both"))
     parser.add_argument("--with", dest="with_effect", type=int, default=40)
     parser.add_argument("--without", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=0)
@@ -105,10 +106,11 @@ def main() -> None:
         # by turns, so that a run that is ended has episodes of both kinds
         wanted = {True: arguments.with_effect, False: arguments.without}
         turns = [(i, d) for i in range(max(wanted.values())) for d in wanted if i < wanted[d]]
-        jobs = [
-            (arguments.first_seed + i, d, arguments.out, arguments.pixels, end) for i, d in turns
-        ]
-        work = see
+        jobs = [(arguments.first_seed + i, d, arguments.out) for i, d in turns]
+        if arguments.stage == "film":
+            work = film_episode
+        else:
+            jobs, work = [(*job, arguments.pixels, end) for job in jobs], see
         if arguments.stage == "both":
             jobs, work = [(asked, *job) for job in jobs], see_and_judge
     with quiet_engine():
@@ -119,22 +121,36 @@ def main() -> None:
     print(json.dumps(line))
 
 
+def film_episode(seed: int, different: bool, out: Path) -> tuple[float, list[Floats]]:
+    """Films one episode, unless that is done: its friction, and true coordinates [T, 7] by film."""
+    folder = _folder(seed, different, out)
+    kept = folder / "truth.json"
+    if kept.exists():
+        known = json.loads(kept.read_text())
+        return known["friction"], [np.array(run) for run in known["qpos"]]
+    rng = np.random.default_rng([seed, int(different)])
+    friction = DECLARED
+    while different and 0.75 < friction / DECLARED < 1.35:
+        friction = float(np.exp(rng.uniform(math.log(0.12), math.log(0.7))))
+    folder.mkdir(parents=True, exist_ok=True)
+    scene = load_scene(SCENE.format(friction=friction))
+    made = [film(scene, friction, rng, folder / f"run{run}.mp4") for run in range(_RUNS)]
+    kept.write_text(
+        json.dumps({"friction": friction, "qpos": [run.round(7).tolist() for run in made]})
+    )
+    return friction, made
+
+
 def see(seed: int, different: bool, out: Path, pixels: int, end: float) -> None:
     """Films and infers one episode, unless that is done or the time is over."""
     folder = _folder(seed, different, out)
     if (folder / "seen.json").exists() or time.time() > end:
         return
     torch.set_num_threads(1)
-    rng = np.random.default_rng([seed, int(different)])
-    friction = DECLARED
-    while different and 0.75 < friction / DECLARED < 1.35:
-        friction = float(np.exp(rng.uniform(math.log(0.12), math.log(0.7))))
-    folder.mkdir(parents=True, exist_ok=True)
+    friction, truth = film_episode(seed, different, out)
     declared = load_scene(SCENE.format(friction=DECLARED))
-    truth = load_scene(SCENE.format(friction=friction))
     errors, seen, noise = [], [], []
-    for run in range(_RUNS):
-        qpos = film(truth, friction, rng, folder / f"run{run}.mp4")
+    for run, qpos in enumerate(truth):
         found = inferred(declared, folder / f"run{run}.mp4", pixels)
         found.save(folder / f"run{run}.npz")
         apart = np.asarray(found.signals["xpos/block"]) - qpos[:, :3]
