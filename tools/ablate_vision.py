@@ -1,12 +1,13 @@
-"""The paper's ablations of the denoiser, trained equally long on one frozen autoencoder.
+"""Ablations of the denoiser, trained equally long on one frozen autoencoder.
 
     python tools/ablate_vision.py DATA.h5... --test test_push.h5 --seconds 600 --out DIR
         [--only default paper] [--checkpoint FOLDER] [--predictions FILE.npz]
 
-Each begins from nothing with the same seed and data; then come rollouts of the test episodes. The
-autoencoder, and StaInf for TrajErr, are those of the checkpoint. A line of JSON for each, and a
-checkpoint with the denoiser in DIR/NAME. With `--train-only` no rollouts follow; where DIR/NAME is
-there already, it is measured as it is.
+The paper's by default; `--only default no_colour no_normals no_depth no_instance no_light` leaves
+out the geometry buffers one by one. Each begins from nothing with the same seed and data; then come
+rollouts of the test episodes. The autoencoder, and StaInf for TrajErr, are those of the checkpoint.
+A line of JSON for each, and a checkpoint with the denoiser in DIR/NAME. With `--train-only` no
+rollouts follow; where DIR/NAME is there already, it is measured as it is.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from orbisim_diffusion.checkpoint import (
@@ -28,7 +29,7 @@ from orbisim_diffusion.checkpoint import (
     load_checkpoint,
     save_checkpoint,
 )
-from orbisim_diffusion.config import Config, preset
+from orbisim_diffusion.config import Buffer, Config, preset
 from orbisim_diffusion.estimate import load_with_inference
 from orbisim_diffusion.evaluate import evaluate
 from orbisim_diffusion.features import Features
@@ -42,6 +43,7 @@ from orbisim_diffusion.zoo import FOLDER
 from orbisim.tasks.dataset import EpisodeFile
 
 NAMES = ("default", "no_decoupling", "no_random_sampling", "no_object_centric", "paper")
+BUFFERS = tuple(f"no_{buffer}" for buffer in get_args(Buffer))
 
 
 def main() -> None:
@@ -51,7 +53,7 @@ def main() -> None:
     parser.add_argument("--test", type=Path, help="episodes that none is trained on")
     parser.add_argument("--train-only", action="store_true")
     parser.add_argument("--out", type=Path, required=True, help="folder for lines and checkpoints")
-    parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES)
+    parser.add_argument("--only", nargs="+", choices=(*NAMES, *BUFFERS), default=NAMES)
     parser.add_argument("--checkpoint", type=Path, default=FOLDER / "push")
     parser.add_argument("--seconds", type=float, default=600.0, help="of each training")
     parser.add_argument("--most-steps", type=int, help="of each training, at most")
@@ -87,13 +89,14 @@ def ablations(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
         yield {"episodes": len(plain.first), "frames": len(plain), "seconds": _since(begun)}
     known = [] if arguments.train_only else _predictions(arguments)
     features = None if arguments.no_features or arguments.train_only else Features(device)
-    store, maps = plain, ""
+    store, maps = plain, None
     for name in arguments.only:
         if name in left:
             config = _config(point, name, arguments.batch)
             assert plain is not None
-            if config.denoiser.maps != maps:
-                maps, store = config.denoiser.maps, plain  # the old maps go before new ones come
+            wanted: Any = config.denoiser.maps, config.denoiser.left_out
+            if wanted != maps:
+                maps, store = wanted, plain  # the old maps go before new ones come
                 store = plain.with_maps(config.denoiser) if device.type == "cuda" else plain
             run = Run(arguments.seconds, arguments.most_steps, None, arguments.seed)
             assert store is not None

@@ -15,6 +15,7 @@ import dataclasses
 import itertools
 import json
 import platform
+import resource
 import statistics
 import time
 from collections.abc import Callable, Iterator
@@ -117,6 +118,9 @@ def rendering(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
             line |= {"compiled": arguments.compiled, "graph": arguments.graph}
             if device.type == "cuda":
                 line["gigabytes"] = round(torch.cuda.max_memory_allocated(device) / 1e9, 2)
+            else:  # of the whole process, Python and MuJoCo's renderer included
+                peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+                line["resident_gigabytes"] = round(1024 * peak / 1e9, 2)
             yield {**line, **_summary(found, worlds)}
 
 

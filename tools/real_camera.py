@@ -231,7 +231,9 @@ def simple(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     count = min(len(seen.frames), len(drawn.frames))
     inputs, wanted = (s.frames[:count].reshape(-1, 3).double() for s in (drawn, seen))
     one = torch.ones_like(inputs[:, :1])
-    colours = torch.linalg.lstsq(torch.cat([inputs, one], 1), wanted).solution
+    inputs = torch.cat([inputs, one], 1)
+    # four columns and millions of rows: cuSOLVER's least squares refuses that many
+    colours = torch.linalg.solve(inputs.T @ inputs, inputs.T @ wanted)
     real, plain = (load([p], device, **how) for p in (arguments.real, arguments.data))
     horizon = min(100, int(real.length.min()) - 1)
     index = real.first[:, None] + torch.arange(1, horizon + 1, device=device)

@@ -1,16 +1,18 @@
 """The loop closed from video alone: a sliding block, a table whose friction is another one.
 
     MUJOCO_GL=egl python tools/video_loop.py see --with 40 --without 20 --out out/loop --workers 16
-    python tools/video_loop.py diagnose --out out/loop --workers 16 [--patience 200]
+    python tools/video_loop.py diagnose --out out/loop --workers 16 [--patience 600]
 
 Each episode is a true scene, whose table has a friction between 0.12 and 0.7 (`--without`: the
 declared 0.35). A block is set going over it eight times, a camera films it (an H.264 file each),
-and nothing else is kept. `see` films, reads each video as `orbisim infer` does, and keeps the
-recordings (`run0.npz`, ...; `seen.json` says how far off they are, since here the truth is known).
-`diagnose` takes the recordings alone: `orbisim diagnose` compares six of them with the declared
-scene and holds two out; `diagnosis.json` has verdict, effects, friction found and true, errors
-before and after on what was held out. Both go on where they were ended; `--again` diagnoses anew.
-`summary.json` counts all that is there.
+and what is compared knows nothing else. `see` films, reads each video as `orbisim infer` does, and
+keeps the recordings (`run0.npz`, ...; `seen.json` says how far off they are, since here the truth
+is known). `diagnose` takes the recordings alone: `orbisim diagnose` compares six of them with the
+declared scene and holds two out; `diagnosis.json` has verdict, effects, friction found and true,
+errors before and after on what was held out. `film` makes the films alone, for another machine to
+read; `both` diagnoses each episode as soon as it is seen, so that a run that is ended has whole
+episodes. All go on where they were ended; `--again` diagnoses anew. `summary.json` counts all that
+is there.
 """
 
 from __future__ import annotations
@@ -79,13 +81,15 @@ _RUNS, _HELD = 8, 2
 def main() -> None:
     """Films and infers, or diagnoses, on several processes; prints the summary."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("stage", choices=("see", "diagnose"))
+    parser.add_argument("stage", choices=("film", "see", "diagnose", "both"))
     parser.add_argument("--with", dest="with_effect", type=int, default=40)
     parser.add_argument("--without", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--pixels", type=int, default=192, help="of the frames that are fitted")
     parser.add_argument("--effect", action="append", help="as of `orbisim diagnose`; repeatable")
-    parser.add_argument("--patience", type=float, default=200.0, help="of each diagnosis, s")
+    parser.add_argument(
+        "--patience", type=float, default=Settings.patience, help="of each diagnosis, s"
+    )
     parser.add_argument("--again", action="store_true", help="diagnose what was diagnosed before")
     parser.add_argument("--seconds", type=float, default=1e9, help="no episode is begun after")
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
@@ -93,20 +97,22 @@ def main() -> None:
     arguments = parser.parse_args()
     begun = time.time()
     end = begun + arguments.seconds
-    if arguments.stage == "see":
-        # by turns, so that a run that is ended has both
+    asked = arguments.effect, arguments.patience, arguments.again, end
+    work: Any = judge
+    if arguments.stage == "diagnose":
+        found = sorted(arguments.out.glob("*/seen.json"), key=lambda p: p.parent.name.split("_")[1])
+        jobs: list[tuple[Any, ...]] = [(p.parent, *asked) for p in found]
+    else:
+        # by turns, so that a run that is ended has episodes of both kinds
         wanted = {True: arguments.with_effect, False: arguments.without}
         turns = [(i, d) for i in range(max(wanted.values())) for d in wanted if i < wanted[d]]
-        jobs: list[tuple[Any, ...]] = [
-            (arguments.first_seed + i, d, arguments.out, arguments.pixels, end) for i, d in turns
-        ]
-        work: Any = see
-    else:
-        found = sorted(arguments.out.glob("*/seen.json"), key=lambda p: p.parent.name.split("_")[1])
-        jobs = [
-            (p.parent, arguments.effect, arguments.patience, arguments.again, end) for p in found
-        ]
-        work = judge
+        jobs = [(arguments.first_seed + i, d, arguments.out) for i, d in turns]
+        if arguments.stage == "film":
+            work = film_episode
+        else:
+            jobs, work = [(*job, arguments.pixels, end) for job in jobs], see
+        if arguments.stage == "both":
+            jobs, work = [(asked, *job) for job in jobs], see_and_judge
     with quiet_engine():
         for _ in pool.run(work, jobs, arguments.workers):
             print(json.dumps({"seconds": round(time.time() - begun, 1)}), flush=True)
@@ -115,22 +121,36 @@ def main() -> None:
     print(json.dumps(line))
 
 
-def see(seed: int, different: bool, out: Path, pixels: int, end: float) -> None:
-    """Films and infers one episode, unless that is done or the time is over."""
-    folder = out / f"{'with' if different else 'without'}_{seed:03d}"
-    if (folder / "seen.json").exists() or time.time() > end:
-        return
-    torch.set_num_threads(1)
+def film_episode(seed: int, different: bool, out: Path) -> tuple[float, list[Floats]]:
+    """Films one episode, unless that is done: its friction, and true coordinates [T, 7] by film."""
+    folder = _folder(seed, different, out)
+    kept = folder / "truth.json"
+    if kept.exists():
+        known = json.loads(kept.read_text())
+        return known["friction"], [np.array(run) for run in known["qpos"]]
     rng = np.random.default_rng([seed, int(different)])
     friction = DECLARED
     while different and 0.75 < friction / DECLARED < 1.35:
         friction = float(np.exp(rng.uniform(math.log(0.12), math.log(0.7))))
     folder.mkdir(parents=True, exist_ok=True)
+    scene = load_scene(SCENE.format(friction=friction))
+    made = [film(scene, friction, rng, folder / f"run{run}.mp4") for run in range(_RUNS)]
+    kept.write_text(
+        json.dumps({"friction": friction, "qpos": [run.round(7).tolist() for run in made]})
+    )
+    return friction, made
+
+
+def see(seed: int, different: bool, out: Path, pixels: int, end: float) -> None:
+    """Films and infers one episode, unless that is done or the time is over."""
+    folder = _folder(seed, different, out)
+    if (folder / "seen.json").exists() or time.time() > end:
+        return
+    torch.set_num_threads(1)
+    friction, truth = film_episode(seed, different, out)
     declared = load_scene(SCENE.format(friction=DECLARED))
-    truth = load_scene(SCENE.format(friction=friction))
     errors, seen, noise = [], [], []
-    for run in range(_RUNS):
-        qpos = film(truth, friction, rng, folder / f"run{run}.mp4")
+    for run, qpos in enumerate(truth):
         found = inferred(declared, folder / f"run{run}.mp4", pixels)
         found.save(folder / f"run{run}.npz")
         apart = np.asarray(found.signals["xpos/block"]) - qpos[:, :3]
@@ -156,6 +176,13 @@ def see(seed: int, different: bool, out: Path, pixels: int, end: float) -> None:
         },
     }
     (folder / "seen.json").write_text(json.dumps(line) + "\n")
+
+
+def see_and_judge(asked: tuple[Any, ...], seed: int, different: bool, out: Path, *how: Any) -> None:
+    """Both for one episode; `asked` and `how` are what `judge` and `see` get besides."""
+    see(seed, different, out, *how)
+    if (_folder(seed, different, out) / "seen.json").exists():
+        judge(_folder(seed, different, out), *asked)
 
 
 def judge(
@@ -184,6 +211,10 @@ def judge(
         "seconds": round(time.time() - begun, 1),
     }
     path.write_text(json.dumps(line) + "\n")
+
+
+def _folder(seed: int, different: bool, out: Path) -> Path:
+    return out / f"{'with' if different else 'without'}_{seed:03d}"
 
 
 def summary(out: Path) -> dict[str, Any]:

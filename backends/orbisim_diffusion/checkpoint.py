@@ -19,6 +19,7 @@ from orbisim.errors import InputError
 from orbisim.files.reading import read_json, size_of
 from orbisim.files.writing import make_folder, write_json, writing
 from orbisim_diffusion.autoencoder import Autoencoder
+from orbisim_diffusion.conditions import map_channels
 from orbisim_diffusion.config import Config
 from orbisim_diffusion.denoiser import Denoiser
 from orbisim_diffusion.scope import Scope, check_scope
@@ -151,6 +152,10 @@ def read_config(manifest: dict[str, Any], where: str) -> Config:
         raise InputError(f"{where}: config: blocks are 1 to {_MOST_BLOCKS}")
     if d.heads < 1 or d.widths[1] % d.heads:
         raise InputError(f"{where}: config: heads must divide the width {d.widths[1]}")
+    if d.left_out and (d.maps != "geometry" or not map_channels(d)):
+        raise InputError(
+            f"{where}: config: left_out names geometry buffers, of which one at least is left"
+        )
     return config
 
 

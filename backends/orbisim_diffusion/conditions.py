@@ -9,16 +9,21 @@ from torch import Tensor
 
 from orbisim.errors import InputError
 from orbisim.scene.visible import ROBOT, STATIC
-from orbisim_diffusion.config import DenoiserConfig
+from orbisim_diffusion.config import Buffer, DenoiserConfig
 from orbisim_diffusion.raycast import cast, shade
 from orbisim_diffusion.shapes import PRIMITIVES, Meet
 from orbisim_diffusion.solids import ABSENT, Lamps, Solids, View, constant, project
 
 Meshes = Mapping[int, Tensor] | None
 
-GEOMETRY_CHANNELS = 15
-"""Colour 3, normal 3, inverse depth 1, position 3, shares of static, robot and object geoms 3,
-light 2."""
+BUFFER_CHANNELS: dict[Buffer, int] = {
+    "colour": 3,
+    "normals": 3,
+    "depth": 4,
+    "instance": 3,
+    "light": 2,
+}
+"""Channels of the geometry buffers, in their order. Depth: inverse depth 1, position 3."""
 HEATMAP_CHANNELS = 8
 """Heat of robot and objects 2, their colours 3, their depth 1, position on the image 2."""
 TOKEN_FEATURES = 27
@@ -44,10 +49,13 @@ def geometry_maps(
     meshes: Meshes = None,
     primitives: Mapping[int, Meet] = PRIMITIVES,
     kinds: tuple[int, ...] | None = None,
+    left_out: tuple[Buffer, ...] = (),
 ) -> Tensor:
-    """Spatial condition maps [B, 15, H, W] of geometry buffers (configuration `default`)."""
+    """Spatial condition maps [B, M, H, W] of geometry buffers (configuration `default`).
+
+    M is 15, less the channels of the buffers that are left out (`BUFFER_CHANNELS`).
+    """
     buffers = cast(solids, view, height, width, meshes, primitives, kinds)
-    free, lit = shade(buffers, solids, view, lamps, meshes, primitives, kinds)
     entity = solids.entity
     owners = torch.stack([entity == STATIC, entity == ROBOT, entity > ROBOT], 1)
     shares = torch.einsum("bkg,bghw->bkhw", owners.to(buffers.weight.dtype), buffers.weight)
@@ -56,13 +64,16 @@ def geometry_maps(
     inverse = there / depth.clamp_min(0.1)
     origin = constant(_ORIGIN, buffers.point)[None, :, None, None]
     point = 2.0 * (buffers.point - origin * there)
-    return torch.cat(
-        [
-            *(2.0 * buffers.colour - 1.0, buffers.normal, inverse - 1.0, point.clamp(-4, 4)),
-            *(shares, free[:, None], lit[:, None]),
-        ],
-        dim=1,
-    )
+    found: dict[Buffer, Tensor] = {
+        "colour": 2.0 * buffers.colour - 1.0,
+        "normals": buffers.normal,
+        "depth": torch.cat([inverse - 1.0, point.clamp(-4, 4)], 1),
+        "instance": shares,
+    }
+    if "light" not in left_out:  # its rays, to each light, are half of the work
+        light = shade(buffers, solids, view, lamps, meshes, primitives, kinds)
+        found["light"] = torch.stack(light, 1)
+    return torch.cat([found[name] for name in BUFFER_CHANNELS if name not in left_out], dim=1)
 
 
 def heatmaps(solids: Solids, view: View, height: int, width: int) -> Tensor:
@@ -109,7 +120,8 @@ def object_tokens(solids: Solids, view: View) -> tuple[Tensor, Tensor]:
 
 def map_channels(config: DenoiserConfig) -> int:
     """M of the spatial condition maps; without any there is one map of zeros."""
-    return {"geometry": GEOMETRY_CHANNELS, "heatmaps": HEATMAP_CHANNELS, "none": 1}[config.maps]
+    geometry = sum(n for name, n in BUFFER_CHANNELS.items() if name not in config.left_out)
+    return {"geometry": geometry, "heatmaps": HEATMAP_CHANNELS, "none": 1}[config.maps]
 
 
 def token_features(config: DenoiserConfig) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from orbisim.errors import UnknownNameError
 
@@ -11,6 +11,11 @@ PATCH = 8
 """Pixels along a side that one latent stands for."""
 MOST_CONTEXT = 6
 """Largest number of context frames K (paper, appendix B.2)."""
+
+Buffer = Literal["colour", "normals", "depth", "instance", "light"]
+"""A geometry buffer: base colour; normals; inverse depth and position (each says how far away what
+is seen is, so that they are left out together); shares of static, robot and object geoms; how much
+of the scene's light is met."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,6 +40,7 @@ class DenoiserConfig:
       maps: spatial condition maps: `geometry` (depth, normals, instance, base colour and position
         by ray casting), `heatmaps` (one Gaussian for each entity, and depth; the paper's), or
         `none`.
+      left_out: geometry buffers that are no input.
       tokens: what cross-attention goes to: `geoms` (one token for each geom), `one` (a single one
         of all geoms' features, one after another), or `controls` (those of the last steps; with
         `maps` of `none` nothing of the state is known).
@@ -50,6 +56,7 @@ class DenoiserConfig:
     """
 
     maps: Literal["geometry", "heatmaps", "none"] = "geometry"
+    left_out: tuple[Buffer, ...] = ()
     tokens: Literal["geoms", "one", "controls"] = "geoms"
     widths: tuple[int, int] = (80, 112)
     blocks: int = 2
@@ -112,6 +119,10 @@ PRESETS: dict[str, Config] = {
         name="no_random_sampling", denoiser=DenoiserConfig(consecutive=1.0)
     ),
     "no_object_centric": Config(name="no_object_centric", denoiser=DenoiserConfig(tokens="one")),
+    **{
+        f"no_{buffer}": Config(name=f"no_{buffer}", denoiser=DenoiserConfig(left_out=(buffer,)))
+        for buffer in get_args(Buffer)
+    },
     "tiny": Config(
         name="tiny",
         size=32,
@@ -122,7 +133,8 @@ PRESETS: dict[str, Config] = {
         train_one_step=TrainConfig(batch=4),
     ),
 }
-"""`no_...` are the paper's ablations: each leaves one thing of `default` out (docs/equations.md).
+"""`no_...` each leave one thing of `default` out: the paper's ablations (docs/equations.md), and
+the geometry buffers one by one.
 `tiny` is for tests: it trains in seconds and shows little."""
 
 

@@ -297,7 +297,7 @@ class DiffusionRenderer(Renderer):
         solids, lamps = self.kinematics.solids(qpos, poses), self.kinematics.lamps(len(qpos))
         settings = self.painter.config.denoiser
         maps = condition_maps(
-            *(solids, view, lamps, frame.height, frame.width, settings.maps),
+            *(solids, view, lamps, frame.height, frame.width, settings),
             *(self.kinematics.meshes, self._primitives, self._kinds),
         )
         tokens, there = tokens_of(solids, view, settings)

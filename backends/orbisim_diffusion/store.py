@@ -172,7 +172,7 @@ class Store:
             return self.maps[index].float(), tokens, there
         lamps, size = self.lamps(index), self.size
         primitives = compiled_primitives() if self.compiled else PRIMITIVES
-        found = condition_maps(solids, view, lamps, size, size, config.maps, primitives=primitives)
+        found = condition_maps(solids, view, lamps, size, size, config, primitives=primitives)
         return found, tokens, there
 
     def _controls(self, index: Tensor) -> tuple[Tensor, Tensor]:
@@ -201,20 +201,21 @@ def condition_maps(
     lamps: Lamps,
     height: int,
     width: int,
-    maps: str,
+    config: DenoiserConfig,
     meshes: Meshes = None,
     primitives: Mapping[int, Meet] = PRIMITIVES,
     kinds: tuple[int, ...] | None = None,
 ) -> Tensor:
-    """Spatial condition maps [B, M, H, W] of a kind (see `DenoiserConfig.maps`).
+    """Spatial condition maps [B, M, H, W] (see `DenoiserConfig.maps` and `left_out`).
 
     `kinds`: see `orbisim_diffusion.raycast.cast`.
     """
-    if maps == "none":
+    if config.maps == "none":
         return solids.pos.new_zeros(len(solids.pos), 1, height, width)
-    if maps == "heatmaps":
+    if config.maps == "heatmaps":
         return heatmaps(solids, view, height, width)
-    return geometry_maps(solids, view, lamps, height, width, meshes, primitives, kinds)
+    rays = meshes, primitives, kinds
+    return geometry_maps(solids, view, lamps, height, width, *rays, config.left_out)
 
 
 def tokens_of(solids: Solids, view: View, config: DenoiserConfig) -> tuple[Tensor, Tensor]:

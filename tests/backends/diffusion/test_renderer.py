@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 import torch
+from orbisim_diffusion.config import Buffer
 from orbisim_diffusion.renderer import LATENTS, TIMES, DiffusionRenderer
 
 from orbisim.errors import InputError, UnsupportedSceneError
@@ -171,18 +173,38 @@ def test_a_damaged_checkpoint_is_refused(folder: Path, tmp_path: Path) -> None:
         painter(tmp_path)
     manifest = json.loads((folder / "manifest.json").read_text())
     ((view, *_), (scene, *_)) = manifest["scope"]["views"], manifest["scope"]["scenes"]
+
+    def without(*buffers: str, **others: str) -> dict[str, object]:
+        known = manifest["config"]
+        return {**known, "denoiser": {**known["denoiser"], "left_out": buffers, **others}}
+
     odd_view, odd_row = {**view, "rot": [1, 2]}, {**scene, "fixed": [[1]]}
     for entry, value, says in (
         ("scope", {**manifest["scope"], "views": [odd_view]}, "rot: expected 9 numbers"),
         ("scope", {**manifest["scope"], "scenes": [odd_row]}, "fixed: expected rows of 7"),
         ("schema", "x", "orbisim.vision/1"),
         ("config", {"name": 3}, "config"),
+        ("config", without("shadows"), "expected one of 'colour'"),
+        ("config", without("colour", maps="heatmaps"), "names geometry buffers"),
+        ("config", without(*get_args(Buffer)), "one at least is left"),
         ("scope", {"scenes": []}, "scope"),
         ("files", {}, "has no entry"),
     ):
         (tmp_path / "manifest.json").write_text(json.dumps({**manifest, entry: value}))
         with pytest.raises(InputError, match=says):
             painter(tmp_path)
+
+
+def test_a_checkpoint_without_a_buffer_shows_states(tmp_path: Path) -> None:
+    state = make_backend("mujoco", arm()).reset(1)
+    images = [
+        painter(save_tiny(tmp_path / str(i), arm(), left_out=buffers)).render(
+            state, camera="side", height=32, width=32
+        )
+        for i, buffers in enumerate([(), ("light",), ("light", "depth")])
+    ]
+    assert np.abs(images[0].astype(int) - images[1]).max() > 0
+    assert np.abs(images[1].astype(int) - images[2]).max() > 0
 
 
 def test_half_precision_is_for_the_network_alone(

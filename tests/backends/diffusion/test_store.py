@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -16,9 +19,10 @@ from orbisim_diffusion.conditions import (
     one_token,
     token_features,
 )
-from orbisim_diffusion.config import DenoiserConfig
+from orbisim_diffusion.config import Buffer, DenoiserConfig
+from orbisim_diffusion.denoiser import Condition, Denoiser
 from orbisim_diffusion.scope import read_scope, scene_concerns, scene_problem, view_problem
-from orbisim_diffusion.store import _assembled, draw_frames, load, tokens_of
+from orbisim_diffusion.store import Store, _assembled, draw_frames, load, tokens_of
 
 from orbisim.cameras import Camera
 from orbisim.errors import InputError
@@ -60,6 +64,81 @@ def test_maps_that_are_kept_are_those_that_are_computed(maps: str) -> None:
     torch.testing.assert_close(kept, computed, atol=5e-3, rtol=1e-2)
     assert computed.shape[0] == tokens.shape[0] == 2
     assert there.all()
+
+
+@pytest.mark.parametrize(
+    ("buffer", "channels"),
+    [
+        ("colour", [0, 1, 2]),
+        ("normals", [3, 4, 5]),
+        ("depth", [6, 7, 8, 9]),  # position tells it, too
+        ("instance", [10, 11, 12]),
+        ("light", [13, 14]),
+    ],
+)
+def test_a_buffer_that_is_left_out_is_no_input(buffer: Buffer, channels: list[int]) -> None:
+    store, index = store_of(arm(), frames=5), torch.tensor([4, 1])
+    config = DenoiserConfig(left_out=(buffer,))
+    whole, tokens, there = store.conditions(index, DenoiserConfig())
+    found, same, _ = store.conditions(index, config)
+    torch.testing.assert_close(found, torch.tensor(np.delete(whole.numpy(), channels, axis=1)))
+    torch.testing.assert_close(same, tokens)
+    kept, _, _ = store.with_maps(config).conditions(index, config)
+    torch.testing.assert_close(kept, found, atol=5e-3, rtol=1e-2)
+    model = Denoiser(dataclasses.replace(config, widths=(16, 16), token=16, heads=2), 4)
+    blank = torch.zeros(2, 4, 4, 4)
+    given = Condition(blank[:, None][:, :0], blank, found, same, there)
+    assert model(blank, torch.ones(2), given).shape == blank.shape
+    with pytest.raises(RuntimeError, match="channels"):
+        model(blank, torch.ones(2), given._replace(maps=whole))
+
+
+def _repainted(store: Store) -> Store:
+    return dataclasses.replace(store, geoms=_changed(store.geoms, slice(4, 7), 0.9))
+
+
+def _relit(store: Store) -> Store:
+    return dataclasses.replace(store, lights=_changed(store.lights, slice(0, 6), -0.7))
+
+
+def _renamed(store: Store) -> Store:
+    return dataclasses.replace(store, geoms=_changed(store.geoms, slice(7, 8), -1.0))
+
+
+def _twice_as_large(store: Store) -> Store:
+    """And seen from twice as far: the same image but for the depth."""
+    poses = store.with_poses(2.0 * store.pos, store.quat)
+    sizes, view = _changed(store.geoms, slice(1, 4), 2.0), 2.0 * store.view_pos
+    return dataclasses.replace(poses, geoms=sizes, view_pos=view)
+
+
+def _changed(rows: torch.Tensor, columns: slice, factor: float) -> torch.Tensor:
+    found = rows.clone()
+    found[..., columns] *= factor
+    return found
+
+
+@pytest.mark.parametrize(
+    ("buffer", "change"),
+    [
+        ("colour", _repainted),
+        ("light", _relit),
+        ("instance", _renamed),
+        ("depth", _twice_as_large),
+    ],
+)
+def test_maps_do_not_change_with_what_only_a_buffer_that_is_left_out_shows(
+    buffer: Buffer, change: Callable[[Store], Store]
+) -> None:
+    store, index = store_of(arm(), frames=3), torch.tensor([0, 2])
+    if buffer == "depth":  # shadow rays start at a height in metres
+        store = dataclasses.replace(store, lights=store.lights[:, :0])
+    other = change(store)
+    for left_out in [(), *((name,) for name in get_args(Buffer))]:
+        config = DenoiserConfig(left_out=left_out)
+        before, after = (s.conditions(index, config)[0] for s in (store, other))
+        apart = float((before - after).abs().max())
+        assert apart < 1e-3 if left_out == (buffer,) else apart > 0.05
 
 
 def test_files_without_images_are_refused(tmp_path: Path) -> None:

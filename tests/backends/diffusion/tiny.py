@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from orbisim_diffusion.checkpoint import (
     read_manifest,
     save_checkpoint,
 )
-from orbisim_diffusion.config import preset
+from orbisim_diffusion.config import Buffer, preset
 from orbisim_diffusion.denoiser import Denoiser
 from orbisim_diffusion.inference import StateInference
 from orbisim_diffusion.scope import Scope, ViewScope, read_scope
@@ -54,10 +55,14 @@ def arm() -> Scene:
     return load_scene(ARM)
 
 
-def save_tiny(folder: Path, scene: Scene, *, anywhere: bool = True) -> Path:
+def save_tiny(
+    folder: Path, scene: Scene, *, anywhere: bool = True, left_out: tuple[Buffer, ...] = ()
+) -> Path:
     """An untrained checkpoint for a scene; its one camera is at the origin unless `anywhere`."""
     torch.manual_seed(0)
     config = preset("tiny")
+    network = dataclasses.replace(config.denoiser, left_out=left_out)
+    config = dataclasses.replace(config, denoiser=network)
     autoencoder = Autoencoder(config.autoencoder)
     denoiser = Denoiser(config.denoiser, config.autoencoder.channels)
     for parameter in denoiser.leave.parameters():  # else an untrained network answers zero
