@@ -95,7 +95,8 @@ def summary(rows: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
         for kind in KINDS[1:]:
             pair = np.stack([totals["mujoco"], totals[kind]])
             pair = pair[:, np.isfinite(pair).all(0)]
-            apart, mean = pair[1] - pair[0], abs(float(pair[0].mean()))
+            apart = pair[1] - pair[0]
+            mean = abs(float(pair[0].mean())) or float("nan")  # nothing is a share of 0
             entry["apart"][kind] = float(apart.mean()) / mean
             entry["apart_error"][kind] = _error(apart) / mean
             entry["interval"][kind] = _interval(pair)

@@ -39,6 +39,12 @@ def test_an_episode_that_diverges_counts_apart() -> None:
     assert found["interval"]["learned"][0] > 0.0
 
 
+def test_differences_are_no_share_of_nothing() -> None:
+    found = suite_returns.summary([_row(0, 0.0, 1.0), _row(1, 0.0, 0.0)])["hopper"]
+    assert math.isnan(found["apart"]["learned"])
+    assert found["differences"]["learned"]["worst"] == 1.0
+
+
 def test_an_interval_covers_the_truth_as_often_as_it_says() -> None:
     rng, hit = np.random.default_rng(0), 0
     for _ in range(100):
