@@ -122,7 +122,7 @@ def _interval(pair: Any) -> list[float]:
     means = pair[:, rng.integers(pair.shape[1], size=(DRAWN, pair.shape[1]))].mean(-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = (means[1] - means[0]) / np.abs(means[0])
-    return [float(v) for v in np.quantile(ratios, [0.025, 0.975])]
+        return [float(v) for v in np.quantile(ratios, [0.025, 0.975])]
 
 
 def _read(rows: Path | None) -> list[Any]:
