@@ -43,7 +43,7 @@ def main() -> None:
             for column, line in ((0, "-"), (1, ":")):
                 values = [row["errors"]["object_position"][column] for row in rows]
                 panels[1].plot(seconds, values, line, marker=".", lw=1.2, **style)
-            panels[1].set(ylabel="held-out position after 100 steps, mm: median, 90 %")
+            panels[1].set(ylabel="held-out position, mm (90 %: dotted)")
     for axes in panels:
         axes.set(xlabel="seconds of training", yscale="log")
     panels[0].legend(frameon=False)
