@@ -105,12 +105,15 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder for the files")
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--scale", type=float, default=1.0, help="of the numbers of episodes")
+    parser.add_argument("--test-seed", type=int, default=TEST, help="of held-out sets, fresh ones")
     parser.add_argument("--only", nargs="+", default=[], help="names, or beginnings of names")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     started = time.monotonic()
     with quiet_engine():
         for item in data_sets():
+            if item.seed == TEST:
+                item = dataclasses.replace(item, seed=arguments.test_seed)
             wanted = not arguments.only or item.name.startswith(tuple(arguments.only))
             path = arguments.out / f"{item.name}.h5"
             if wanted and not path.exists():

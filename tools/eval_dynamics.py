@@ -9,6 +9,7 @@ tools/collect_all.py wrote (or packs of it). What is missing is left out.
 - errors: open-loop errors of each checkpoint and of constant velocity on its held-out episodes,
   and of the push models on the sets out of distribution.
 - friction: how far the second cube slides on tables of low and high friction, against MuJoCo.
+  With --tails, the distances between both ends of a slide, too.
 - noise: errors at 100 control steps from states with noise (1 cm, 2 deg; 3 cm, 7 deg).
 - ceiling: C MuJoCo started from states rounded to float32, on the suite's held-out episodes, at 100
   and 1,000 of the suite's control steps (`errors` counts the model's own).
@@ -98,6 +99,13 @@ def errors(options: Any) -> dict[str, Any]:
     return table
 
 
+def _figure(values: Any, options: Any) -> Any:
+    """Median of a tensor; with --tails median, 90 % and worst."""
+    values = torch.nan_to_num(values.flatten().double(), nan=torch.inf)
+    row = [float(values.median()), float(values.quantile(0.9)), float(values.max())]
+    return row if options.tails else row[0]
+
+
 def _knows(checkpoint: Any, pack: Any) -> bool:
     """Whether a checkpoint can predict these episodes."""
     from orbisim.errors import InputError
@@ -135,7 +143,7 @@ def friction(options: Any) -> dict[str, Any]:
     """Mean distance, mm, between where the second cube starts and where it ends."""
     table: dict[str, Any] = {}
     for name, checkpoint in _checkpoints(options, "push").items():
-        ours, theirs = {}, {}
+        ours, theirs, apart = {}, {}, {}
         for level in ("low", "high"):
             pack = _pack(options, f"push_{level}_friction", checkpoint)
             if pack is None:
@@ -144,17 +152,20 @@ def friction(options: Any) -> dict[str, Any]:
             start = pack.states(pack.start[: truth.pos.shape[1]]).pos[:, 1, :2]
             for result, states in ((ours, predicted), (theirs, truth)):
                 result[level] = float((states.pos[-1, :, 1, :2] - start).norm(dim=-1).mean() * 1e3)
+            ends = (predicted.pos - truth.pos)[-1, :, 1, :2].norm(dim=-1) * 1e3
+            apart[level] = _figure(ends, options)
         expected = theirs["low"] - theirs["high"]
         table[name] = {
             "model_mm": ours,
             "mujoco_mm": theirs,
             "difference_off_by": (ours["low"] - ours["high"]) / expected - 1.0,
+            "ends_apart_mm": apart,
         }
     return table
 
 
 def noise(options: Any) -> dict[str, Any]:
-    """Median position error, mm, and rotation error, deg, of objects after 100 control steps."""
+    """Position error, mm, and rotation error, deg, of objects after 100 control steps."""
     from orbisim_world_model.rotation import conjugate, logarithm, multiply
 
     table: dict[str, Any] = {}
@@ -170,8 +181,8 @@ def noise(options: Any) -> dict[str, Any]:
             end, there = predicted.at(-1), truth.at(-1)
             turn = logarithm(multiply(end.quat, conjugate(there.quat))).norm(dim=-1)
             table[name][level] = {
-                "position_mm": float((end.pos - there.pos).norm(dim=-1).median() * 1e3),
-                "rotation_deg": float(torch.rad2deg(turn).median()),
+                "position_mm": _figure((end.pos - there.pos).norm(dim=-1) * 1e3, options),
+                "rotation_deg": _figure(torch.rad2deg(turn), options),
             }
     return table
 
@@ -218,7 +229,7 @@ def ceiling(options: Any) -> dict[str, Any]:
             rounded = start.replace(qpos=start.qpos + nudge)
             other = backend.rollout(rounded, ctrl[:, :-1], nstep=nstep)
             states = [_entities(pack.layout, run) for run in (other, exact)]
-            table[domain][control_steps] = float(normalised(*states, pack).median())
+            table[domain][control_steps] = _figure(normalised(*states, pack), options)
     return table
 
 
@@ -226,9 +237,8 @@ def returns(options: Any) -> dict[str, Any]:
     """Of the domains that the zoo has, or all where it has the one model of them."""
     import suite_returns
 
-    one = "suite_one" in _checkpoints(options, "suite_one")
-    own = {d: d if d in _checkpoints(options, d) else "suite_one" * one for d in SUITE_DOMAINS}
-    chosen = {d: options.zoo / name for d, name in own.items() if name}
+    only = options.checkpoints.split(",") if options.checkpoints else ()
+    chosen = suite_returns.chosen(options.zoo, only)
     return suite_returns.table(chosen, options.seeds, options.workers)
 
 

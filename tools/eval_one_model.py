@@ -129,7 +129,7 @@ def main() -> int:
     found = {part: rows(part, options) for part in options.only.split(",")}
     if options.json:
         options.json.write_text(json.dumps(found, indent=1))
-    print("\n".join(tables(found)))
+    print("\n".join(tables(found, options.tails)))
     return 0
 
 
@@ -240,7 +240,7 @@ def prepared(name: str, options: Any) -> tuple[Path, dict[str, Path], float, flo
     if not scene.exists():
         scene.write_text(text)
     step = natural_step(mujoco.MjModel.from_xml_path(str(scene)))
-    sets = (("train", options.episodes, TRAIN_SEED), ("test", TESTS, TEST_SEED))
+    sets = (("train", options.episodes, TRAIN_SEED), ("test", TESTS, options.test_seed))
     files = {kind: _episodes(scene, kind, count, seed, step) for kind, count, seed in sets}
     return scene, files, step, control
 
@@ -428,21 +428,21 @@ PARTS: dict[str, tuple[Any, Callable[[str, str, Any], Any]]] = {
 }
 
 
-def tables(found: dict[str, Any]) -> list[str]:
-    """Medians as Markdown, for docs/benchmarks.md."""
+def tables(found: dict[str, Any], tails: bool = False) -> list[str]:
+    """Medians as Markdown, for docs/benchmarks.md; with `tails` median / 90 % / worst."""
     lines = []
     for part, rows in found.items():
         columns = [c for c in (*COLUMNS[part], "ratio") if any(c in row for row in rows.values())]
         lines += [f"| {part} | {' | '.join(columns)} |", "| --- " * (1 + len(columns)) + "|"]
         for name, row in sorted(rows.items()):
-            cells = [_cell(row.get(column, ())) for column in columns]
+            cells = [_cell(row.get(column, ()), tails) for column in columns]
             lines.append(f"| {name} | {' | '.join(cells)} |")
     return lines
 
 
-def _cell(marks: Any) -> str:
-    values = [mark if isinstance(mark, float) else mark[0] for mark in marks]
-    return ", ".join(f"{value:.2g}" for value in values)
+def _cell(marks: Any, tails: bool) -> str:
+    rows = [[mark] if isinstance(mark, float) else mark[: 3 if tails else 1] for mark in marks]
+    return ", ".join(" / ".join(f"{value:.2g}" for value in row) for row in rows)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -460,7 +460,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seconds", type=float, default=60.0, help="of training, `bodies`")
     parser.add_argument("--rate", type=float, default=3e-4, help="of training that goes on")
     parser.add_argument("--episodes", type=int, default=60, help="to train on, `bodies`")
+    parser.add_argument("--test-seed", type=int, default=TEST_SEED, help="of episodes, `bodies`")
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--tails", action="store_true", help="90 %% and worst in the tables, too")
     parser.add_argument("--json", type=Path)
     return parser
 

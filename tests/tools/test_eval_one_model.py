@@ -75,6 +75,8 @@ def test_what_is_kept_is_not_measured_again(tmp_path: Path) -> None:
     table = eval_one_model.tables({"domains": {"walker": row}})
     assert table[0] == "| domains | separate | one | ratio |"
     assert table[2] == "| walker | 0.2, 0.2, 0.2 | 0.1, 0.1, 0.1 | 0.5, 0.5, 0.5 |"
+    tails = eval_one_model.tables({"domains": {"walker": {"one": row["one"][:1]}}}, tails=True)
+    assert tails[2] == "| walker | 0.1 / 1 / 2 |"
 
 
 def test_a_bodys_episodes_are_collected_once_for_all_columns(
