@@ -1,4 +1,4 @@
-"""Short clips of `push` around contacts: most of what a learned step must learn happens there.
+"""Short clips of `push` or `shove` around contacts: most of what must be learned happens there.
 
     python tools/collect_clips.py push_train.h5 push_hold_train.h5 --out push_clips_train.pack
         [--clips 60000] [--seconds 120] [--length 16] [--workers 16] [--seed 0]
@@ -36,7 +36,8 @@ from orbisim_world_model.pack import Pack, hands, no_parts  # noqa: E402  (needs
 from orbisim_world_model.packing import read_data  # noqa: E402
 from orbisim_world_model.reading import read_attributes, read_settings  # noqa: E402
 
-from orbisim.tasks import assets  # noqa: E402
+from orbisim import load_scene  # noqa: E402
+from orbisim.errors import InputError  # noqa: E402
 
 ARM, CUBES = 6, 8
 """Joints of the arm; first coordinate of the cubes."""
@@ -116,6 +117,21 @@ def misses(pack: Pack, rows: Any, episodes: Any, options: Any) -> Any:
     return torch.cat(found).double().numpy()
 
 
+def scene(pack: Pack) -> Any:
+    """The model of the episodes' task.
+
+    Raises:
+      InputError: their grippers are not equally strong, so that no one model is theirs all.
+    """
+    names = {source["task"] for source in pack.notes["sources"]}
+    models = [load_scene(name).model for name in sorted(names)]
+    if any(
+        not np.array_equal(models[0].actuator_forcerange, m.actuator_forcerange) for m in models
+    ):
+        raise InputError(f"episodes of {', '.join(sorted(names))} are of robots of unequal force")
+    return models[0]
+
+
 class _Worker:
     """What a process has: set before it is forked."""
 
@@ -132,7 +148,7 @@ class _Worker:
         cls.pack = {n: getattr(pack, n).double().numpy() for n in ("qpos", "qvel", "ctrl")}
         cls.pack |= {"attributes": pack.attributes.double().numpy(), "layout": pack.layout}
         cls.rows, cls.episodes, cls.upto = rows, episodes, upto
-        cls.model = assets.spec("push").compile()
+        cls.model = scene(pack)
         cls.data = mujoco.MjData(cls.model)
 
 
@@ -230,8 +246,8 @@ def packed(pack: Pack, clips: list[dict[str, Any]], options: Any) -> Pack:
     notes = {
         **pack.notes,
         "groups": ["clips"],
-        "sources": [{"file": options.out.name, "task": "push", "seed": options.seed,
-                     "episodes": count}],
+        "sources": [{"file": options.out.name, "task": pack.notes["sources"][0]["task"],
+                     "seed": options.seed, "episodes": count}],
     }  # fmt: skip
     return Pack(
         layout=pack.layout,

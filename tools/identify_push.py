@@ -1,25 +1,36 @@
-"""Hidden friction and density of fresh episodes of `push`: gradients, mujoco.sysid and CMA-ES.
+"""Hidden friction and density of pushed cubes: gradients, mujoco.sysid and CMA-ES.
 
-    python tools/identify_push.py --data push_test.h5 --work DIR [--checkpoint CHECKPOINT]
-        [--methods learned,sysid,cma] [--episodes 100] [--workers 32] [--device cuda]
-        [--time-limit 300] [--json FILE]
+    python tools/identify_push.py (--data push_test.h5 | --motions thrown=6,flick=2) --work DIR
+        [--checkpoint CHECKPOINT] [--methods learned,sysid,cma] [--episodes 100] [--workers 32]
+        [--device cuda] [--time-limit 300] [--seed 1] [--scan 16] [--json FILE]
 
 Every episode has a table and cubes of its own. Declared are the task's nominal values (0.4, 400
 kg/m^3); fitted are the friction of the table and the density of the cube that is pushed, from
-windows of `--window` s in which a cube moves; of episodes with several of these the last is held
-out. Sizes of cubes are known to all methods.
+windows of `--window` s in which a cube moves.
+
+- `--data`: episodes of `task:push`; of those with several windows the last is held out. Sizes of
+  cubes are known to all methods, the other cube's density and the cubes' friction are not.
+- `--motions`: worlds of `task:shove`, made here by C MuJoCo, each with so many recordings of each
+  of these subtasks to fit to, and one more of each that is held out. All that is not sought is
+  known: cube 2 is the reference that the collision compares with.
 
 - learned: gradients through the checkpoint; all episodes are one batch.
 - sysid: `mujoco.sysid` on C MuJoCo's rollouts, an episode on each core.
 - cma: CMA-ES (package `cma`) on the same rollouts, for as many processor seconds as `sysid` took
-  on that episode (so it comes after it).
+  on that episode (so it comes after it), times `--longer`.
+- bound: no fit; what the recordings hold (Cramer and Rao): the standard deviations of relative
+  errors that C MuJoCo's own slopes allow, taken over 10 % either way at the true values. `noise`:
+  independent errors of 0.5 mm and 5 mrad in every sample; `model`: errors of 2 mm and 20 mrad that
+  count once for each coordinate of a window, as those of a model that simulates it do.
+- refined: the same search from what `learned` found, near it (so it comes after both).
 
 DIR keeps what is done, so that the same command goes on after an end. With `--time-limit`, no
 episode begins that might not end within it.
 
 Printed as JSON, for each method: of each parameter the relative error, median, 90 % and worst, that
 of the declared value, the share of true values within the 95 % intervals, their median width over
-the value; `slide_mm`: by how much the pushed cube ends elsewhere than it did, in held-out windows
+the value; `by_mass_ratio`: the density's error where cube 1 has less than a third of cube 2's mass,
+more than three times it, or between (worlds, median of its size, median); `slide_mm`: by how much the pushed cube ends elsewhere than it did, in held-out windows
 simulated by C MuJoCo with declared and with found values, median and 90 %; seconds of the batch (on
 a GPU also of the same once more, and whether its steps were recorded as graphs), or processor
 seconds of an episode.
@@ -46,24 +57,36 @@ sys.path[:0] = [str(ROOT), str(ROOT / "backends"), str(ROOT / "tools")]
 
 import from_source  # noqa: E402  (needs the path above)
 
-from orbisim import load_scene, make_backend  # noqa: E402
+from orbisim import load_scene, make_backend, tasks  # noqa: E402
 from orbisim.errors import InputError  # noqa: E402
 from orbisim.identification.classical import (  # noqa: E402
     around,
     identify_classical,
     simulated,
 )
-from orbisim.identification.estimate import LARGE, estimate  # noqa: E402
-from orbisim.identification.learned import Simulation  # noqa: E402
+from orbisim.identification.estimate import LARGE, PRIOR, estimate  # noqa: E402
+from orbisim.identification.learned import Simulation, bounds  # noqa: E402
 from orbisim.identification.parameters import parameters, patched  # noqa: E402
 from orbisim.identification.windows import Grid  # noqa: E402
 
 WANTED = "friction:table,density:cube1"
 MOVES, CUBES = 0.005, 8
 """m, by which a cube moves in a window that counts; first coordinate of the cubes."""
+DECLARED = (0.4, 400.0)
+"""The task's nominal friction and density."""
+APART = 1000
+"""From one world's seed to the next; its recordings have those in between."""
+APART_BY = (0.0, 1 / 3, 3.0), (1 / 3, 3.0, np.inf)
+"""Bounds of mass ratios that are told apart."""
+LONG = {"strikes": 200}
+"""Control steps of an episode of a subtask that goes on; others end with their window."""
 SPREAD = 0.5
 """Of logarithms: CMA-ES's first step, from a declared value to the ends of what tasks draw."""
-METHODS = ("learned", "sysid", "cma")
+NEAR = 0.1
+"""The same of a search that begins from what the learned model found."""
+METHODS = ("bound", "learned", "sysid", "cma", "refined")
+NOISE, WIDE = 0.25, 0.1
+"""Of `bound`: in units of 2 mm and 20 mrad, and half the width of the differences of logarithms."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,12 +94,17 @@ class Problem:
     """One episode.
 
     Attributes:
-      truth: friction and density. half: [N] half sides of the cubes, m.
+      truth: friction and density. half: [N, 3] half sides of the cubes, m.
+      density, friction: [N] of the cubes, as declared, kg/m^3 and 1.
+      force: of the gripper at most, N; None where it is the scene's own.
       fit: windows to fit to. held: windows that are held out; both with steps of `timestep` s.
     """
 
     truth: np.ndarray
     half: np.ndarray
+    density: np.ndarray
+    friction: np.ndarray
+    force: float | None
     fit: Grid
     held: Grid
     timestep: float
@@ -93,20 +121,19 @@ def main() -> int:
         return 2
     options.work.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
-    from orbisim_world_model.packing import read_data
-
-    pack = read_data([options.data])
-    task = pack.notes["sources"][0]["task"]
-    if task != "task:push":
-        raise InputError(f"{options.data}: episodes of {task}; expected task:push")
-    pack = pack.subset(torch.arange(min(options.episodes, pack.episodes)))
-    problems = cut(pack, round(options.window / pack.layout.timestep))
+    problems = read(options) if options.data else made(options)
     result: dict[str, Any] = {"episodes": len(problems), "window_s": options.window}
+    if options.motions:
+        result |= {"motions": options.motions, "seed": options.seed}
     for method in METHODS:
         if method not in options.methods.split(","):
             continue
+        if method == "bound":
+            result[method] = bound(problems)
+            print(json.dumps({method: result[method]}), flush=True)
+            continue
         if method == "learned":
-            fits = _kept(options, method, lambda: learned(pack, problems, options))
+            fits = _kept(options, method, lambda: learned(problems, options))
         else:
             fits = apart(method, problems, options, began)
         if fits:
@@ -118,6 +145,108 @@ def main() -> int:
 
 
 # -- episodes ------------------------------------------------------------------------------------
+
+
+def read(options: Any) -> dict[int, Problem]:
+    """Episodes of `task:push` from a file."""
+    from orbisim_world_model.packing import read_data
+
+    pack = read_data([options.data])
+    task = pack.notes["sources"][0]["task"]
+    if task != "task:push":
+        raise InputError(f"{options.data}: episodes of {task}; expected task:push")
+    pack = pack.subset(torch.arange(min(options.episodes, pack.episodes)))
+    return cut(pack, round(options.window / pack.layout.timestep))
+
+
+def made(options: Any) -> dict[int, Problem]:
+    """Worlds of `task:shove`, each with recordings of several motions.
+
+    Raises:
+      InputError: the motions are no subtasks with numbers above 0.
+    """
+    wanted = {}
+    for text in options.motions.split(","):
+        name, _, count = text.partition("=")
+        if not count.isdigit() or not int(count):
+            raise InputError(f"--motions {text!r}: expected a subtask and how often, thrown=6")
+        wanted[name] = int(count)
+    steps = round(options.window / tasks.make("shove").control_timestep)
+    found, seed = {}, options.seed * APART
+    while len(found) < options.episodes:
+        problem = _world(wanted, seed, steps)
+        if problem is not None:
+            found[len(found)] = problem
+        seed += APART
+    return found
+
+
+def _world(wanted: dict[str, int], seed: int, steps: int) -> Problem | None:
+    """One world's recordings; None if nothing moves in one motion's."""
+    task: Any = tasks.make("shove")
+    fit, held = [], []
+    for name, count in wanted.items():
+        task.config = dataclasses.replace(task.config, steps=LONG.get(name, steps))
+        windows = _recorded(task, name, seed, steps, count)
+        if windows is None:
+            return None
+        fit.append(_rows(windows, slice(0, count)))
+        held.append(_rows(windows, slice(count, None)))
+    setting = task.setting(name, seed)
+    half = np.array([[cube.half, cube.half * cube.aspect, cube.half] for cube in setting.cubes])
+    return Problem(
+        truth=np.array([setting.table_friction, setting.cubes[0].density]),
+        half=half,
+        density=np.array([DECLARED[1], *(cube.density for cube in setting.cubes[1:])]),
+        friction=np.array([cube.friction for cube in setting.cubes]),
+        force=task.config.force,
+        fit=_joined(fit),
+        held=_joined(held),
+        timestep=task.control_timestep,
+    )
+
+
+def _recorded(task: Any, name: str, seed: int, steps: int, count: int) -> Grid | None:
+    """`count` windows of a subtask and one more to be held out, of the seeds that follow `seed`."""
+    long = task.steps > steps
+    trials = task.trials(1 if long else count + 1, seed, name)
+    start, ctrl = trials.initial, np.asarray(trials.sequence)
+    backend: Any = make_backend("mujoco", trials.scene, nworld=len(ctrl))
+    nstep = round(task.control_timestep / task.timestep)
+    first = backend.reset(len(ctrl)).replace(qpos=start.qpos, qvel=start.qvel)
+    path = backend.rollout(first, ctrl, nstep=nstep, sensors=False)
+    qpos, qvel = (
+        np.concatenate([np.asarray(a)[:, None], np.asarray(b)], 1)
+        for a, b in ((start.qpos, path.qpos), (start.qvel, path.qvel))
+    )
+    begins = [(world, t) for world in range(len(ctrl)) for t in range(0, task.steps, steps)]
+    rows = [(w, t) for w, t in begins if t + steps <= task.steps]
+    rows = [(w, t) for w, t in rows if _moves(qpos[w, t : t + steps + 1, CUBES : CUBES + 3])]
+    if len(rows) < count + 1:
+        return None
+    world, at = np.array(rows[: count + 1]).T
+    later = at[:, None] + np.arange(steps)
+    return Grid(
+        qpos[world, at],
+        qvel[world, at],
+        np.zeros((len(at), 0)),
+        ctrl[world[:, None], later],
+        qpos[world[:, None], later + 1],
+        np.zeros(len(at), int),
+    )
+
+
+def _moves(places: np.ndarray) -> bool:
+    return float(np.linalg.norm(places - places[:1], axis=-1).max()) >= MOVES
+
+
+def _rows(grid: Grid, which: slice) -> Grid:
+    return Grid(*(getattr(grid, f.name)[which] for f in dataclasses.fields(Grid)))
+
+
+def _joined(grids: list[Grid]) -> Grid:
+    names = [f.name for f in dataclasses.fields(Grid)]
+    return Grid(*(np.concatenate([getattr(g, n) for g in grids]) for n in names))
 
 
 def cut(pack: Any, steps: int) -> dict[int, Problem]:
@@ -137,7 +266,9 @@ def cut(pack: Any, steps: int) -> dict[int, Problem]:
         kept = windows[: len(windows) - len(held)]
         half = pack.attributes[episode][:, columns].double().numpy()
         fit, spare = (_grid(pack, begins, steps) for begins in (kept, held))
-        found[episode] = Problem(truth[episode], half, fit, spare, pack.layout.timestep)
+        density, friction = (np.full(len(half), value) for value in (DECLARED[1], DECLARED[0]))
+        known = (half, density, friction, None)
+        found[episode] = Problem(truth[episode], *known, fit, spare, pack.layout.timestep)
     return found
 
 
@@ -160,11 +291,15 @@ def hidden(pack: Any) -> np.ndarray:
 
 
 def sized(problem: Problem) -> Any:
-    """The scene with the episode's cubes, and what is sought of it."""
+    """The scene with what is known of the episode, and what is sought of it."""
     scene = load_scene("task:push")
     spec = scene.spec
     for number, half in enumerate(problem.half):
-        spec.geom(f"cube{number + 1}").size = half
+        geom = spec.geom(f"cube{number + 1}")
+        geom.size, geom.density = half, problem.density[number]
+        geom.friction[0] = problem.friction[number]
+    if problem.force is not None:
+        spec.actuator("gripper").forcerange = [-problem.force, problem.force]
     scene = type(scene).from_spec(spec, source=scene.source)
     return scene, parameters(scene, WANTED)
 
@@ -189,30 +324,29 @@ def slide(problem: Problem, values: Any) -> list[float]:
 # -- gradients -----------------------------------------------------------------------------------
 
 
-def learned(pack: Any, problems: dict[int, Problem], options: Any) -> dict[str, Any]:
+def learned(problems: dict[int, Problem], options: Any) -> dict[str, Any]:
     """All episodes as one batch, by gradients through the checkpoint."""
     scene = load_scene("task:push")
     wanted = parameters(scene, WANTED)
     numbers = list(problems)
     group = torch.tensor([i for i, e in enumerate(numbers) for _ in problems[e].fit.qpos])
-    names = [f.name for f in dataclasses.fields(Grid)]
-    windows = Grid(*(np.concatenate([getattr(problems[e].fit, n) for e in numbers]) for n in names))
+    windows = _joined([problems[e].fit for e in numbers])
     backend: Any = make_backend(
         f"learned:{options.checkpoint}", scene, device=options.device, compiled=False
     )
-    episodes = torch.tensor(numbers)[group]
-    run = Simulation(_Sized(backend, pack, episodes), wanted, windows, options.device)
+    sized_ = _Sized(backend, list(problems.values()), group)
+    run = Simulation(sized_, wanted, windows, options.device)
     start = torch.tensor([[p.declared for p in wanted]], dtype=torch.float64)
-    low, high = (
-        torch.tensor([getattr(p, end) for p in wanted], dtype=torch.float64).to(options.device)
-        for end in ("low", "high")
-    )
+    ends = [bounds(backend, parameter) for parameter in wanted]
+    low, high = torch.tensor(ends, dtype=torch.float64, device=options.device).T
     start = start.expand(len(numbers), -1).to(options.device)
     steps = windows.ctrl.shape[1]
     each: dict[str, Any] = {"windows": len(group)}
     for again in ("", "_again") if options.device != "cpu" else ("",):  # with graphs made before
         began, busy = time.monotonic(), time.process_time()
-        found = estimate(run, start, (low, high), group.to(options.device), options.steps, steps)
+        found = estimate(
+            run, start, (low, high), group.to(options.device), options.steps, steps, options.scan
+        )
         each[f"seconds{again}"] = time.monotonic() - began
         each[f"processor_seconds{again}"] = time.process_time() - busy
     each["recorded"] = backend.engine.recorded
@@ -225,21 +359,18 @@ def learned(pack: Any, problems: dict[int, Problem], options: Any) -> dict[str, 
 
 
 class _Sized:
-    """The backend in worlds whose cubes have the sizes of each window's episode."""
+    """The backend in worlds with what is known of each window's problem."""
 
-    def __init__(self, backend: Any, pack: Any, episodes: Any) -> None:
+    def __init__(self, backend: Any, problems: list[Problem], group: torch.Tensor) -> None:
+        from orbisim_world_model.reading import read_attributes
+
         self.inner = backend
         self.name, self.model, self.surface = backend.name, backend.model, backend.surface
         self.entity_names = backend.entity_names
-        columns = pack.layout.attributes
-        given = pack.attributes[episodes].to(backend.engine.device).clone()
-        friction, mass = columns.index("friction_slide"), columns.index("mass")
-        half = [columns.index(f"half_{axis}") for axis in "xyz"]
-        own = 8 * given[..., half].prod(-1) * 400.0  # declared: density and cubes' own friction
-        for axis in "xyz":
-            given[..., columns.index(f"inertia_{axis}")] *= own / given[..., mass]
-        given[..., mass], given[..., friction] = own, 0.4
-        self.attributes = given
+        layout = backend.engine.layout
+        rows = [read_attributes(sized(problem)[0].model, layout) for problem in problems]
+        given = torch.as_tensor(np.stack(rows), dtype=torch.float32)
+        self.attributes = given[group].to(backend.engine.device)
 
     def with_properties(self, state: Any, objects: Any = None, world: Any = None) -> Any:
         """As the backend's, with the sizes first."""
@@ -257,17 +388,23 @@ class _Sized:
 
 def apart(method: str, problems: dict[int, Problem], options: Any, began: float) -> dict[str, Any]:
     """Episodes one by one, as many at once as there are workers."""
-    folder, rows, longest = options.work / method, {}, 0.0
+    name = f"{method}_{options.longer:g}" if method == "cma" and options.longer != 1 else method
+    folder, rows, longest = options.work / name, {}, 0.0
     folder.mkdir(exist_ok=True)
-    todo = []
+    todo: list[Any] = []
+    starts = {}
+    if method == "refined" and _place(options, "learned").exists():
+        starts = json.loads(_place(options, "learned").read_text())["rows"]
     for episode, problem in problems.items():
         path, before = folder / f"{episode}.json", options.work / "sysid" / f"{episode}.json"
         if path.exists():
             rows[str(episode)] = json.loads(path.read_text())
         elif method == "sysid":
-            todo.append((episode, problem, None))
-        elif before.exists():
-            todo.append((episode, problem, json.loads(before.read_text())["processor_seconds"]))
+            todo.append((episode, problem, None, None))
+        elif before.exists() and (method == "cma" or str(episode) in starts):
+            seconds = options.longer * json.loads(before.read_text())["processor_seconds"]
+            begin = starts[str(episode)]["values"] if method == "refined" else None
+            todo.append((episode, problem, seconds, begin))
     context = multiprocessing.get_context("spawn")
     with concurrent.futures.ProcessPoolExecutor(options.workers, mp_context=context) as pool:
         running: dict[Any, int] = {}
@@ -276,8 +413,9 @@ def apart(method: str, problems: dict[int, Problem], options: Any, began: float)
             if left < 1.5 * longest:
                 todo = []  # what might not end does not begin
             while todo and len(running) < options.workers:
-                episode, problem, seconds = todo.pop(0)
-                running[pool.submit(one, method, problem, options.steps, seconds)] = episode
+                episode, problem, seconds, begin = todo.pop(0)
+                future = pool.submit(one, method, problem, options.steps, seconds, begin)
+                running[future] = episode
             if not running:
                 break
             done, _ = concurrent.futures.wait(
@@ -291,8 +429,14 @@ def apart(method: str, problems: dict[int, Problem], options: Any, began: float)
     return {"rows": rows} if rows else {}
 
 
-def one(method: str, problem: Problem, steps: int, seconds: float | None) -> dict[str, Any]:
-    """One episode by one of the classical methods."""
+def one(
+    method: str,
+    problem: Problem,
+    steps: int,
+    seconds: float | None,
+    begin: list[float] | None = None,
+) -> dict[str, Any]:
+    """One episode by one of the classical methods; `begin` is where a refinement starts."""
     warnings.simplefilter("ignore")
     from_source.register("mujoco")
     scene, wanted = sized(problem)
@@ -302,14 +446,19 @@ def one(method: str, problem: Problem, steps: int, seconds: float | None) -> dic
         found = identify_classical(patched(scene, {}), wanted, problem.fit, substeps, steps)
     else:
         assert seconds is not None
-        found = evolved(scene, wanted, problem.fit, substeps, seconds)
+        found = evolved(scene, wanted, problem.fit, substeps, seconds, begin)
     spent = {"seconds": time.monotonic() - began, "processor_seconds": time.process_time() - busy}
     ends = {name: getattr(found, name)[0].tolist() for name in ("values", "low", "high")}
     return {**ends, **spent, "slide": slide(problem, ends["values"])}
 
 
-def evolved(scene: Any, wanted: Any, grid: Grid, substeps: int, seconds: float) -> Any:
-    """CMA-ES (Hansen, "The CMA Evolution Strategy", 2016) on Cauchy's loss of the same errors."""
+def evolved(
+    scene: Any, wanted: Any, grid: Grid, substeps: int, seconds: float, begin: Any = None
+) -> Any:
+    """CMA-ES (Hansen, "The CMA Evolution Strategy", 2016) on Cauchy's loss of the same errors.
+
+    It starts from declared values, or with small steps from those given as `begin`.
+    """
     import cma
 
     run = simulated(scene, wanted, grid, substeps)
@@ -319,9 +468,12 @@ def evolved(scene: Any, wanted: Any, grid: Grid, substeps: int, seconds: float) 
         return float(0.5 * LARGE**2 * torch.log1p(each).sum() / grid.ctrl.shape[1])
 
     bounds = [np.log([getattr(p, end) for p in wanted]) for end in ("low", "high")]
-    start = np.log([p.declared for p in wanted])
+    start = np.log([p.declared for p in wanted] if begin is None else begin)
+    start = np.clip(start, *bounds)
     search = cma.CMAEvolutionStrategy(
-        start, SPREAD, {"bounds": [list(b) for b in bounds], "seed": 1, "verbose": -9}
+        start,
+        SPREAD if begin is None else NEAR,
+        {"bounds": [list(b) for b in bounds], "seed": 1, "verbose": -9},
     )
     ends = time.process_time() + seconds
     while not search.stop() and time.process_time() < ends:
@@ -329,6 +481,31 @@ def evolved(scene: Any, wanted: Any, grid: Grid, substeps: int, seconds: float) 
         search.tell(tried, [cost(t) for t in tried])
     best = search.result.xbest if search.result.xbest is not None else start
     return around(run, wanted, np.asarray(best, float), grid, float(search.result.fbest))
+
+
+def bound(problems: dict[int, Problem]) -> dict[str, Any]:
+    """Smallest standard deviations of relative errors that the recordings allow (see above)."""
+    found: dict[str, list[np.ndarray]] = {"noise": [], "model": []}
+    names: list[str] = []
+    for problem in problems.values():
+        scene, wanted = sized(problem)
+        names = [p.label for p in wanted]
+        nstep = round(problem.timestep / float(scene.model.opt.timestep))
+        run, true = simulated(scene, wanted, problem.fit, nstep), np.log(problem.truth)
+        slopes = [
+            (run(true + e) - run(true - e)).numpy().ravel() / (2 * WIDE)
+            for e in WIDE * np.eye(len(true))
+        ]
+        curvature = np.stack(slopes) @ np.stack(slopes).T
+        for name, scale in (("noise", NOISE**2), ("model", problem.fit.ctrl.shape[1])):
+            prior = np.eye(len(true)) / np.log(PRIOR) ** 2
+            found[name].append(np.sqrt(np.diag(np.linalg.inv(curvature / scale + prior))))
+    return {
+        name: {
+            label: _quantiles(column) for label, column in zip(names, np.array(rows).T, strict=True)
+        }
+        for name, rows in found.items()
+    }
 
 
 # -- figures -------------------------------------------------------------------------------------
@@ -351,6 +528,8 @@ def summary(fits: dict[str, Any], problems: dict[int, Problem]) -> dict[str, Any
             "coverage": float(inside.mean()),
             "width": float(np.median(width)),
         }
+    if all(problems[e].force is not None for e in rows):
+        table["by_mass_ratio"] = by_ratio(values[:, 1], [problems[e] for e in rows])
     after = [v for row in rows.values() for v in row["slide"]]
     declared = [p.declared for p in wanted]
     before = [v for episode in rows for v in slide(problems[episode], declared)]
@@ -364,13 +543,36 @@ def summary(fits: dict[str, Any], problems: dict[int, Problem]) -> dict[str, Any
     return table
 
 
+def by_ratio(densities: np.ndarray, chosen: list[Problem]) -> dict[str, Any]:
+    """Relative errors of density where cube 1 is much lighter than the reference, like it, heavier.
+
+    By each: worlds, the median error regardless of sign, and with it.
+    """
+    volumes = np.array([problem.half.prod(-1) for problem in chosen])
+    true = np.array([problem.truth[1] for problem in chosen])
+    ratio = true * volumes[:, 0] / (np.array([p.density[1] for p in chosen]) * volumes[:, 1])
+    found, off = {}, densities / true - 1
+    for name, low, high in zip(("lighter", "like", "heavier"), *APART_BY, strict=True):
+        part = off[(low < ratio) & (ratio <= high)]
+        if len(part):
+            medians = float(np.median(np.abs(part))), float(np.median(part))
+            found[name] = [len(part), *medians]
+    return found
+
+
 def _quantiles(values: Any) -> list[float]:
     """Median, 90 % and worst; empty of nothing."""
     return [float(np.quantile(values, q)) for q in (0.5, 0.9, 1.0)] if len(values) else []
 
 
+def _place(options: Any, name: str) -> Path:
+    scanned = f"_scan{options.scan}" if options.scan else ""
+    path: Path = options.work / f"{name}_{options.checkpoint.name}{scanned}.json"
+    return path
+
+
 def _kept(options: Any, name: str, make: Any) -> dict[str, Any]:
-    path = options.work / f"{name}_{options.checkpoint.name}.json"
+    path = _place(options, name)
     if not path.exists():
         path.write_text(json.dumps(make()))
     found: dict[str, Any] = json.loads(path.read_text())
@@ -382,7 +584,10 @@ def _parser() -> argparse.ArgumentParser:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     zoo = ROOT / "backends" / "orbisim_world_model" / "zoo"
-    parser.add_argument("--data", type=Path, required=True)
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--data", type=Path, help="episodes of task:push")
+    source.add_argument("--motions", help="subtasks of task:shove and how often: thrown=6,flick=2")
+    parser.add_argument("--seed", type=int, default=1, help="of the worlds of --motions")
     parser.add_argument("--work", type=Path, required=True, help="folder for what is done")
     parser.add_argument("--checkpoint", type=Path, default=zoo / "push_contacts")
     parser.add_argument("--methods", default=",".join(METHODS))
@@ -390,6 +595,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--window", type=float, default=1.0)
     parser.add_argument("--steps", type=int, default=12)
+    parser.add_argument("--scan", type=int, default=0, help="points that gradients try first")
+    parser.add_argument("--longer", type=float, default=1.0, help="CMA-ES, times sysid's seconds")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--time-limit", type=float, default=1e9, help="seconds, of the classical")
     parser.add_argument("--json", type=Path)

@@ -113,6 +113,12 @@ _CLIPS = (
     ("train.stages", "0.55x8x2048arf,0.45x16x2048arf"),
 )
 """After that, with `tools/collect_clips.py`: many short ones around contacts."""
+_SHOVE = (
+    *_CONTACTS[:-1],
+    ("train.rate", 5e-4),
+    ("train.stages", "0.4x8x2048arf,0.6x20x2048arf"),
+)
+"""After `push_contacts`: rollouts as long as the windows of an identification."""
 _TAIL = (
     ("model.rest", True),
     ("train.rate", 2e-4),
@@ -194,6 +200,14 @@ JOBS: dict[str, Job] = {
         ("push", "push_hold", "push_extra", "push_clips"),
         settings=_CLIPS,
         weight=6.0,
+        start="push_contacts",
+    ),
+    "shove": Job(
+        ("push", "shove", "shove_strikes", "shove_clips"),
+        settings=_SHOVE,
+        weight=6.0,
+        horizons=(10, 20),
+        burn=0,
         start="push_contacts",
     ),
     "push_tail": Job(

@@ -25,6 +25,8 @@ PRIOR = math.e**1.5
 _DAMPING, _EASIER, _HARDER = 1e-2, 0.3, 8.0
 _LONGEST = 0.7
 """Of a logarithm in one step: a factor of two."""
+_AROUND = 1.0
+"""Of a logarithm, either way: what is scanned, a factor of 2.7."""
 _FEW = 3
 """Least degrees of freedom of an interval."""
 
@@ -51,6 +53,7 @@ def estimate(
     group: Tensor,
     steps: int = 12,
     together: int = 1,
+    scan: int = 0,
 ) -> Estimate:
     """Fits the parameters of each problem to its windows.
 
@@ -63,10 +66,13 @@ def estimate(
       steps: of the search.
       together: how many errors of a window count as one, since those of one coordinate at
         successive times depend on each other.
+      scan: how many points around the start are tried first; the search begins from the best of
+        them and the start. A loss that believes large errors little may have several minima.
     """
     low, high = (bound.log() for bound in bounds)
     origin = start.log()
     z, damping = origin.clamp(low, high), torch.full_like(start[:, :1], _DAMPING)
+    z = _scanned(residuals, z, (low, high), origin, group, together, scan)
     errors, slopes = _linear(residuals, z[group])
     cost = _costs(errors, z, origin, group, together)
     history = [cost]
@@ -89,6 +95,30 @@ def estimate(
     width = widths(errors, slopes, z, group, together)
     below, above = ((z + sign * width).clamp(low, high).exp() for sign in (-1.0, 1.0))
     return Estimate(z.exp(), below, above, torch.stack(history, dim=1))
+
+
+@torch.no_grad()
+def _scanned(
+    residuals: Callable[[Tensor], Tensor],
+    z: Tensor,
+    bounds: tuple[Tensor, Tensor],
+    origin: Tensor,
+    group: Tensor,
+    together: int,
+    count: int,
+) -> Tensor:
+    """The best [G, P] of the start and of Sobol's first points around it (Sobol 1967)."""
+    if not count:
+        return z
+    best, cost = z, _costs(residuals(z[group].exp()), z, origin, group, together)
+    cost = cost.nan_to_num(torch.inf)
+    points = torch.quasirandom.SobolEngine(z.shape[1]).draw(count + 1)[1:]  # the first is a corner
+    for point in (2.0 * points.to(z) - 1.0) * _AROUND:
+        trial = (origin + point).clamp(*bounds)
+        tried = _costs(residuals(trial[group].exp()), trial, origin, group, together)
+        better = tried < cost  # not so where it is NaN
+        best, cost = torch.where(better[:, None], trial, best), torch.where(better, tried, cost)
+    return best
 
 
 def _linear(residuals: Callable[[Tensor], Tensor], z: Tensor) -> tuple[Tensor, Tensor]:

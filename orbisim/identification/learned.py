@@ -99,8 +99,8 @@ def identify_learned(
       DivergedError: every window's rollout diverges, with what was found, too.
     """
     simulation = Simulation(backend, parameters, grid, device)
-    bounds = [_bounds(backend, parameter) for parameter in parameters]
-    low, high = torch.tensor(bounds, dtype=torch.float64, device=device).T
+    ends = [bounds(backend, parameter) for parameter in parameters]
+    low, high = torch.tensor(ends, dtype=torch.float64, device=device).T
     start = torch.tensor([[p.declared for p in parameters]], dtype=torch.float64, device=device)
     group = torch.zeros(len(grid.qpos), dtype=torch.long, device=device)
     found = estimate(simulation, start, (low, high), group, steps, grid.ctrl.shape[1])
@@ -108,7 +108,7 @@ def identify_learned(
     return found
 
 
-def _bounds(backend: Conditioned, parameter: Parameter) -> tuple[float, float]:
+def bounds(backend: Conditioned, parameter: Parameter) -> tuple[float, float]:
     """Of a parameter, within what the model has seen: beyond that its rollouts mean nothing."""
     known = backend.trained(parameter.target, _OBJECT[parameter.name])
     if known is None or not known[0] < known[1]:

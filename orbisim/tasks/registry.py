@@ -15,6 +15,7 @@ from orbisim.tasks.domains import MECHANISMS
 _TASKS: dict[str, str | type[Task]] = {
     "push": "orbisim.tasks.push:Push",
     "push_hold": "orbisim.tasks.push_hold:PushHold",
+    "shove": "orbisim.tasks.shove:Shove",
     "push_cubes": "orbisim.tasks.push_cubes:PushCubes",
     "pick_and_place": "orbisim.tasks.pick_and_place:PickAndPlace",
     "ball": "orbisim.tasks.ball:Ball",

@@ -56,3 +56,19 @@ def test_values_stay_within_bounds() -> None:
     seen = _decay(torch.full((4, 3), 3.0).double())
     found = estimate(_apart(seen, 0.01), torch.ones(1, 3).double(), (low, high), group)
     assert float(found.values.max()) <= 1.5 + 1e-6 and float(found.values.min()) >= 0.5 - 1e-6
+
+
+def test_a_scan_finds_the_deeper_of_two_minima() -> None:
+    # of an amplitude alone: sin has its minimum at a phase of 5, and others a turn away
+    seen = torch.sin(5.0 * TIME)[None]
+
+    def residuals(values: Tensor) -> Tensor:
+        return (torch.sin(values[:, :1] * TIME) - seen.expand(len(values), -1)) / 0.05
+
+    group, start = torch.zeros(1, dtype=torch.long), torch.tensor([[2.0]], dtype=torch.float64)
+    bounds = torch.tensor([0.1]), torch.tensor([20.0])
+    alone = estimate(residuals, start, bounds, group, 25, 10)
+    scanned = estimate(residuals, start, bounds, group, 25, 10, scan=16)
+    assert abs(float(alone.values) - 5.0) > 0.5
+    assert abs(float(scanned.values) - 5.0) < 0.01
+    assert scanned.cost[0, -1] < alone.cost[0, -1]

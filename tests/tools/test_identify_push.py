@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+import types
 from pathlib import Path
 
 import numpy as np
 import pytest
 from orbisim_world_model.pack import Pack
+
+from orbisim.errors import InputError
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 import identify_push
@@ -33,6 +36,44 @@ def test_true_values_explain_what_is_held_out(pushes: Pack) -> None:
     assert 2 * max(true) < max(wrong)
 
 
+@pytest.fixture(scope="module")
+def shoves() -> dict[int, identify_push.Problem]:
+    options = types.SimpleNamespace(motions="thrown=2,flick=1", window=0.6, episodes=2, seed=3)
+    return identify_push.made(options)
+
+
+def test_true_values_reproduce_recordings_of_shove(
+    shoves: dict[int, identify_push.Problem],
+) -> None:
+    for problem in shoves.values():
+        assert len(problem.fit.qpos) == 3
+        assert len(problem.held.qpos) == 2
+        scene, wanted = identify_push.sized(problem)
+        nstep = round(problem.timestep / float(scene.model.opt.timestep))
+        run = identify_push.simulated(scene, wanted, problem.fit, nstep)
+        assert float(run(np.log(problem.truth)).abs().max()) < 1e-3
+        for factor in ([1.1, 1.0], [1.0, 1.1]):
+            assert float(run(np.log(problem.truth * factor)).abs().max()) > 0.05
+
+
+def test_the_bound_falls_with_more_windows(shoves: dict[int, identify_push.Problem]) -> None:
+    fewer = {
+        number: dataclasses.replace(problem, fit=identify_push._rows(problem.fit, slice(0, 1)))
+        for number, problem in shoves.items()
+    }
+    all_of_them, one = identify_push.bound(shoves), identify_push.bound(fewer)
+    for label, quantiles in all_of_them["noise"].items():
+        assert 0 < quantiles[2] < one["noise"][label][2]
+        assert quantiles[2] < all_of_them["model"][label][2]
+
+
+@pytest.mark.parametrize("motions", ["thrown", "thrown=0", "thrown=x"])
+def test_motions_say_how_often(motions: str) -> None:
+    options = types.SimpleNamespace(motions=motions, window=1.0, episodes=1, seed=1)
+    with pytest.raises(InputError, match="how often"):
+        identify_push.made(options)
+
+
 @pytest.mark.slow
 def test_sysid_and_cma_bring_the_error_down(pushes: Pack) -> None:
     problem = next(iter(identify_push.cut(pushes, 20).values()))
@@ -48,3 +89,14 @@ def test_sysid_and_cma_bring_the_error_down(pushes: Pack) -> None:
 def test_what_is_printed() -> None:
     assert identify_push._quantiles([]) == []
     assert identify_push._quantiles([1.0, 2.0, 3.0])[0] == 2.0
+
+
+def test_errors_of_density_are_told_apart_by_mass(
+    shoves: dict[int, identify_push.Problem],
+) -> None:
+    chosen = list(shoves.values())
+    true = np.array([problem.truth[1] for problem in chosen])
+    found = identify_push.by_ratio(1.2 * true, chosen)
+    assert sum(row[0] for row in found.values()) == len(chosen)
+    for _, size, signed in found.values():
+        assert size == pytest.approx(0.2) and signed == pytest.approx(0.2)
