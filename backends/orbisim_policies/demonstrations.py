@@ -85,6 +85,7 @@ def demonstrate(problem: PushProblem, seeds: Sequence[int], nthread: int = 0) ->
 
 
 def director(problem: PushProblem, seed: int) -> Director:
+    """The script of the episode of a seed; its actions are a policy's."""
     layout = problem.layout(seed)
     stroke = dataclasses.replace(layout.stroke, speed=max(layout.stroke.speed, SLOWEST))
     arm: Any = Commander(np.array(layout.tool), 0.0)

@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from orbisim_diffusion.likeness import like_turns
-from orbisim_diffusion.tracking import nearest_turns
 
 from orbisim.errors import InputError
 from orbisim.host.progress import track
@@ -104,12 +102,6 @@ def _one(
         sight.take(frame, read, t, found["true_qpos"][t, joints]) for t, frame in enumerate(frames)
     ]
     found["qpos"], found["qvel"], found["seen"] = map(np.stack, zip(*read_rows, strict=True))
-    for body in sight.refiner.bodies:
-        # of orientations that look alike, the one with the smallest turn, and then the nearest one
-        group = like_turns(body.half) if body.box else np.eye(3)[None]
-        columns = slice(body.qpos + 3, body.qpos + 7)
-        everywhere = np.ones(len(frames), bool)
-        found["qpos"][:, columns] = nearest_turns(found["qpos"][:, columns], everywhere, group)
     found["success"] = np.asarray(next(iter(problem.success(starts, end, value).values()))[0])
     return found
 

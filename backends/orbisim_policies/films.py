@@ -145,6 +145,7 @@ class Films:
         command, params = problem.draw([0]).command.shape[1], problem.draw([0]).params.shape[1]
         ends = {"qpos": model.nq, "qvel": model.nv, "ctrl": model.nu, "command": command}
         ends |= {"true_qpos": model.nq, "true_qvel": model.nv, "action": problem.actions}
+        shapes: dict[str, tuple[int, ...]]
         shapes = {name: (count, steps, end) for name, end in ends.items()}
         shapes |= {"seeds": (count,), "success": (count,), "params": (count, params)}
         for name, shape in shapes.items():

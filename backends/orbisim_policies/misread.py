@@ -59,9 +59,7 @@ class Misreading:
             setattr(moved, name, getattr(self, name).to(device))
         return moved
 
-    def seen(
-        self, qpos: Tensor, qvel: Tensor, film: Tensor, step: Tensor
-    ) -> tuple[Tensor, Tensor]:
+    def seen(self, qpos: Tensor, qvel: Tensor, film: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
         """What qpos [N, nq] and qvel [N, nv] would be read as, at a step [N] of films [N]."""
         row = film.long() * self.offset.shape[1] + step.long().clamp(0, self.offset.shape[1] - 1)
         moved = qpos + self.offset.flatten(0, 1)[row]

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -37,6 +38,7 @@ _ENDS = 3
 """Frames at each end of a window over whose median the way of a body is taken."""
 _STEPS = 12
 """Of the search, as `orbisim identify`."""
+Ids = npt.NDArray[np.int64]
 
 
 def inferred(problem: Problem, films: Films, checkpoint: str | Path | None, device: str) -> Films:
@@ -57,10 +59,10 @@ def inferred(problem: Problem, films: Films, checkpoint: str | Path | None, devi
     windows, group = _windows(problem, films)
     found = np.array(films.params)
     columns = list(HIDDEN.values())
-    if len(group):
+    if windows is not None:
         fitted = _fit(problem, films, windows, group, checkpoint, device)
         shown = np.unique(group)
-        found[np.ix_(shown, columns)] = fitted.values.cpu().numpy()
+        found[shown[:, None], columns] = fitted.values.cpu().numpy()
     true = problem.draw([int(seed) for seed in films.seeds]).params[:, columns]
     off = {
         name: {
@@ -73,14 +75,14 @@ def inferred(problem: Problem, films: Films, checkpoint: str | Path | None, devi
     return dataclasses.replace(films, params=found, notes={**films.notes, "phyinf": notes})
 
 
-def _windows(problem: Problem, films: Films) -> tuple[Grid, np.ndarray[Any, Any]]:
-    """Windows in which a body moves, and the film [W] of each."""
+def _windows(problem: Problem, films: Films) -> tuple[Grid | None, Ids]:
+    """Windows in which a body moves, if there are any, and the film [W] of each."""
     scene, step = problem.scene, problem.timestep
     model = scene.model
     starts = [int(model.joint(name).qposadr[0]) for name in free_bodies(model)]
     parts, group = [], []
     for number in range(len(films)):
-        time = step * np.arange(films.qpos.shape[1])
+        time = np.arange(films.qpos.shape[1]) * np.float64(step)
         signals = {"qpos": films.qpos[number], "ctrl": films.ctrl[number]}
         recording = Recording(time, signals, source=f"film {number}")
         try:
@@ -97,8 +99,7 @@ def _windows(problem: Problem, films: Films) -> tuple[Grid, np.ndarray[Any, Any]
                 parts.append(tuple(getattr(found, f.name)[row] for f in dataclasses.fields(Grid)))
                 group.append(number)
     if not parts:
-        none = np.zeros(0)
-        return Grid(*[none] * len(dataclasses.fields(Grid))), np.zeros(0, int)
+        return None, np.zeros(0, int)
     return Grid(*(np.stack(column) for column in zip(*parts, strict=True))), np.array(group)
 
 
@@ -106,7 +107,7 @@ def _fit(
     problem: Problem,
     films: Films,
     windows: Grid,
-    group: np.ndarray[Any, Any],
+    group: Ids,
     checkpoint: str | Path | None,
     device: str,
 ) -> Estimate:
@@ -157,4 +158,3 @@ class _Described:
     def rollout(self, state: Any, controls: Any, **options: Any) -> Any:
         """The backend's."""
         return self.inner.rollout(state, controls, **options)
-

@@ -19,8 +19,16 @@ import numpy.typing as npt
 import torch
 from orbisim_diffusion import zoo
 from orbisim_diffusion.estimate import load_inference, read_frames
+from orbisim_diffusion.likeness import like_turns
 from orbisim_diffusion.refine import Frame, Refiner
-from orbisim_diffusion.tracking import Reading, expected, gone, places_of, reading
+from orbisim_diffusion.tracking import (
+    Reading,
+    expected,
+    gone,
+    nearest_turns,
+    places_of,
+    reading,
+)
 
 from orbisim.cameras import camera_number
 from orbisim.errors import InputError
@@ -31,6 +39,8 @@ from orbisim.state import State
 from orbisim_policies.evaluate import as_float, begun, joined, summary
 from orbisim_policies.problem import Floats, Moment, Problem
 from orbisim_policies.true import TrueWorlds
+
+_ONE = np.ones(1, bool)
 
 
 class Played(NamedTuple):
@@ -100,7 +110,12 @@ class Sight:
             qpos = np.array(refiner.rest)
             qpos[columns] = read.joints[t]
             for body, place in zip(refiner.bodies, places, strict=True):
-                qpos[body.qpos : body.qpos + 7] = place[0]
+                qpos[body.qpos : body.qpos + 3] = place[0][:3]
+                turn = slice(body.qpos + 3, body.qpos + 7)
+                # of turns that look alike the one nearest to the frame before
+                group = like_turns(body.half) if body.box else np.eye(3)[None]
+                before = last[-1][turn] if last else None
+                qpos[turn] = nearest_turns(place[0][None, 3:], _ONE, group, before)[0]
             seen = np.ones(len(refiner.bodies), bool)
         else:
             reads = read.joints[t]

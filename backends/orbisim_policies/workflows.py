@@ -95,9 +95,7 @@ def train(
     return train_baseline(problem, baseline, run, report)
 
 
-def _films(
-    problem: Problem, run: Run, options: Mapping[str, Any], checkpoint: str | None
-) -> Films:
+def _films(problem: Problem, run: Run, options: Mapping[str, Any], checkpoint: str | None) -> Films:
     """The films that a training from pixels begins with: given, left by a killed one, or made."""
     path = options["films"] or run.out / FILMS
     if path.exists() or options["films"]:
@@ -150,7 +148,17 @@ def evaluate(
     policy, problem = load_policy(folder, plain), _drawn(plain, randomize, min(seeds))
     if observe not in ("state", "nominal"):
         return _from_pixels(
-            folder, manifest, policy, problem, episodes, seeds, observe, camera, threads, device, out
+            folder,
+            manifest,
+            policy,
+            problem,
+            episodes,
+            seeds,
+            observe,
+            camera,
+            threads,
+            device,
+            out,
         )
     nominal = observe == "nominal"
     alone = nominal or model == "none"
