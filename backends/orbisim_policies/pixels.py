@@ -82,6 +82,10 @@ class Sight:
         self.size = int(self.point.config.size)
         self.refiner = Refiner(scene, camera, self.size)
         self._model, self._dt, self._how = scene.model, dt, how
+        self._like = {
+            body.qpos: like_turns(body.half) if body.box else np.eye(3)[None]
+            for body in self.refiner.bodies
+        }
         self._found: list[Frame] = []
         self._states: list[Floats] = []
 
@@ -113,9 +117,9 @@ class Sight:
                 qpos[body.qpos : body.qpos + 3] = place[0][:3]
                 turn = slice(body.qpos + 3, body.qpos + 7)
                 # of turns that look alike the one nearest to the frame before
-                group = like_turns(body.half) if body.box else np.eye(3)[None]
                 before = last[-1][turn] if last else None
-                qpos[turn] = nearest_turns(place[0][None, 3:], _ONE, group, before)[0]
+                like = self._like[body.qpos]
+                qpos[turn] = nearest_turns(place[0][None, 3:], _ONE, like, before)[0]
             seen = np.ones(len(refiner.bodies), bool)
         else:
             reads = read.joints[t]
