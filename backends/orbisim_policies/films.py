@@ -74,7 +74,8 @@ class Films:
         return hashlib.sha256(self.qpos.tobytes()).hexdigest()[:16]
 
     def starts(self) -> Starts:
-        """Where episodes begin as the first frames show it, at rest, in scenes as inferred."""
+        """The second regime of section 3.5: where episodes begin as the first frames show it, at
+        rest, in scenes as inferred."""
         return Starts(
             self.qpos[:, 0],
             np.zeros_like(self.qvel[:, 0]),
