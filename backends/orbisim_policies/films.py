@@ -73,6 +73,11 @@ class Films:
         """Of what was read."""
         return hashlib.sha256(self.qpos.tobytes()).hexdigest()[:16]
 
+    @property
+    def exact(self) -> Films:
+        """The same as if read without errors."""
+        return dataclasses.replace(self, qpos=self.true_qpos, qvel=self.true_qvel)
+
     def starts(self) -> Starts:
         """The second regime of section 3.5: where episodes begin as the first frames show it, at
         rest, in scenes as inferred."""

@@ -74,7 +74,7 @@ class Misreading:
 
 
 class MisreadProblem(Problem):
-    """A problem, seen with the errors of films.
+    """A problem, seen with the errors of films; what no frame shows of a scene is seen as nominal.
 
     Each episode has the errors of one film. Its number is the last one of the command; the score
     has that of the true states, that of the states seen, the film, and the step.

@@ -143,8 +143,7 @@ def train_apg(
     check_run(run)
     run = dataclasses.replace(run, device="cpu" if differences else run.device)
     clock, device = Clock(run.steps, run.limit), torch.device(run.device)
-    if run.films is not None and run.errors:
-        problem = MisreadProblem(problem, run.films)
+    problem = _as_seen(problem, run)
     if device.type == "cuda":
         torch.backends.cuda.matmul.allow_tf32 = True
     worlds: DifferentiableWorlds
@@ -204,8 +203,14 @@ def train_clone(
         **_seen(run),
         **problem.conditions,
     }
-    played = problem if run.films is None or not run.errors else MisreadProblem(problem, run.films)
-    return train_with(trainer, played, run, clock, ("loss",), notes, report)
+    return train_with(trainer, _as_seen(problem, run), run, clock, ("loss",), notes, report)
+
+
+def _as_seen(problem: Problem, run: Run) -> Problem:
+    """The problem as films show it, with their errors or without."""
+    if run.films is None:
+        return problem
+    return MisreadProblem(problem, run.films if run.errors else run.films.exact)
 
 
 def _filmed(problem: Problem, films: Films) -> Starts:

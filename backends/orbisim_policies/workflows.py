@@ -160,12 +160,13 @@ def evaluate(
             device,
             out,
         )
-    nominal = observe == "nominal"
+    # a policy that has been trained from films has never seen other than nominal values
+    nominal = observe == "nominal" or "films" in manifest
     alone = nominal or model == "none"
     worlds = None if alone else _model(model, problem, torch.device(device))
     how: Any = {"episodes": episodes, "seeds": seeds, "worlds": worlds, "nthread": threads}
     result = evaluation.evaluate(problem, policy, **how, nominal=nominal)
-    known: dict[str, Any] = {"observe": observe}
+    known: dict[str, Any] = {"observe": "nominal" if nominal else observe}
     known |= {name: manifest[name] for name in ("method", "true_steps") if name in manifest}
     return {**result, **known, **problem.conditions, "policy": str(folder)}
 

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from orbisim_policies import workflows
+from orbisim_policies.agent import Agent
 from orbisim_policies.apg import ApgConfig
 from orbisim_policies.cloning import CloneConfig
 from orbisim_policies.films import Films
@@ -52,6 +54,13 @@ def test_a_training_from_films_goes_on_exactly(
     parts = train_apg(push, config, Run(tmp_path / "parts", steps=2, resume=True, **begun))
     # the films' steps are counted once: the clone has seen the same
     assert whole["true_steps"] == parts["true_steps"] > len(films) * push.steps
+    # it has never seen other densities than the nominal ones, and is evaluated so
+    judged = workflows.evaluate(
+        tmp_path / "whole", None, randomize=None, episodes=1, seeds=[0], model="learned",
+        threads=1, device="cpu",
+    )  # fmt: skip
+    assert judged["observe"] == "nominal" and "model" not in judged
+    assert Agent.of(tmp_path / "whole", push.name).nominal
     one, other = ((tmp_path / n / "training.safetensors") for n in ("whole", "parts"))
     for name, tensor in load_file(str(one)).items():
         assert torch.equal(tensor, load_file(str(other))[name]), name

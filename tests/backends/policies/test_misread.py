@@ -81,6 +81,23 @@ def test_a_policy_sees_what_the_film_shows_and_is_paid_for_what_is_true(
     torch.testing.assert_close(after[:, -1], command[:, -1])
 
 
+def test_what_no_frame_shows_is_seen_as_nominal(push: PushProblem, films: Films) -> None:
+    """And without errors nothing else is changed."""
+    seen = MisreadProblem(push, films.exact)
+    starts = seen.draw(FILMED)
+    worlds = TrueWorlds(seen, COUNT, nthread=1)
+    plain, nominal = (TrueWorlds(push, COUNT, 1, flag) for flag in (False, True))
+    try:
+        worlds.begin(np.arange(COUNT), starts)
+        for other in (plain, nominal):
+            other.begin(np.arange(COUNT), push.draw(FILMED))
+        torch.testing.assert_close(worlds.observation(), nominal.observation())
+        assert (worlds.observation() - plain.observation())[:, -3:].abs().min() > 1e-3
+    finally:
+        for each in (worlds, plain, nominal):
+            each.close()
+
+
 def test_gradients_run_through_what_is_seen(push: PushProblem, films: Films) -> None:
     seen = MisreadProblem(push, films)
     worlds = LearnedWorlds(seen, None, torch.device("cpu"))
