@@ -218,8 +218,10 @@ def processes(make: Callable[[], Any], worlds: int, options: Any) -> float:
     return found
 
 
-def measure(name: str, worlds: int, options: Any) -> dict[str, Any]:
-    """All that is compared, for one task and number of worlds."""
+def measure(
+    name: str, worlds: int, options: Any, rates: dict[str, Any], write: Callable[[], None]
+) -> None:
+    """All that is compared, for one task and number of worlds; each is written once it is there."""
     domain, task = name.split("-")
     jobs: dict[str, Callable[[], float]] = {
         "orbisim mujoco": functools.partial(ours, domain, task, worlds, "mujoco", options)
@@ -236,7 +238,6 @@ def measure(name: str, worlds: int, options: Any) -> dict[str, Any]:
         jobs["dm_control async"] = functools.partial(processes, make, worlds, options)
         like = functools.partial(_gymnasium, TASKS[name])
         jobs[f"gymnasium {TASKS[name]} async"] = functools.partial(processes, like, worlds, options)
-    rates: dict[str, Any] = {}
     for label, job in jobs.items():
         if options.only is not None and label not in options.only:
             continue
@@ -246,7 +247,7 @@ def measure(name: str, worlds: int, options: Any) -> dict[str, Any]:
             rates[label] = job()
         except Exception as error:  # what one library cannot do must not lose the others
             rates[label] = {"failed": f"{type(error).__name__}: {str(error)[:200]}"}
-    return rates
+        write()
 
 
 def playground(options: Any) -> dict[str, Any]:
@@ -312,12 +313,12 @@ def main() -> None:
     found: dict[str, Any] = {"cpus": usable_cpus(), "steps_per_s": {}}
     for worlds in options.worlds:
         for name in options.tasks:
-            rates = measure(name, worlds, options)
+            rates: dict[str, Any] = {}
             found["steps_per_s"].setdefault(name, {})[worlds] = rates
+            measure(name, worlds, options, rates, lambda: _write(found, options.out))
             said = {n: f"{r:,.0f}" if isinstance(r, float) else r for n, r in rates.items()}
             print(name, worlds, said, flush=True)
             print("   ", ratios(rates), flush=True)
-            _write(found, options.out)
     if options.playground is not None:
         found["playground"] = playground(options)
         print(json.dumps(found["playground"]), flush=True)

@@ -129,12 +129,15 @@ def _parts(scene: Scene) -> tuple[list[str], list[str]]:
 
 @torch.no_grad()  # type: ignore[untyped-decorator]
 def read_frames(frames: npt.NDArray[np.uint8], point: Checkpoint, model: nn.Module) -> Inferred:
-    """What StaInf reads off frames [T, H, W, 3] of the checkpoint's size."""
-    parts = []
+    """What StaInf reads off frames [T, H, W, 3] of the checkpoint's size, on the CPU.
+
+    Computed where the model is, on whose device the checkpoint's autoencoder must be, too.
+    """
+    parts, device = [], next(model.parameters()).device
     for first in range(0, len(frames), _BATCH):
-        images = to_float(torch.as_tensor(frames[first : first + _BATCH]))
+        images = to_float(torch.as_tensor(frames[first : first + _BATCH]).to(device))
         parts.append(model(point.autoencoder.encode(images)))
-    return Inferred(*(torch.cat(field) for field in zip(*parts, strict=True)))
+    return Inferred(*(torch.cat(field).cpu() for field in zip(*parts, strict=True)))
 
 
 def _tracks(found: Inferred, rows: Floats) -> tuple[Floats, Floats]:

@@ -116,7 +116,7 @@ def recording_of(
         seen = np.array([pose.seen for pose in poses])
         place = np.where(seen[:, None], qpos[:, body.qpos : body.qpos + 3], np.nan)
         group = like_turns(body.half) if body.box else np.eye(3)[None]
-        turn = _turns(qpos[:, body.qpos + 3 : body.qpos + 7], seen, group)
+        turn = nearest_turns(qpos[:, body.qpos + 3 : body.qpos + 7], seen, group)
         signals[f"xpos/{name}"], signals[f"xquat/{name}"] = place, turn
         jitter = np.stack([pose.jitter for pose in poses])[seen]
         spread = np.stack([pose.std for pose in poses])[seen]
@@ -191,10 +191,18 @@ def places_of(read: Reading | None, t: int, body: Body) -> list[Floats]:
     return [read.places[t, slot] for slot in order[:_PEAKS]]
 
 
-def _turns(quats: Floats, seen: npt.NDArray[np.bool_], group: Floats) -> Floats:
-    """[T, 4] the ones of like orientations that are nearest to those before."""
+def nearest_turns(
+    quats: Floats, seen: npt.NDArray[np.bool_], group: Floats, before: Floats | None = None
+) -> Floats:
+    """[T, 4] the ones of like orientations that are nearest to those before.
+
+    Args:
+      quats: [T, 4] (w x y z). seen: [T] frames to take; NaN in the others.
+      group: [K, 3, 3] turns after which the body looks the same, see `like_turns`.
+      before: [4] the orientation before the first; none is no turn.
+    """
     found = np.full((len(quats), 4), np.nan)
-    last, before = np.eye(3), None
+    last = np.eye(3) if before is None else Rotation.from_quat(np.roll(before, -1)).as_matrix()
     for t in np.flatnonzero(seen):
         choices = Rotation.from_quat(np.roll(quats[t], -1)).as_matrix() @ group
         last = choices[int(np.argmax(np.einsum("kij,ij->k", choices, last)))]

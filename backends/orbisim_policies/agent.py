@@ -30,11 +30,14 @@ class Agent:
     Attributes:
       policy: from observations to actions. problem: on the CPU.
       starts: of the episodes that were made last.
+      nominal: whether it sees nominal values of what no image shows, as policies that were trained
+        from films do.
     """
 
     policy: AnyPolicy
     problem: Problem
     starts: Starts | None = None
+    nominal: bool = False
 
     @staticmethod
     def of(folder: Path, scene: str) -> Agent:
@@ -48,7 +51,7 @@ class Agent:
         manifest = read_manifest(folder)
         check_scene(folder, str(manifest.get("scene_hash", "")), load_scene(scene))
         problem = make_problem(str(manifest.get("task")), int(manifest.get("steps", 0)) or None)
-        return Agent(load_policy(folder, problem), problem)
+        return Agent(load_policy(folder, problem), problem, nominal="films" in manifest)
 
     def episodes(self, count: int, seed: int) -> Episodes:
         """Episodes of the policy's problem on one scene."""
@@ -73,6 +76,7 @@ class Agent:
             )
         state = episodes.initial
         command, params = as_float(starts.command), as_float(starts.params)
+        params = problem.unseen(params) if self.nominal else params
         score = problem.begin(as_float(state.qpos), as_float(state.qvel), command)
         pieces, controls, policy = [], [], self.policy.begin(len(score))
         for step in range(max(1, round(duration / problem.timestep))):

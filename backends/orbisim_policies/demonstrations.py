@@ -64,7 +64,7 @@ def demonstrate(problem: PushProblem, seeds: Sequence[int], nthread: int = 0) ->
     for first in range(0, len(seeds), _AT_ONCE):
         part = seeds[first : first + _AT_ONCE]
         starts = problem.draw(part)
-        directors = [_director(problem, seed) for seed in part]
+        directors = [director(problem, seed) for seed in part]
         with contextlib.closing(TrueWorlds(problem, len(part), nthread)) as worlds:
             worlds.begin(np.arange(len(part)), starts)
             views, actions, lost = [], [], np.zeros(len(part), bool)
@@ -84,7 +84,8 @@ def demonstrate(problem: PushProblem, seeds: Sequence[int], nthread: int = 0) ->
     return Demonstrations(torch.cat(seen), torch.cat(done), share, len(seeds), steps)
 
 
-def _director(problem: PushProblem, seed: int) -> Director:
+def director(problem: PushProblem, seed: int) -> Director:
+    """The script of the episode of a seed; its actions are a policy's."""
     layout = problem.layout(seed)
     stroke = dataclasses.replace(layout.stroke, speed=max(layout.stroke.speed, SLOWEST))
     arm: Any = Commander(np.array(layout.tool), 0.0)

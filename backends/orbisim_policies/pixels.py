@@ -19,8 +19,16 @@ import numpy.typing as npt
 import torch
 from orbisim_diffusion import zoo
 from orbisim_diffusion.estimate import load_inference, read_frames
+from orbisim_diffusion.likeness import like_turns
 from orbisim_diffusion.refine import Frame, Refiner
-from orbisim_diffusion.tracking import expected, gone, places_of, reading
+from orbisim_diffusion.tracking import (
+    Reading,
+    expected,
+    gone,
+    nearest_turns,
+    places_of,
+    reading,
+)
 
 from orbisim.cameras import camera_number
 from orbisim.errors import InputError
@@ -31,6 +39,8 @@ from orbisim.state import State
 from orbisim_policies.evaluate import as_float, begun, joined, summary
 from orbisim_policies.problem import Floats, Moment, Problem
 from orbisim_policies.true import TrueWorlds
+
+_ONE = np.ones(1, bool)
 
 
 class Played(NamedTuple):
@@ -58,16 +68,24 @@ class Sight:
       scene: with the objects that there are. camera: its number. dt: s between frames.
       how: `stainf`, what the network says; `infer`, that fitted to the frames; `objects`, with
         scalar joints that are measured, so that objects alone are fitted.
+      device: where the network computes; the fit is the CPU's.
 
     Raises:
       UnsupportedSceneError: no checkpoint with StaInf was trained on such scenes.
     """
 
-    def __init__(self, scene: Scene, camera: int, dt: float, how: str = "infer") -> None:
-        self.point, self._network = _network(str(zoo.find(scene, visible.rows(scene.model))))
+    def __init__(
+        self, scene: Scene, camera: int, dt: float, how: str = "infer", device: str = "cpu"
+    ) -> None:
+        folder = zoo.find(scene, visible.rows(scene.model))
+        self.point, self._network = _network(str(folder), device)
         self.size = int(self.point.config.size)
         self.refiner = Refiner(scene, camera, self.size)
         self._model, self._dt, self._how = scene.model, dt, how
+        self._like = {
+            body.qpos: like_turns(body.half) if body.box else np.eye(3)[None]
+            for body in self.refiner.bodies
+        }
         self._found: list[Frame] = []
         self._states: list[Floats] = []
 
@@ -79,18 +97,32 @@ class Sight:
         Args:
           frame: [size, size, 3], the next one. measured: scalar joints, for `objects` alone.
         """
+        return self.take(frame, self.read(frame[None]), 0, measured)
+
+    def read(self, frames: npt.NDArray[np.uint8]) -> Reading:
+        """What the network says of frames [T, size, size, 3]."""
+        return reading(read_frames(frames, self.point, self._network), self._joints)
+
+    def take(
+        self, frame: npt.NDArray[np.uint8], read: Reading, t: int, measured: Floats
+    ) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
+        """As `see`, with what the network says of the frame: number `t` of `read`."""
         refiner, last, found = self.refiner, self._states, self._found
         columns, known = refiner.scalar.qpos, measured if self._how == "objects" else None
-        read = reading(read_frames(frame[None], self.point, self._network), self._joints)
-        places = [places_of(read, 0, body) for body in refiner.bodies]
+        places = [places_of(read, t, body) for body in refiner.bodies]
         if self._how == "stainf":
             qpos = np.array(refiner.rest)
-            qpos[columns] = read.joints[0]
+            qpos[columns] = read.joints[t]
             for body, place in zip(refiner.bodies, places, strict=True):
-                qpos[body.qpos : body.qpos + 7] = place[0]
+                qpos[body.qpos : body.qpos + 3] = place[0][:3]
+                turn = slice(body.qpos + 3, body.qpos + 7)
+                # of turns that look alike the one nearest to the frame before
+                before = last[-1][turn] if last else None
+                like = self._like[body.qpos]
+                qpos[turn] = nearest_turns(place[0][None, 3:], _ONE, like, before)[0]
             seen = np.ones(len(refiner.bodies), bool)
         else:
-            reads = read.joints[0]
+            reads = read.joints[t]
             if not found:
                 if known is None:
                     one = refiner.first(frame, reads, places, reads)
@@ -117,21 +149,30 @@ class Sight:
 
 
 @functools.cache
-def _network(folder: str) -> tuple[Any, Any]:
+def _network(folder: str, device: str) -> tuple[Any, Any]:
     """Read once in a process."""
-    return load_inference(folder)
+    point, model = load_inference(folder)
+    point.autoencoder.to(device)
+    return point, model.to(device)
 
 
-def play(problem: Problem, policy: Any, seed: int, camera: str, how: str) -> Played:
+def numbered(scene: Scene, camera: str) -> int:
+    """The camera of this name or number; the first if empty."""
+    return camera_number(scene.model, int(camera) if camera.isdigit() else camera or 0)
+
+
+def play(
+    problem: Problem, policy: Any, seed: int, camera: str, how: str, device: str = "cpu"
+) -> Played:
     """One episode of a policy that sees `camera`'s frames, and of the scene what no frame shows.
 
     Args:
       problem: on the CPU. policy: from observations to actions. seed: of the episode.
-      camera: name or number; the first if empty. how: see `Sight`.
+      camera: name or number; the first if empty. how, device: see `Sight`.
     """
     scene, starts = problem.trials(1, seed)
-    number = camera_number(scene.model, int(camera) if camera.isdigit() else camera or 0)
-    sight = Sight(scene, number, problem.timestep, how)
+    number = numbered(scene, camera)
+    sight = Sight(scene, number, problem.timestep, how, device)
     joints = sight.refiner.scalar.qpos
     worlds = TrueWorlds(problem, 1, 1)
     worlds.begin(np.arange(1), starts)
@@ -180,6 +221,7 @@ def evaluate_pixels(
     camera: str = "side",
     how: str = "infer",
     workers: int = 1,
+    device: str = "cpu",
     kept: Path | None = None,
     label: str = "",
 ) -> dict[str, Any]:
@@ -187,7 +229,7 @@ def evaluate_pixels(
 
     Args:
       problem: on the CPU. policy: from observations to actions. seeds: of the episodes.
-      camera: name or number. how: see `Sight`. workers: processes.
+      camera: name or number. how, device: see `Sight`. workers: processes.
       kept: folder for each episode once it has been played; those that it has are not played again.
       label: of the policy, which the folder's episodes must have.
 
@@ -195,12 +237,12 @@ def evaluate_pixels(
       InputError: the folder has episodes of another policy, task or camera.
     """
     label = f"{label} {problem.name} {how} {camera}".strip()
-    jobs = [(problem, policy, seed, camera, how, kept, label) for seed in seeds]
+    jobs = [(problem, policy, seed, camera, how, device, kept, label) for seed in seeds]
     if workers == 1:
         played = [_once(*job) for job in track(jobs, "episodes from pixels", len(jobs))]
     else:
         context = multiprocessing.get_context("spawn")  # a fork would copy a GL context
-        with concurrent.futures.ProcessPoolExecutor(workers, context, _alone) as pool:
+        with concurrent.futures.ProcessPoolExecutor(workers, context, alone) as pool:
             every = pool.map(_once, *zip(*jobs, strict=True))
             played = list(track(every, "episodes from pixels", len(jobs)))
     starts = joined([problem.trials(1, seed)[1] for seed in seeds])
@@ -223,12 +265,13 @@ def _once(
     seed: int,
     camera: str,
     how: str,
+    device: str,
     kept: Path | None,
     label: str,
 ) -> Played:
     """`play`, or what an earlier run has kept of it."""
     if kept is None:
-        return play(problem, policy, seed, camera, how)
+        return play(problem, policy, seed, camera, how, device)
     path = kept / f"{how}_{seed}.npz"
     if path.exists():
         with np.load(path) as file:
@@ -237,7 +280,7 @@ def _once(
                     f"{path}: is of {str(file['label'])!r}, not of {label!r}; use another folder"
                 )
             return Played(*(file[name] for name in Played._fields))
-    played = play(problem, policy, seed, camera, how)
+    played = play(problem, policy, seed, camera, how, device)
     part = path.with_name(f"part_{path.name}")  # a run that is ended leaves no half of a file
     np.savez(part, label=np.array(label), **played._asdict())
     part.replace(path)
@@ -247,5 +290,6 @@ def _once(
 _QUANTILES = {"median": 0.5, "p90": 0.9, "worst": 1.0}
 
 
-def _alone() -> None:
+def alone() -> None:
+    """Of a process beside others: one thread."""
     torch.set_num_threads(1)

@@ -40,6 +40,8 @@ _ARM, _CUBE1, _CUBE2 = slice(0, 6), slice(8, 15), slice(15, 22)
 _VEL1, _VEL2 = slice(8, 10), slice(14, 16)
 _NOMINAL = (525.0, 0.4)
 """Density, kg/m^3, and friction in the middle of what is drawn."""
+HIDDEN = {"density:cube1": 2, "density:cube2": 3, "friction:table": 6}
+"""What no image shows, by the names of `orbisim identify`, and its place in the parameters."""
 _NEAR = 1e-4
 """m, below which distances are not differentiated."""
 

@@ -34,13 +34,17 @@ from orbisim_policies.checkpoint import (
 from orbisim_policies.cloning import CloneConfig, Cloning
 from orbisim_policies.demonstrations import Demonstrations, demonstrate
 from orbisim_policies.differenced import DifferencedWorlds
-from orbisim_policies.evaluate import in_mujoco, starts_of, summary
+from orbisim_policies.evaluate import in_mujoco, joined, starts_of, summary
+from orbisim_policies.films import Films
 from orbisim_policies.learned import DifferentiableWorlds, LearnedWorlds
+from orbisim_policies.misread import MisreadProblem
 from orbisim_policies.network import Policy
-from orbisim_policies.problem import Problem
+from orbisim_policies.problem import Problem, Starts
 from orbisim_policies.push import PushProblem
 
 METRICS, CURVES = "metrics.jsonl", "curves.png"
+_COPIES = 8
+"""Films whose errors each filmed beginning is seen with."""
 Report = Callable[[dict[str, Any]], None]
 
 DTYPES = (torch.float32, torch.float64, torch.int64, torch.uint8, torch.bool)
@@ -63,6 +67,9 @@ class Run:
       resume: go on with what stands in `out`. start: folder of a policy to begin with.
       graph: CUDA graphs. compiled: torch compiles a control step (apg).
       nthread: threads of MuJoCo; 0 for one per usable core.
+      films: what was read off films of the task's script: where episodes begin instead of at true
+        states (apg), and what is imitated (bc); None where the state is known.
+      errors: whether the policy sees states with the errors of the films (apg).
     """
 
     out: Path
@@ -81,6 +88,8 @@ class Run:
     graph: bool = True
     compiled: bool = False
     nthread: int = 0
+    films: Films | None = None
+    errors: bool = True
 
 
 class Trainer(Protocol):
@@ -134,6 +143,7 @@ def train_apg(
     check_run(run)
     run = dataclasses.replace(run, device="cpu" if differences else run.device)
     clock, device = Clock(run.steps, run.limit), torch.device(run.device)
+    problem = _as_seen(problem, run)
     if device.type == "cuda":
         torch.backends.cuda.matmul.allow_tf32 = True
     worlds: DifferentiableWorlds
@@ -142,8 +152,11 @@ def train_apg(
     else:
         worlds = learned = LearnedWorlds(problem.to(device), checkpoint, device)
         known = _true_steps(learned)
-    seeds = training_seeds(problem, run)
-    pool = worlds.pool(problem.draw(seeds))
+    if run.films is None:
+        starts = problem.draw(training_seeds(problem, run))
+    else:
+        starts = _filmed(problem, run.films)
+    pool = worlds.pool(starts)
     start = load_policy(run.start, problem) if run.start else None
     if start is not None and not isinstance(start, Policy):
         raise InputError(f"{run.start}: --start needs a policy without a memory; got DreamerV3's")
@@ -156,6 +169,7 @@ def train_apg(
         "dynamics": worlds.name,
         "true_steps": known + _inherited(run),
         "start": run.start.name if run.start else "",
+        **_seen(run),
         **problem.conditions,
     }
     return train_with(trainer, problem, run, clock, names, notes, report)
@@ -167,8 +181,11 @@ def train_clone(
     """Clones the task's script; returns the manifest. Errors as `train_apg`."""
     check_run(run)
     clock = Clock(run.steps, run.limit)
-    seeds = training_seeds(problem, run)[: run.demonstrations]
-    shown = demonstrate(problem, seeds, run.nthread)
+    if run.films is None:
+        seeds = training_seeds(problem, run)[: run.demonstrations]
+        shown = demonstrate(problem, seeds, run.nthread)
+    else:
+        shown = run.films.demonstrations(problem)
     device = torch.device(run.device)
     data = Demonstrations(
         shown.observations.to(device),
@@ -183,9 +200,42 @@ def train_clone(
         "config": dataclasses.asdict(config),
         "demonstrations": {"episodes": shown.episodes, "success": shown.success},
         "true_steps": shown.steps,
+        **_seen(run),
         **problem.conditions,
     }
-    return train_with(trainer, problem, run, clock, ("loss",), notes, report)
+    return train_with(trainer, _as_seen(problem, run), run, clock, ("loss",), notes, report)
+
+
+def _as_seen(problem: Problem, run: Run) -> Problem:
+    """The problem as films show it, with their errors or without."""
+    if run.films is None:
+        return problem
+    return MisreadProblem(problem, run.films if run.errors else run.films.exact)
+
+
+def _filmed(problem: Problem, films: Films) -> Starts:
+    """Beginnings as films show them; where the errors of films are seen, each with those of some.
+
+    Each start has the errors of `_COPIES` films, its own first: the film of a beginning need not be
+    that of what is seen later.
+    """
+    starts = films.starts()
+    if not isinstance(problem, MisreadProblem):
+        return starts
+    count = len(films)
+    strides = [copied * count // _COPIES for copied in range(min(_COPIES, count))]
+    return joined(
+        [problem.numbered(starts, [(i + s) % count for i in range(count)]) for s in strides]
+    )
+
+
+def _seen(run: Run) -> dict[str, Any]:
+    """What the manifest says of films."""
+    films = run.films
+    if films is None:
+        return {}
+    return {"films": {"episodes": len(films), "digest": films.digest, "errors": run.errors,
+                      **films.notes}}  # fmt: skip
 
 
 def training_seeds(problem: Problem, run: Run) -> list[int]:
@@ -393,12 +443,14 @@ def _true_steps(worlds: LearnedWorlds) -> int:
 
 
 def _inherited(run: Run) -> int:
-    """Of the policy that this one begins with."""
+    """Of the policy that this one begins with, and of the films, once if both are of the same."""
+    filmed = 0 if run.films is None else run.films.qpos.shape[0] * run.films.qpos.shape[1]
     if run.start is None:
-        return 0
+        return filmed
     manifest = json.loads((run.start / MANIFEST).read_text())
-    own = int(manifest.get("true_steps", 0))
-    return own if manifest.get("method") == "bc" else 0
+    own = int(manifest.get("true_steps", 0)) if manifest.get("method") == "bc" else 0
+    same = run.films is not None and manifest.get("films", {}).get("digest") == run.films.digest
+    return own if same else own + filmed
 
 
 def draw_curves(out: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,12 @@ from orbisim_policies.checkpoint import load_policy, read_manifest
 from orbisim_policies.cloning import CloneConfig
 from orbisim_policies.drawn import DrawnProblem
 from orbisim_policies.dreamer import DreamerConfig, train_dreamer
+from orbisim_policies.films import Films
 from orbisim_policies.learned import LearnedWorlds
 from orbisim_policies.problem import Problem
 from orbisim_policies.problems import make_problem
 from orbisim_policies.push import PushProblem
-from orbisim_policies.run import Run, train_apg, train_clone
+from orbisim_policies.run import Run, check_run, train_apg, train_clone, training_seeds
 from orbisim_policies.zoo import resolved
 
 _RUN = {
@@ -36,6 +38,8 @@ _RUN = {
     "threads": "nthread",
 }
 """Options of the command line, and what they are called in `Run`."""
+FILMS = "films.safetensors"
+"""What was read off films, in the folder of a training."""
 
 
 def train(
@@ -55,6 +59,19 @@ def train(
     kind, _, path = backend.partition(":")
     if kind not in kinds:
         raise InputError(f"--method {method} learns in {' or '.join(kinds)}; got {backend}")
+    if options["observe"] != "state":
+        if method not in ("apg", "bc"):
+            raise InputError(
+                f"--observe {options['observe']} is for --method apg and bc; {method} learns by "
+                "trying, in states that are known"
+            )
+        if options["randomize"] is not None:
+            raise InputError("--observe from films and --randomize exclude each other")
+        check_run(run)
+        begun = time.monotonic()
+        films = _films(problem, run, options, path or None)
+        left = None if run.limit is None else max(run.limit - (time.monotonic() - begun), 1.0)
+        run = dataclasses.replace(run, limit=left, films=films, errors=options["errors"])
     if method == "apg":
         config = _changed(ApgConfig(), options)
         differences = kind == "mujoco"
@@ -76,6 +93,37 @@ def train(
         plain = Baseline(method, batch=8, updates=4, returns=16)
     baseline = _changed(plain, options)
     return train_baseline(problem, baseline, run, report)
+
+
+def _films(problem: Problem, run: Run, options: Mapping[str, Any], checkpoint: str | None) -> Films:
+    """The films that a training from pixels begins with: given, left by a killed one, or made."""
+    path = options["films"] or run.out / FILMS
+    if path.exists() or options["films"]:
+        films = Films.load(path, problem)
+        given = films.notes.get("observe"), films.notes.get("camera")
+        if given != (options["observe"], options["camera"]):
+            raise InputError(
+                f"{path}: read by {given[0]} off camera {given[1]}; got --observe "
+                f"{options['observe']} --camera {options['camera']}"
+            )
+        return films
+    try:
+        from orbisim_policies import filming, phyinf
+    except ImportError as error:
+        raise MissingDependencyError("--observe from frames", "vision", str(error)) from error
+    make_folder(run.out)
+    seeds = training_seeds(problem, run)[: options["episodes"]]
+    films = filming.film(
+        problem,
+        seeds,
+        camera=options["camera"],
+        how=options["observe"],
+        workers=run.nthread or usable_cpus(),
+        device=run.device,
+    )
+    films = phyinf.inferred(problem, films, checkpoint, run.device)
+    films.save(path)
+    return films
 
 
 def evaluate(
@@ -100,14 +148,25 @@ def evaluate(
     policy, problem = load_policy(folder, plain), _drawn(plain, randomize, min(seeds))
     if observe not in ("state", "nominal"):
         return _from_pixels(
-            folder, manifest, policy, problem, episodes, seeds, observe, camera, threads, out
+            folder,
+            manifest,
+            policy,
+            problem,
+            episodes,
+            seeds,
+            observe,
+            camera,
+            threads,
+            device,
+            out,
         )
-    nominal = observe == "nominal"
+    # a policy that has been trained from films has never seen other than nominal values
+    nominal = observe == "nominal" or "films" in manifest
     alone = nominal or model == "none"
     worlds = None if alone else _model(model, problem, torch.device(device))
     how: Any = {"episodes": episodes, "seeds": seeds, "worlds": worlds, "nthread": threads}
     result = evaluation.evaluate(problem, policy, **how, nominal=nominal)
-    known: dict[str, Any] = {"observe": observe}
+    known: dict[str, Any] = {"observe": "nominal" if nominal else observe}
     known |= {name: manifest[name] for name in ("method", "true_steps") if name in manifest}
     return {**result, **known, **problem.conditions, "policy": str(folder)}
 
@@ -122,6 +181,7 @@ def _from_pixels(
     observe: str,
     camera: str,
     threads: int,
+    device: str,
     out: Path | None,
 ) -> dict[str, Any]:
     """Evaluates a policy that sees frames alone."""
@@ -137,6 +197,7 @@ def _from_pixels(
         camera=camera,
         how=observe,
         workers=threads or usable_cpus(),
+        device=device,
         kept=None if out is None else make_folder(out),
         label=folder.name,
     )

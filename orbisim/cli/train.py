@@ -420,6 +420,35 @@ _POLICY = "Example: orbisim train policy push --method apg --out policies/push -
 @click.option("--noise", type=click.FloatRange(min=0), default=None, help="On actions (apg).")
 @click.option("--demonstrations", default=500, show_default=True, help="Episodes to imitate (bc).")
 @click.option("--episode", type=click.IntRange(min=1), default=None, help="Steps of an episode.")
+@click.option(
+    "--observe",
+    type=click.Choice(["state", "stainf", "objects", "infer"]),
+    default="state",
+    show_default=True,
+    help="Where states come from (apg, bc): they are known, or read off films of the task's script "
+    "by a network (stainf), with joints as measured and objects fitted (objects), or all fitted "
+    "(infer); densities and friction are then inferred from the films' motion.",
+)
+@click.option("--camera", default="side", show_default=True, help="Of --observe.")
+@click.option(
+    "--episodes",
+    type=click.IntRange(min=1),
+    default=256,
+    show_default=True,
+    help="To film, for --observe.",
+)
+@click.option(
+    "--films",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=None,
+    help="Of --observe: films that another training has read (its films.safetensors).",
+)
+@click.option(
+    "--errors/--no-errors",
+    default=True,
+    help="Of --observe: whether the policy sees the model's states with the errors that the films' "
+    "readings had, or exact ones once an episode has begun, as in the paper (apg).",
+)
 @randomize_option
 @click.option("--check", default=64, show_default=True, help="Episodes of a live estimate.")
 @click.option("--check-every", default=60.0, show_default=True, help="Seconds between estimates.")
