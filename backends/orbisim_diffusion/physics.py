@@ -16,6 +16,8 @@ FEWEST = 12
 NORMAL = 1.959964
 """Standard deviations on either side of the mean that 95 % of a normal distribution lie within."""
 _WIDTH, _HEADS, _LAYERS = 96, 4, 4
+_DROPOUT = 0.1
+"""Some thousand episodes are seen hundreds of times each."""
 _STRIDES = 2
 """Convolutions that halve the number of times: 64 frames are 16 tokens of each entity."""
 _PLACE, _STEP, _CHANGE, _TURN = 0.1, 0.01, 0.005, 0.1
@@ -88,7 +90,7 @@ class PhysicsInference(nn.Module):
         self.kind = nn.Parameter(0.02 * torch.randn(2, _WIDTH))
         self.layers = nn.ModuleList(
             nn.TransformerEncoderLayer(
-                _WIDTH, _HEADS, 4 * _WIDTH, 0.0, "gelu", batch_first=True, norm_first=True
+                _WIDTH, _HEADS, 4 * _WIDTH, _DROPOUT, "gelu", batch_first=True, norm_first=True
             )
             for _ in range(_LAYERS)
         )

@@ -43,7 +43,7 @@ from orbisim_diffusion.physics_data import (
 from orbisim_diffusion.training import Run
 
 Objective = Literal["rollout", "values"]
-TRAIN = TrainConfig(batch=512, rate=1e-3, warmup=100, decay=1e-3)
+TRAIN = TrainConfig(batch=512, rate=1e-3, warmup=100, decay=1e-2)
 HORIZON = 21
 """Steps of a free run in training: a window's 63 steps are three of them, so that gradients pass
 through 1 s, as in the fit, and no contact that the model misses spoils a whole window."""
@@ -52,7 +52,8 @@ _PLACE, _TURN = 0.002, 0.02
 _TAILS = 4.0
 """Degrees of freedom of the errors' distribution (Student's): some rollouts miss a contact."""
 _MOVES = 0.02
-"""m, that an object goes for its density, and the friction under it, to show."""
+"""m, that an object goes in a window for its density, and the friction under it, to show; a quarter
+of it in a piece."""
 _APART = 16
 """Frames between the held-out windows."""
 
@@ -81,14 +82,13 @@ def tune_physics(
     run: Run,
     *,
     device: str = "cpu",
-    batch: int = TRAIN.batch,
     report: Callable[[str], None] = print,
 ) -> dict[str, Any]:
     """Trains PhyInf and adds it to a vision checkpoint.
 
     Args:
       folder: of the checkpoint. task: see `Task`. run: see `Run`. device: where to compute.
-      batch: windows a step, up to the number of episodes. report: is told how it goes.
+      report: is told how it goes.
 
     Returns:
       Errors on held-out windows (see `physics_errors`).
@@ -111,7 +111,7 @@ def tune_physics(
         add_part(folder, PHYSICS, network, {}, dataclasses.asdict(reach))
 
     model, loop = train_physics(
-        task.objective, run, Windows(pack), free, batch=batch, report=report, kept=keep
+        task.objective, run, Windows(pack), free, report=report, kept=keep
     )
     test = Windows(held)
     calibrate(model, test, run.seed)
@@ -132,7 +132,7 @@ def train_physics(
     windows: Windows,
     free: FreeRuns,
     *,
-    batch: int = TRAIN.batch,
+    training: TrainConfig = TRAIN,
     report: Callable[[str], None] = print,
     kept: Kept | None = None,
 ) -> tuple[PhysicsInference, Loop]:
@@ -140,7 +140,9 @@ def train_physics(
 
     Args:
       objective: see `Task`. run: see `Run`. windows: of the training data.
-      free: rollouts of the same data. batch: windows a step, up to the number of episodes. report: is told how it goes.
+      free: rollouts of the same data.
+      training: how; a batch is of windows, at most as many as there are episodes.
+      report: is told how it goes.
       kept: see `orbisim_diffusion.loop.Kept`; is given the network with what was learned with it.
     """
     torch.manual_seed(run.seed)
@@ -148,8 +150,7 @@ def train_physics(
     module = _Trained().to(pack.device)
     there = pack.mask > 0
     module.network.know(frictions(pack), densities(pack)[there])
-    batch = min(batch, pack.episodes)
-    training = dataclasses.replace(TRAIN, batch=batch)
+    batch = min(training.batch, pack.episodes)
     loop = Loop(module, training, run.limit, run.progress, run.steps)
 
     def loss(_: int) -> Tensor:
@@ -164,7 +165,7 @@ def train_physics(
         # the evidence's lower bound (Kingma and Welling 2014), one sample a window
         drawn = found.mean + found.spread * torch.randn_like(found.mean)
         drawn = drawn.maximum(network.low[kinds]).minimum(network.high[kinds])
-        told = module.told(free(truth, drawn.exp()), truth.mask[:, 1:])
+        told = module.told(*free(truth, drawn.exp()))
         return (divergence(found, network.prior[kinds], truth.mask) - told).mean()
 
     loop.run(loss, report=report, kept=kept)
@@ -181,16 +182,17 @@ class _Trained(nn.Module):
         self.network = PhysicsInference()
         self.scale = nn.Parameter(torch.tensor([_PLACE, _TURN]).log().repeat(HORIZON, 1))
 
-    def told(self, errors: Tensor, mask: Tensor) -> Tensor:
+    def told(self, errors: Tensor, moves: Tensor) -> Tensor:
         """[B]: log-likelihood of errors [B, S, T, N, 2, 3] of rollouts, m and rad.
 
-        Student's distribution with a scale for each step and kind. Errors at successive steps
-        depend on each other: those of a free run count as one.
+        Student's distribution with a scale for each step and kind, over the objects that move
+        [B, S, N] (those at rest have errors of nothing, and would make the scale as small). Errors
+        at successive steps depend on each other: those of a free run count as one.
         """
         scale = self.scale[None, None, :, None, :, None]
         tails = torch.log1p((errors / scale.exp()).square() / _TAILS)
         each = -0.5 * (_TAILS + 1.0) * tails - scale
-        return (each.sum((-1, -2)) * mask[:, None, None]).sum(-1).mean(2).sum(1)
+        return (each.sum((-1, -2)).mean(2) * moves).sum((1, 2))
 
 
 class FreeRuns:
@@ -212,8 +214,11 @@ class FreeRuns:
         if device.type == "cuda":
             self.step = DifferentiableStep(model, device)
 
-    def __call__(self, truth: Truth, values: Tensor) -> Tensor:
-        """Errors [B, S, T, N, 2, 3], m and rad, under values [B, 1 + N] with gradients to them."""
+    def __call__(self, truth: Truth, values: Tensor) -> tuple[Tensor, Tensor]:
+        """Errors [B, S, T, N, 2, 3], m and rad, under values [B, 1 + N] with gradients to them.
+
+        And [B, S, N]: 1 where an object moves in truth, else 0.
+        """
         pack, device = self.pack, self.pack.device
         pieces = (FRAMES - 1) // HORIZON
         begin = truth.first[:, None] + HORIZON * torch.arange(pieces, device=device)
@@ -225,17 +230,22 @@ class FreeRuns:
             values.repeat_interleave(repeat, dim=0),
         )
         x = self.model.completed(pack.states(first))
+        last, way = x.pos, torch.zeros_like(x.pos[..., 0])
         memory = self.model.initial_memory(count)
         places, turns = [], []
         for t in range(HORIZON):
             x, memory = self.step(x, memory, pack.ctrl[first + t], context)
             true = pack.states(first + t + 1)
+            way = way + (true.pos - last).norm(dim=-1)
+            last = true.pos
             places.append(x.pos - true.pos)
             turns.append(logarithm(multiply(x.quat, conjugate(true.quat))))
         errors = torch.stack([torch.stack(places, 1), torch.stack(turns, 1)], dim=3)
         # a rollout that diverged says nothing of the values under which it did
         errors = torch.where(torch.isfinite(errors), errors, torch.full_like(errors, 1.0))
-        return errors.clamp(-1.0, 1.0).unflatten(0, (len(truth.first), pieces))
+        moves = (way > _MOVES / 4) * pack.mask[truth.episode.repeat_interleave(repeat)]
+        shape = len(truth.first), pieces
+        return errors.clamp(-1.0, 1.0).unflatten(0, shape), moves.unflatten(0, shape)
 
 
 def _read(paths: Sequence[Path]) -> Pack:
