@@ -407,9 +407,7 @@ class Batch:
 
         start = self.middle if guess is None else guess.value
         spread = torch.full_like(start, math.log(PRIOR)) if guess is None else guess.spread
-        found = estimate(
-            residuals, start, self._bounds(), belongs, _STEPS, target.shape[1], spread
-        )
+        found = estimate(residuals, start, self._bounds(), belongs, _STEPS, target.shape[1], spread)
         return Found(found.values, found.low, found.high)
 
     def _bounds(self) -> tuple[Tensor, Tensor]:

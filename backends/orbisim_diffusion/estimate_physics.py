@@ -219,9 +219,7 @@ def guesses(said: Mapping[str, Said]) -> dict[str, tuple[float, float]]:
     return {name: (one.value, one.spread) for name, one in said.items()}
 
 
-def windows_of(
-    scene: Scene, time: Floats, qpos: Floats, hand: str, step: float
-) -> Window | None:
+def windows_of(scene: Scene, time: Floats, qpos: Floats, hand: str, step: float) -> Window | None:
     """Windows of positions [T, nq] at times [T], s; None if no object is seen often enough.
 
     Positions between samples are linear. A recording that is shorter than a window is shown as the
@@ -260,9 +258,7 @@ def windows_of(
     return Window(*(torch.as_tensor(a[kept], dtype=torch.float32) for a in fields))
 
 
-def _hands(
-    scene: Scene, rows: Floats, site: str
-) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
+def _hands(scene: Scene, rows: Floats, site: str) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
     """Positions [T, 3] and rotations [T, 3, 3] of the hand, and whether its joints are known."""
     model, data = scene.model, mujoco.MjData(scene.model)
     scalar = [int(model.jnt_qposadr[j]) for j, k in enumerate(model.jnt_type) if k in _SCALAR]

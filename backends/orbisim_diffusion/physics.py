@@ -250,9 +250,7 @@ def _hand(window: Window) -> Tensor:
     first, second, _ = _changes(window.hand_pos, window.hand_known)
     rot = window.hand_rot[..., :2].flatten(-2)
     place = (window.hand_pos - _origin(window)[:, 0]) / _PLACE
-    return torch.cat(
-        [seen * place, seen * rot, first / _STEP, second / _CHANGE], dim=-1
-    )
+    return torch.cat([seen * place, seen * rot, first / _STEP, second / _CHANGE], dim=-1)
 
 
 def _fine(change: Tensor, unit: float) -> Tensor:

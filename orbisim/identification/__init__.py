@@ -130,9 +130,7 @@ def identify(
         windows = grid(prepared, substeps * float(loaded.model.opt.timestep))
         found = identify_classical(loaded, wanted, windows, substeps, steps)
     else:
-        windows, found = _by_gradients(
-            loaded, wanted, prepared, backend, steps, device, guess
-        )
+        windows, found = _by_gradients(loaded, wanted, prepared, backend, steps, device, guess)
     seconds = time.monotonic() - began
     values, low, high = (tuple(map(float, x[0])) for x in (found.values, found.low, found.high))
     augmented = patched(loaded, dict(zip(wanted, values, strict=True)))

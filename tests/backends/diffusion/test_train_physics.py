@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import pytest
 import torch
 from orbisim_diffusion.checkpoint import PHYSICS, read_manifest
@@ -23,8 +24,10 @@ from orbisim_diffusion.training import Run
 from orbisim_world_model.packing import read_data
 from orbisim_world_model.zoo import located
 
+from orbisim import Recording
 from orbisim.cli.main import run
 from orbisim.tasks.collect import collect
+from orbisim.tasks.dataset import EpisodeFile
 from orbisim.tasks.registry import make
 from tests.backends.diffusion.slides import Slides
 from tests.backends.diffusion.tiny import save_tiny
@@ -104,6 +107,14 @@ def test_the_command_adds_it_and_states_its_errors(
     network, reach = load_physics(folder)
     assert (reach.dynamics, reach.surface, reach.hand) == ("push", "table", "tcp")
     assert manifest["files"][PHYSICS]["bytes"] < 1.5e6
+    frames = EpisodeFile(data).episode(0, ["qpos", "ctrl"])
+    time = 0.05 * np.arange(64)
+    Recording(time, {n: v[:64] for n, v in frames.items()}).save(tmp_path / "seen.npz")
+    fit = ["identify", "task:push", str(tmp_path / "seen.npz"), "--params", "friction:table"]
+    assert run([*fit, "--guess", str(folder), "--steps", "1", "--json"]) == 0
+    row = json.loads(capsys.readouterr().out)["parameters"]["friction:table"]
+    assert row["ci95"][0] <= row["value"] <= row["ci95"][1]
+    assert run([*fit, "--guess", str(tmp_path)]) == 2
     assert run([*command, "--objective", "values"]) == 2
     assert run([*command, "--physics", "--start", str(folder)]) == 2
     assert "--physics" in capsys.readouterr().err
