@@ -148,7 +148,7 @@ class Case:
 
     def save(self, path: Path) -> None:
         """Writes a file that `load` reads."""
-        arrays = {}
+        arrays: dict[str, Any] = {}
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if isinstance(value, Grid):
@@ -239,7 +239,8 @@ def prepared(data: Path, line: dict[str, Any], checkpoint: Path, path: Path) -> 
     if shown is None:
         raise RecordingError(recording.source, "no object is seen often enough")
     start = whole.windows[0].start
-    layout = make_backend("learned", scene, device="cpu", compiled=False).engine.layout
+    backend: Any = make_backend("learned", scene, device="cpu", compiled=False)
+    layout = backend.engine.layout
     config = task.config
     Case(
         moving=moving,
@@ -369,7 +370,8 @@ class Batch:
         scene = make("push").scene()
         self.scene, self.bodies = scene, free_bodies(scene.model)
         self.cubes = [int(scene.model.joint(name).qposadr[0]) for name in self.bodies]
-        self.backend: Any = make_backend(dynamics, scene, device=device, compiled=False)
+        how: Any = {"compiled": False, "half": False}  # as precise as gradients are, on a GPU, too
+        self.backend: Any = make_backend(dynamics, scene, device=device, **how)
         self.truth = torch.as_tensor(np.stack([c.truth for c in cases])).to(self.device)
         middle = np.stack([[c.middle[0], *([c.middle[1]] * len(c.moving))] for c in cases])
         self.middle = torch.as_tensor(middle).to(self.device)

@@ -237,7 +237,7 @@ def windows_of(scene: Scene, time: Floats, qpos: Floats, hand: str, step: float)
     names = bodies_of(model)
     firsts = [int(model.joint(int(model.body(n).jntadr[0])).qposadr[0]) for n in names]
     poses = np.stack([rows[:, a : a + 7] for a in firsts], axis=1)
-    known = np.isfinite(poses).all(-1)
+    known = np.asarray(np.isfinite(poses).all(-1))
     begins = np.arange(0, len(rows) - FRAMES + 1, _APART)
     if len(rows) - FRAMES not in begins:  # the last one ends with the recording
         begins = np.append(begins, len(rows) - FRAMES)

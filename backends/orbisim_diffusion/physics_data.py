@@ -137,7 +137,9 @@ class Windows:
 
     def every(self, apart: int) -> Truth:
         """A window every so many frames of every episode."""
-        pack, episodes, firsts = self.pack, [], []
+        pack = self.pack
+        episodes: list[int] = []
+        firsts: list[int] = []
         for number, (start, length) in enumerate(
             zip(pack.start.tolist(), pack.length.tolist(), strict=True)
         ):

@@ -29,6 +29,7 @@ from orbisim_diffusion.physics import (
     FRAMES,
     NORMAL,
     PhysicsInference,
+    Posterior,
     divergence,
     log_likelihood,
 )
@@ -52,6 +53,9 @@ _PLACE, _TURN = 0.002, 0.02
 _FASTER = 10.0
 """Times a weight's rate: the scales, logarithms that may be off by some units, go to where they
 belong within the first hundreds of steps."""
+_PULL = 3.0
+"""Largest slope of a window's loss by a mean, in deviations of the prior, and by the logarithm of a
+spread: what a prior that is two deviations away pulls with, and half as much."""
 _TAILS = 4.0
 """Degrees of freedom of the errors' distribution (Student's): some rollouts miss a contact."""
 _MOVES = 0.02
@@ -161,6 +165,7 @@ def train_physics(
             return -log_likelihood(found, truth.logs, truth.mask).mean()
         network = module.network
         kinds = network.kinds(found.mean.shape[1] - 1)
+        found = _bounded(found, network.prior[kinds, 1], batch)
         # the evidence's lower bound (Kingma and Welling 2014), one sample a window
         drawn = found.mean + found.spread * torch.randn_like(found.mean)
         drawn = drawn.maximum(network.low[kinds]).minimum(network.high[kinds])
@@ -171,6 +176,17 @@ def train_physics(
     average = loop.average
     assert isinstance(average, _Trained)
     return average.network, loop
+
+
+def _bounded(found: Posterior, width: Tensor, batch: int) -> Posterior:
+    """The same, through which no window's gradient passes that is larger than `_PULL`.
+
+    Else the few windows whose rollouts hang on a contact would decide, and those in which nothing
+    moves, which know of the prior alone, would hardly count.
+    """
+    for values, unit in ((found.mean, width), (found.spread, found.spread.detach())):
+        values.register_hook(lambda g, u=unit: (g * u * batch).clamp(-_PULL, _PULL) / (u * batch))
+    return found
 
 
 class _Trained(nn.Module):
@@ -309,7 +325,8 @@ def _shown(way: Tensor) -> Tensor:
 def physics_errors(model: PhysicsInference, windows: Windows, seed: int = 0) -> dict[str, float]:
     """Of held-out windows, where something moves and where nothing does.
 
-    Percent that friction and density are off (median), and that the prior's mean would be off; the share of true values within the 95 % intervals; the median spread over the prior's.
+    Percent that friction and density are off (median), and that the prior's mean would be off; the
+    share of true values within the 95 % intervals; the median spread over the prior's.
     """
     mean, spread, truth, way = _held(model, windows, seed)
     found: dict[str, float] = {"windows": len(mean)}

@@ -225,7 +225,7 @@ _INFERENCE = (
 @click.option(
     "--physics",
     is_flag=True,
-    help="Train PhyInf instead: densities and friction from windows of states; DATA need no images.",
+    help="Train PhyInf instead: densities and friction from states; DATA need no images.",
 )
 @click.option(
     "--objective",
@@ -236,7 +236,7 @@ _INFERENCE = (
 @click.option(
     "--dynamics",
     default=None,
-    help="Of --physics: learned:PATH or learned:NAME of the zoo. Default: the zoo's for DATA's task.",
+    help="Of --physics: learned:PATH or learned:NAME of the zoo. Default: the one for DATA's task.",
 )
 @device_option
 @seed_option

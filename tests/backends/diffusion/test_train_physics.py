@@ -104,7 +104,7 @@ def test_the_command_adds_it_and_states_its_errors(
     assert metrics["objective"] == "rollout" and metrics["windows"] > 0
     manifest = read_manifest(folder)
     assert manifest["metrics"][PHYSICS] == metrics
-    network, reach = load_physics(folder)
+    _, reach = load_physics(folder)
     assert (reach.dynamics, reach.surface, reach.hand) == ("push", "table", "tcp")
     assert manifest["files"][PHYSICS]["bytes"] < 1.5e6
     frames = EpisodeFile(data).episode(0, ["qpos", "ctrl"])
