@@ -27,6 +27,8 @@ _HALF, _SMOOTH = 0.025, 0.4
 """Units of half sizes, m, and of an object's own friction."""
 _LEAST = 0.01
 """Of a spread of a logarithm: surer than a hundredth no learned model is."""
+_BLIND = 2.0
+"""Of an untrained network's spread: 0.88 of the prior's."""
 _OBJECT, _ROBOT = 34, 15
 """Numbers of a frame of an object, of the hand (see `_objects`, `_hand`)."""
 
@@ -139,15 +141,19 @@ class PhysicsInference(nn.Module):
         return self._distribution(table, self.density(pooled[:, 1:]))
 
     def _distribution(self, table: Tensor, objects: Tensor) -> Posterior:
-        """From answers [B, 2] and [B, N, 2]: means within what was drawn, spreads up to its own."""
+        """From answers [B, 2] and [B, N, 2]: a reading and how sure it is.
+
+        The posterior of a normal prior and one reading of it: as the reading tells less, spread and
+        mean go to the prior's together.
+        """
         raw = torch.cat([table[:, None], objects], dim=1)
         kind = self.kinds(objects.shape[1])
-        low, high, prior = self.low[kind], self.high[kind], self.prior[kind]
-        # 0 answers the prior's mean; the spread's end is beyond the prior's, so that it is reached
-        middle = ((prior[:, 0] - low) / (high - low)).clamp(0.01, 0.99).logit()
-        mean = low + (high - low) * (middle + raw[..., 0]).sigmoid()
-        spread = _LEAST + (1.1 * prior[:, 1] - _LEAST) * (2.0 + raw[..., 1]).sigmoid()
-        return Posterior(mean, spread.minimum(prior[:, 1]))
+        low, high, middle, width = (x[kind] for x in (self.low, self.high, self.middle, self.width))
+        begin = ((middle - low) / (high - low)).clamp(0.01, 0.99).logit()
+        reading = low + (high - low) * (begin + raw[..., 0]).sigmoid()
+        spread = _LEAST + (width - _LEAST) * (_BLIND + raw[..., 1]).sigmoid()
+        told = 1.0 - (spread / width).square()
+        return Posterior(middle + told * (reading - middle), spread)
 
     def said(self, window: Window) -> Posterior:
         """`forward` with spreads as held-out windows have them, and never wider than the prior."""

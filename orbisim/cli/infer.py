@@ -15,6 +15,9 @@ from orbisim.errors import (
     UnsupportedSceneError,
 )
 
+_BLIND = 0.9
+"""Share of the prior's spread from which on a film says next to nothing of a number."""
+
 
 @click.command(
     "infer",
@@ -189,7 +192,8 @@ def command(
         note(f"{body}: half sizes {half} m, color {color}")
     for name, one in physics.items():
         low, high = one["ci95"]
-        known = "" if one["spread"] < one["prior_spread"] else " (nothing of it shows)"
+        blind = one["spread"] > _BLIND * one["prior_spread"]
+        known = " (hardly anything of it shows: what tasks draw)" if blind else ""
         note(f"{name}: {one['value']:.3g} {one['unit']}, 95 % {low:.3g} to {high:.3g}{known}")
     for gap in result["not_seen"]:
         what = gap.get("body") or "what the joints move"

@@ -42,14 +42,14 @@ def test_friction_is_found_where_something_slides_and_not_where_nothing_does(
 ) -> None:
     torch.manual_seed(0)
     world: Any = Slides()
-    found, _ = train_physics(objective, Run(1e9, 100), world, world, training=QUICK)
+    found, _ = train_physics(objective, Run(1e9, 160), world, world, training=QUICK)
     truth = world.draw(128)  # fresh: the first half moves
     with torch.no_grad():
         said = found.said(world.seen(truth))
     off = (said.mean - truth.logs)[:, 0].abs()
     blind = (found.middle[0] - truth.logs[:, 0]).abs()
     share = said.spread / found.prior[found.kinds(2), 1]
-    assert float(off[:64].mean()) < 0.6 * float(blind[:64].mean())
+    assert float(off[:64].mean()) < 0.7 * float(blind[:64].mean())
     assert float(share[:64, 0].mean()) < 0.75 and float(share[64:, 0].mean()) > 0.8
     assert float((said.mean - found.middle[0])[64:, 0].abs().mean()) < 0.3 * found.width[0]
     assert float(share[:, 1:].mean()) > 0.8  # densities show nowhere
@@ -79,7 +79,7 @@ def test_free_runs_are_the_frozen_steps_and_have_its_gradients(tmp_path: Path) -
     values = truth.logs.exp().requires_grad_()
     errors, moves = free(truth, values)
     assert errors.shape == (2, 3, 21, 2, 2, 3) and moves.shape == (2, 3, 2)
-    assert float(errors[:, :, 0].abs().max()) < 0.005  # a step from a true state
+    assert float(errors[:, :, 0, :, 0].detach().abs().max()) < 0.003  # a step from a true state
     moved = pack.states(truth.first[:, None] + torch.arange(64)).pos.unflatten(0, (2, 64))
     far = (moved[:, 1:] - moved[:, :-1]).norm(dim=-1).unflatten(1, (3, 21)).sum(2)
     assert torch.equal(moves > 0, far > 0.005) and bool(moves.any())
