@@ -75,12 +75,14 @@ class Task:
       objective: `rollout`: the error of the frozen learned step's rollouts under what is inferred;
         `values`: the likelihood of the true values.
       dynamics: checkpoint of the dynamics; None for the zoo's that fits the data's task.
+      graph: whether a GPU's steps are CUDA graphs.
     """
 
     data: Sequence[Path]
     held: Sequence[Path] = ()
     objective: Objective = "rollout"
     dynamics: str | None = None
+    graph: bool = True
 
 
 def tune_physics(
@@ -108,7 +110,7 @@ def tune_physics(
     pack = _read(task.data).to(on)
     pack, held = (pack, _read(task.held).to(on)) if task.held else pack.split(0.1, seed=run.seed)
     where = _dynamics(task, pack)
-    free = FreeRuns(pack, where, on)
+    free = FreeRuns(pack, where, on, graph=task.graph)
     reach = Reach.of(pack, str(where.name), digest(where / "model.safetensors"))
 
     def keep(module: nn.Module) -> None:
@@ -219,17 +221,19 @@ class FreeRuns:
     Each piece begins with the true state, so that gradients pass through `HORIZON` steps.
 
     Args:
-      pack: of the episodes. checkpoint: of the dynamics. device: where to compute; on a GPU steps
-        and their backward passes are CUDA graphs.
+      pack: of the episodes. checkpoint: of the dynamics. device: where to compute.
+      graph: whether on a GPU steps and their backward passes are CUDA graphs.
     """
 
-    def __init__(self, pack: Pack, checkpoint: Path, device: torch.device) -> None:
+    def __init__(
+        self, pack: Pack, checkpoint: Path, device: torch.device, *, graph: bool = True
+    ) -> None:
         self.pack = pack
         model = load_dynamics(checkpoint, pack.layout).model.to(device).requires_grad_(False)
         model.spread = None  # how unsure it is plays no part
         self.model = model
         self.step: Any = plain_step(model)
-        if device.type == "cuda":
+        if graph and device.type == "cuda":
             self.step = DifferentiableStep(model, device)
 
     def __call__(self, truth: Truth, values: Tensor) -> tuple[Tensor, Tensor]:

@@ -238,6 +238,7 @@ _INFERENCE = (
     default=None,
     help="Of --physics: learned:PATH or learned:NAME of the zoo. Default: the one for DATA's task.",
 )
+@click.option("--graph/--no-graph", default=True, help="Of --physics: CUDA graphs, on a GPU.")
 @device_option
 @seed_option
 @json_option
@@ -252,6 +253,7 @@ def inference(
     physics: bool,
     objective: Literal["rollout", "values"] | None,
     dynamics: str | None,
+    graph: bool,
     device: str | None,
     seed: int,
     as_json: bool,
@@ -275,7 +277,7 @@ def inference(
     if physics:
         if start is not None:
             raise InputError("--start is of StaInf; PhyInf is trained from nothing")
-        task = Task(data, held_out_data, objective or "rollout", dynamics)
+        task = Task(data, held_out_data, objective or "rollout", dynamics, graph)
         metrics = tune_physics(checkpoint, task, run, device=on, report=note)
     elif objective or dynamics:
         raise InputError("--objective and --dynamics are of --physics")
