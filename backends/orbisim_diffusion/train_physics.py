@@ -141,7 +141,7 @@ def train_physics(
     report: Callable[[str], None] = print,
     kept: Kept | None = None,
 ) -> tuple[PhysicsInference, Loop]:
-    """Trains PhyInf on windows of a pack.
+    """Trains PhyInf on windows of a pack, through the frozen dynamics or on the true values.
 
     Args:
       objective: see `Task`. run: see `Run`. windows: of the training data.

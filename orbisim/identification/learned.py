@@ -103,7 +103,7 @@ def identify_learned(
     device: str,
     guess: Guess | None = None,
 ) -> Estimate:
-    """One problem with all windows; with states that were read off frames, the paper's PhyInf.
+    """One problem with all windows; with states read off frames PhyInf, one scene at a time.
 
     Args:
       guess: where the search begins, and its prior, of some of the parameters (others: declared).
