@@ -141,19 +141,19 @@ class PhysicsInference(nn.Module):
         return self._distribution(table, self.density(pooled[:, 1:]))
 
     def _distribution(self, table: Tensor, objects: Tensor) -> Posterior:
-        """From answers [B, 2] and [B, N, 2]: a reading and how sure it is.
+        """From answers [B, 2] and [B, N, 2]: means within what was drawn, spreads up to its own.
 
-        The posterior of a normal prior and one reading of it: as the reading tells less, spread and
-        mean go to the prior's together.
+        Mean and spread are separate: a mean that is as far from the prior's as the spread is
+        narrower than its own (the posterior of a prior and one reading) stays where it begins,
+        since neither has a slope while the other one says nothing.
         """
         raw = torch.cat([table[:, None], objects], dim=1)
         kind = self.kinds(objects.shape[1])
         low, high, middle, width = (x[kind] for x in (self.low, self.high, self.middle, self.width))
         begin = ((middle - low) / (high - low)).clamp(0.01, 0.99).logit()
-        reading = low + (high - low) * (begin + raw[..., 0]).sigmoid()
+        mean = low + (high - low) * (begin + raw[..., 0]).sigmoid()
         spread = _LEAST + (width - _LEAST) * (_BLIND + raw[..., 1]).sigmoid()
-        told = 1.0 - (spread / width).square()
-        return Posterior(middle + told * (reading - middle), spread)
+        return Posterior(mean, spread)
 
     def said(self, window: Window) -> Posterior:
         """`forward` with spreads as held-out windows have them, and never wider than the prior."""
