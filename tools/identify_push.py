@@ -30,7 +30,8 @@ episode begins that might not end within it.
 Printed as JSON, for each method: of each parameter the relative error, median, 90 % and worst, that
 of the declared value, the share of true values within the 95 % intervals, their median width over
 the value; `by_mass_ratio`: the density's error where cube 1 has less than a third of cube 2's mass,
-more than three times it, or between (worlds, median of its size, median); `slide_mm`: by how much the pushed cube ends elsewhere than it did, in held-out windows
+more than three times it, or between (worlds, median of its size, median); `slide_mm`: by how much
+the pushed cube ends elsewhere than it did, in held-out windows
 simulated by C MuJoCo with declared and with found values, median and 90 %; seconds of the batch (on
 a GPU also of the same once more, and whether its steps were recorded as graphs), or processor
 seconds of an episode.

@@ -26,8 +26,9 @@ from orbisim_diffusion.scope import Scope, check_scope
 
 SCHEMA, MANIFEST = "orbisim.vision/1", "manifest.json"
 AUTOENCODER, DENOISER, ONE_STEP = "autoencoder", "denoiser", "one_step"
-INFERENCE = "inference"
-"""Names of the parts; the last is StaInf (`orbisim_diffusion.estimate` reads it)."""
+INFERENCE, PHYSICS = "inference", "physics"
+"""Names of the parts; the last two are StaInf (`orbisim_diffusion.estimate` reads it) and PhyInf
+(`orbisim_diffusion.estimate_physics`)."""
 _MOST_PARAMETERS = 2**28
 """A gigabyte; what has been trained has some millions."""
 _MOST_WIDTH, _MOST_BLOCKS = 4096, 64
@@ -74,13 +75,26 @@ def save_checkpoint(
     write_json(folder / MANIFEST, manifest, announce=False)
 
 
-def add_part(folder: Path, name: str, module: nn.Module, metrics: dict[str, Any]) -> None:
-    """Adds a part to a checkpoint, with what was measured on it; one of that name is replaced."""
+def add_part(
+    folder: Path,
+    name: str,
+    module: nn.Module,
+    metrics: dict[str, Any],
+    reach: dict[str, Any] | None = None,
+) -> None:
+    """Adds a part to a checkpoint; one of that name is replaced.
+
+    Args:
+      folder: of the checkpoint. name: of the part. module: with its weights.
+      metrics: what was measured on it.
+      reach: what it suits, where that is not what the checkpoint suits.
+    """
     manifest = read_manifest(folder)
     changes = {
         "files": _write_part(folder, name, module),
         "parameters": _parameters(module),
         "metrics": metrics,
+        **({} if reach is None else {"reach": reach}),
     }
     for key, value in changes.items():
         manifest[key] = {**manifest.get(key, {}), name: value}

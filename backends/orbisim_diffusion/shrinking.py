@@ -9,9 +9,11 @@ from orbisim_diffusion.checkpoint import (
     DENOISER,
     INFERENCE,
     ONE_STEP,
+    PHYSICS,
     save_in_few_bits,
 )
 from orbisim_diffusion.estimate import load_with_inference
+from orbisim_diffusion.estimate_physics import load_physics
 
 
 def shrink(source: str | Path, target: str | Path, bits: int) -> None:
@@ -30,6 +32,7 @@ def shrink(source: str | Path, target: str | Path, bits: int) -> None:
         DENOISER: point.denoiser,
         ONE_STEP: point.one_step,
         INFERENCE: inference,
+        PHYSICS: load_physics(source)[0] if PHYSICS in point.manifest["files"] else None,
     }
     parts = {name: module for name, module in known.items() if module is not None}
     save_in_few_bits(Path(target), parts, point.manifest, bits)

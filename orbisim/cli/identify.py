@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -18,6 +20,11 @@ from orbisim.cli.common import (
     scene_options,
     writable_folder,
 )
+from orbisim.errors import MissingDependencyError
+
+if TYPE_CHECKING:
+    from orbisim.identification.learned import Guess
+    from orbisim.recording import Recording
 
 
 @click.command(
@@ -38,6 +45,13 @@ from orbisim.cli.common import (
     help="learned, learned:PATH or learned:NAME of the zoo: gradients through a frozen model; "
     "mujoco: mujoco.sysid.",
 )
+@click.option(
+    "--guess",
+    default="",
+    metavar="CHECKPOINT",
+    help="Begin from, and weigh against, what the PhyInf of a vision checkpoint reads off the "
+    "recordings: its folder, or zoo for the one that fits SCENE.",
+)
 @click.option("--window", default=1.0, show_default=True, help="Duration of a free run, s.")
 @click.option("--steps", default=12, show_default=True, help="Steps of the search at most.")
 @click.option(
@@ -57,6 +71,7 @@ def command(
     recordings: tuple[str, ...],
     params: str,
     backend: str,
+    guess: str,
     window: float,
     steps: int,
     out: Path | None,
@@ -68,7 +83,8 @@ def command(
 
     Windows of the recordings start from recorded states and run free; the descriptors that bring
     them closest are searched, by gradients through a learned model that stays as it is, or by
-    mujoco.sysid. What no window shows keeps its declared value, with a wide interval.
+    mujoco.sysid. What no window shows keeps its declared value (with `--guess` the network's), with
+    a wide interval.
     """
     from orbisim.identification import identify
     from orbisim.recording import load_recordings
@@ -84,6 +100,7 @@ def command(
             window=window,
             steps=steps,
             device=device or "cpu",
+            guess=_guessed(scene, loaded, guess) if guess else None,
         )
     for text in merged(notes):
         note(f"note: {text}")
@@ -101,3 +118,17 @@ def command(
     click.echo(
         f"\nrms of free runs on MuJoCo: {result.before:.4g} before, {result.after:.4g} after"
     )
+
+
+def _guessed(scene: str, recordings: Sequence[Recording], checkpoint: str) -> Guess:
+    """What a network says of the recordings."""
+    from orbisim.scene import load_scene, visible
+
+    try:
+        from orbisim_diffusion import zoo
+        from orbisim_diffusion.estimate_physics import guesses, infer_physics, load_physics
+    except ImportError as error:
+        raise MissingDependencyError("--guess", "learned", str(error)) from error
+    loaded = load_scene(scene)
+    folder = zoo.find(loaded, visible.rows(loaded.model)) if checkpoint == "zoo" else checkpoint
+    return guesses(infer_physics(loaded, recordings, *load_physics(folder)))

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import click
 
 from orbisim.cli.common import emit_json, engine_command, json_option, note, scene_options
-from orbisim.errors import InputError, MissingDependencyError, UnsupportedSceneError
+from orbisim.errors import (
+    InputError,
+    MissingDependencyError,
+    RecordingError,
+    UnsupportedSceneError,
+)
+
+_BLIND = 0.9
+"""Share of the prior's spread from which on a film says next to nothing of a number."""
 
 
 @click.command(
@@ -74,6 +83,9 @@ def command(
     Joints and objects have NaN where a frame does not show them. The recording has positions alone:
     `replay` and `diagnose` differentiate and smooth them. Controls of position servos follow from
     the motion of their joints.
+
+    Where the checkpoint has a PhyInf, the metadata's `physics` has what the motion says of the
+    table's friction and the objects' densities, with 95 % intervals.
     """
     if not video.is_file():
         raise InputError(f"{video}: no such file; expected a video (.mp4, .avi, ...)")
@@ -86,6 +98,7 @@ def command(
     try:
         from orbisim_diffusion import zoo
         from orbisim_diffusion.estimate import infer, load_inference, read_frames, read_video
+        from orbisim_diffusion.estimate_physics import has_physics, infer_physics, load_physics
         from orbisim_diffusion.looks import LookFitter, fit_looks
         from orbisim_diffusion.own import squares
         from orbisim_diffusion.refine import Refiner
@@ -133,6 +146,15 @@ def command(
         frames, times = read_video(video, point.config.size)
         recording = infer(loaded, frames, times, point, model)
     recording = with_controls(recording, loaded.model)
+    physics = {}
+    if network is not None and has_physics(folder):
+        try:
+            said = infer_physics(loaded, [recording], *load_physics(folder))
+            physics = {name: one.to_json() for name, one in said.items()}
+        except (UnsupportedSceneError, RecordingError) as error:
+            note(f"densities and friction are not inferred: {error}")
+        metadata = {**recording.metadata, "physics": physics}
+        recording = dataclasses.replace(recording, metadata=metadata)
     recording.save(out)
     hidden = [
         name.removeprefix("xpos/")
@@ -156,6 +178,7 @@ def command(
         "noise" if refine else "errors_on_test_frames": largest,
         "not_seen": recording.metadata.get("not_seen", []),
         "looks": recording.metadata.get("looks", {}),
+        "physics": physics,
         "notes": list(recording.notes),
     }
     if as_json:
@@ -167,6 +190,11 @@ def command(
     for body, look in result["looks"].items():
         half, color = (" ".join(f"{v:.4g}" for v in look[name]) for name in ("half_size", "color"))
         note(f"{body}: half sizes {half} m, color {color}")
+    for name, one in physics.items():
+        low, high = one["ci95"]
+        blind = one["spread"] > _BLIND * one["prior_spread"]
+        known = " (hardly anything of it shows: what tasks draw)" if blind else ""
+        note(f"{name}: {one['value']:.3g} {one['unit']}, 95 % {low:.3g} to {high:.3g}{known}")
     for gap in result["not_seen"]:
         what = gap.get("body") or "what the joints move"
         note(f"warning: {what} is not seen from {gap['from']:.3g} to {gap['to']:.3g} s")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 
@@ -222,6 +222,23 @@ _INFERENCE = (
     help="Checkpoint whose StaInf to begin from; of the same encoder.",
 )
 @click.option("--workers", type=click.IntRange(min=1), default=1, help="Processes that read.")
+@click.option(
+    "--physics",
+    is_flag=True,
+    help="Train PhyInf instead: densities and friction from states; DATA need no images.",
+)
+@click.option(
+    "--objective",
+    type=click.Choice(["rollout", "values"]),
+    default=None,
+    help="Of --physics: errors of the frozen dynamics' rollouts (default), or the true values.",
+)
+@click.option(
+    "--dynamics",
+    default=None,
+    help="Of --physics: learned:PATH or learned:NAME of the zoo. Default: the one for DATA's task.",
+)
+@click.option("--graph/--no-graph", default=True, help="Of --physics: CUDA graphs, on a GPU.")
 @device_option
 @seed_option
 @json_option
@@ -233,34 +250,53 @@ def inference(
     held_out_data: tuple[Path, ...],
     start: Path | None,
     workers: int,
+    physics: bool,
+    objective: Literal["rollout", "values"] | None,
+    dynamics: str | None,
+    graph: bool,
     device: str | None,
     seed: int,
     as_json: bool,
 ) -> None:
-    """Train StaInf, which reads states off frames, for a vision checkpoint.
+    """Train StaInf, which reads states off frames, for a vision checkpoint; or PhyInf.
 
     DATA are episode files with images of a robot's task (orbisim collect --frames). It becomes a
     part of CHECKPOINT; `orbisim infer` uses it.
+
+    With `--physics` PhyInf is trained, which reads densities of objects and friction of the table
+    off windows of 64 frames of states: what it infers goes into the frozen learned dynamics, whose
+    rollouts are held against the episodes.
     """
     try:
         from orbisim_diffusion.train_inference import tune
+        from orbisim_diffusion.train_physics import Task, tune_physics
         from orbisim_diffusion.training import Run
     except ImportError as error:
         raise MissingDependencyError("training", "learned", str(error)) from error
-    metrics = tune(
-        checkpoint,
-        data,
-        held_out_data,
-        Run(time_limit, steps, None, seed),
-        device=torch_device(device),
-        workers=workers,
-        start=start,
-        report=note,
-    )
+    run, on = Run(time_limit, steps, None, seed), torch_device(device)
+    if physics:
+        if start is not None:
+            raise InputError("--start is of StaInf; PhyInf is trained from nothing")
+        task = Task(data, held_out_data, objective or "rollout", dynamics, graph)
+        metrics = tune_physics(checkpoint, task, run, device=on, report=note)
+    elif objective or dynamics:
+        raise InputError("--objective and --dynamics are of --physics")
+    else:
+        metrics = tune(
+            checkpoint,
+            data,
+            held_out_data,
+            run,
+            device=on,
+            workers=workers,
+            start=start,
+            report=note,
+        )
     if as_json:
         emit_json({"schema": "orbisim.train_inference/1", "metrics": metrics})
         return
-    click.echo("\n".join(f"{name}: {value:g}" for name, value in metrics.items()))
+    rows = ((n, f"{v:g}" if isinstance(v, int | float) else v) for n, v in metrics.items())
+    click.echo("\n".join(f"{name}: {value}" for name, value in rows))
     note(f"checkpoint: {checkpoint}")
 
 

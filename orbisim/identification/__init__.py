@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +16,7 @@ from orbisim.errors import InputError
 from orbisim.files.writing import make_folder, write_json
 from orbisim.identification.classical import identify_classical
 from orbisim.identification.estimate import Estimate
-from orbisim.identification.learned import Conditioned, identify_learned
+from orbisim.identification.learned import Conditioned, Guess, identify_learned
 from orbisim.identification.parameters import Parameter, parameters, patched
 from orbisim.identification.windows import Grid, grid
 from orbisim.recording import Recording, bind
@@ -90,6 +91,7 @@ def identify(
     steps: int = 12,
     device: str = "cpu",
     check: bool = True,
+    guess: Guess | None = None,
 ) -> Identified:
     """Fits descriptors of a scene to recordings.
 
@@ -103,9 +105,13 @@ def identify(
       steps: of the search at most.
       device: where a learned model computes.
       check: whether to measure free runs of C MuJoCo before and after.
+      guess: where the search begins and what it is weighed against, by labels such as
+        `friction:table`: a value and the standard deviation of its logarithm, as a network
+        (`orbisim_diffusion.estimate_physics`) gives them. What is not in it begins as declared.
 
     Raises:
-      InputError: a parameter is none of the scene's, or none that the backend knows.
+      InputError: a parameter is none of the scene's, or none that the backend knows; a guess is
+        not above 0, or for the backend `mujoco`, which takes none.
       RecordingError: a recording cannot be read, or does not fit the scene.
       SceneError: the scene cannot be read, or the backend cannot simulate it.
     """
@@ -116,6 +122,7 @@ def identify(
     wanted = parameters(loaded, params)
     prepared = [prepare(bind(one, loaded), window) for one in every]
     named = backend if isinstance(backend, str) else backend.name
+    _check_guess(guess or {}, named)
     began = time.monotonic()
     if named == "mujoco":
         interval = float(np.median([np.median(np.diff(one.bound.time)) for one in prepared]))
@@ -123,7 +130,7 @@ def identify(
         windows = grid(prepared, substeps * float(loaded.model.opt.timestep))
         found = identify_classical(loaded, wanted, windows, substeps, steps)
     else:
-        windows, found = _by_gradients(loaded, wanted, prepared, backend, steps, device)
+        windows, found = _by_gradients(loaded, wanted, prepared, backend, steps, device, guess)
     seconds = time.monotonic() - began
     values, low, high = (tuple(map(float, x[0])) for x in (found.values, found.low, found.high))
     augmented = patched(loaded, dict(zip(wanted, values, strict=True)))
@@ -147,7 +154,13 @@ def identify(
 
 
 def _by_gradients(
-    scene: Scene, wanted: Any, prepared: Any, backend: str | Backend, steps: int, device: str
+    scene: Scene,
+    wanted: Any,
+    prepared: Any,
+    backend: str | Backend,
+    steps: int,
+    device: str,
+    guess: Guess | None,
 ) -> tuple[Grid, Estimate]:
     """On a backend that is conditioned on descriptors."""
     engine: Any = backend
@@ -159,4 +172,15 @@ def _by_gradients(
         )
     windows = grid(prepared, engine.timestep)
     conditioned = cast(Conditioned, engine)
-    return windows, identify_learned(conditioned, wanted, windows, steps, device)
+    return windows, identify_learned(conditioned, wanted, windows, steps, device, guess)
+
+
+def _check_guess(guess: Guess, backend: str) -> None:
+    """Raises `InputError` if there is a guess that makes no sense or that a backend cannot take."""
+    if guess and backend == "mujoco":
+        raise InputError("a guess is for a learned backend; mujoco.sysid begins as declared")
+    for label, (value, spread) in guess.items():
+        if not (0.0 < value < math.inf and 0.0 < spread < math.inf):
+            raise InputError(
+                f"guess of {label}: {value:g}, spread {spread:g}; both must be finite and above 0"
+            )

@@ -54,36 +54,39 @@ def estimate(
     steps: int = 12,
     together: int = 1,
     scan: int = 0,
+    spread: Tensor | None = None,
 ) -> Estimate:
     """Fits the parameters of each problem to its windows.
 
     Args:
       residuals: from values [K W, P] of each window, in K copies of all windows one after another,
         to their errors [K W, R], in units of typical ones, 0 where nothing was recorded.
-      start: [G, P] values above 0.
-      bounds: low and high, [P].
+      start: [G, P] values above 0; the middle of the prior, too.
+      bounds: low and high, [P] or [G, P].
       group: [W] the problem that each window belongs to.
       steps: of the search.
       together: how many errors of a window count as one, since those of one coordinate at
         successive times depend on each other.
       scan: how many points around the start are tried first; the search begins from the best of
         them and the start. A loss that believes large errors little may have several minima.
+      spread: [G, P], of the prior: standard deviations of the logarithms; `PRIOR`'s if None.
     """
     low, high = (bound.log() for bound in bounds)
     origin = start.log()
+    known = torch.full_like(origin, math.log(PRIOR)) if spread is None else spread.to(origin)
     z, damping = origin.clamp(low, high), torch.full_like(start[:, :1], _DAMPING)
-    z = _scanned(residuals, z, (low, high), origin, group, together, scan)
+    z = _scanned(residuals, z, (low, high), (origin, known), group, together, scan)
     errors, slopes = _linear(residuals, z[group])
-    cost = _costs(errors, z, origin, group, together)
+    cost = _costs(errors, z, (origin, known), group, together)
     history = [cost]
     for _ in track(range(steps), "identifying"):
-        curvature, gradient, _ = _normal(errors, slopes, z, origin, group, together)
+        curvature, gradient, _ = _normal(errors, slopes, z, (origin, known), group, together)
         sizes = torch.diagonal(curvature, dim1=1, dim2=2)
         matrix = curvature + torch.diag_embed(damping * sizes)
         move = -torch.linalg.solve(matrix, gradient[..., None])[..., 0]
         trial = (z + move.clamp(-_LONGEST, _LONGEST)).clamp(low, high)
         tried = _linear(residuals, trial[group])
-        after = _costs(tried[0], trial, origin, group, together)
+        after = _costs(tried[0], trial, (origin, known), group, together)
         better = after < cost
         z, cost = torch.where(better[:, None], trial, z), torch.where(better, after, cost)
         chosen = better[group]
@@ -92,7 +95,7 @@ def estimate(
         damping = torch.where(better[:, None], damping * _EASIER, damping * _HARDER)
         damping = damping.clamp(1e-6, 1e6)
         history.append(cost)
-    width = widths(errors, slopes, z, group, together)
+    width = widths(errors, slopes, z, group, together, known)
     below, above = ((z + sign * width).clamp(low, high).exp() for sign in (-1.0, 1.0))
     return Estimate(z.exp(), below, above, torch.stack(history, dim=1))
 
@@ -102,7 +105,7 @@ def _scanned(
     residuals: Callable[[Tensor], Tensor],
     z: Tensor,
     bounds: tuple[Tensor, Tensor],
-    origin: Tensor,
+    prior: tuple[Tensor, Tensor],
     group: Tensor,
     together: int,
     count: int,
@@ -110,12 +113,12 @@ def _scanned(
     """The best [G, P] of the start and of Sobol's first points around it (Sobol 1967)."""
     if not count:
         return z
-    best, cost = z, _costs(residuals(z[group].exp()), z, origin, group, together)
+    best, cost = z, _costs(residuals(z[group].exp()), z, prior, group, together)
     cost = cost.nan_to_num(torch.inf)
     points = torch.quasirandom.SobolEngine(z.shape[1]).draw(count + 1)[1:]  # the first is a corner
     for point in (2.0 * points.to(z) - 1.0) * _AROUND:
-        trial = (origin + point).clamp(*bounds)
-        tried = _costs(residuals(trial[group].exp()), trial, origin, group, together)
+        trial = (prior[0] + point).clamp(*bounds)
+        tried = _costs(residuals(trial[group].exp()), trial, prior, group, together)
         better = tried < cost  # not so where it is NaN
         best, cost = torch.where(better[:, None], trial, best), torch.where(better, tried, cost)
     return best
@@ -141,16 +144,23 @@ def _weights(errors: Tensor) -> Tensor:
     return 1.0 / (1.0 + (errors / LARGE).square())
 
 
-def _costs(errors: Tensor, z: Tensor, origin: Tensor, group: Tensor, together: int) -> Tensor:
-    """[G]: Cauchy's loss over all errors, and the prior."""
+def _costs(
+    errors: Tensor, z: Tensor, prior: tuple[Tensor, Tensor], group: Tensor, together: int
+) -> Tensor:
+    """[G]: Cauchy's loss over all errors, and the prior's (mean and deviation, [G, P])."""
     each = 0.5 * LARGE**2 * torch.log1p((errors / LARGE).square())
     total = torch.zeros(len(z), dtype=z.dtype, device=z.device)
     total = total.index_add(0, group, each.sum(1).to(z.dtype) / together)
-    return total + 0.5 * ((z - origin) / math.log(PRIOR)).square().sum(1)
+    return total + 0.5 * ((z - prior[0]) / prior[1]).square().sum(1)
 
 
 def _normal(
-    errors: Tensor, slopes: Tensor, z: Tensor, origin: Tensor, group: Tensor, together: int
+    errors: Tensor,
+    slopes: Tensor,
+    z: Tensor,
+    prior: tuple[Tensor, Tensor],
+    group: Tensor,
+    together: int,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Curvature [G, P, P] and gradient [G, P] of the cost, and its part [W, P] of each window."""
     weight = _weights(errors)
@@ -158,21 +168,29 @@ def _normal(
     curvatures = pulled.transpose(1, 2) @ slopes  # [W, P, P]
     scores = (pulled * errors[..., None]).sum(1)  # [W, P]
     count, size = z.shape
-    precision = 1.0 / math.log(PRIOR) ** 2
+    precision = prior[1].square().reciprocal()
     curvature = torch.zeros(count, size, size, dtype=z.dtype, device=z.device)
     curvature = curvature.index_add(0, group, curvatures.to(z.dtype))
-    curvature = curvature + precision * torch.eye(size, dtype=z.dtype, device=z.device)
+    curvature = curvature + torch.diag_embed(precision)
     gradient = torch.zeros_like(z).index_add(0, group, scores.to(z.dtype))
-    return curvature, gradient + precision * (z - origin), scores.to(z.dtype)
+    return curvature, gradient + precision * (z - prior[0]), scores.to(z.dtype)
 
 
-def widths(errors: Tensor, slopes: Tensor, z: Tensor, group: Tensor, together: int) -> Tensor:
-    """Half-widths [G, P] of 95 % intervals of the logarithms.
+def widths(
+    errors: Tensor,
+    slopes: Tensor,
+    z: Tensor,
+    group: Tensor,
+    together: int,
+    spread: Tensor | None = None,
+) -> Tensor:
+    """Half-widths [G, P] of 95 % intervals of the logarithms; `spread` as of `estimate`.
 
     The larger of two: from the curvature and the size of the errors that are left, and from how
     much windows disagree (the sandwich of Huber 1967). Each window counts once.
     """
-    curvature, _, scores = _normal(errors, slopes, z, z, group, together)
+    spread = torch.full_like(z, math.log(PRIOR)) if spread is None else spread
+    curvature, _, scores = _normal(errors, slopes, z, (z, spread), group, together)
     inverse = torch.linalg.inv(curvature)
     count, size = z.shape
     windows = torch.zeros(count, dtype=z.dtype, device=z.device)
@@ -186,9 +204,9 @@ def widths(errors: Tensor, slopes: Tensor, z: Tensor, group: Tensor, together: i
     sandwich = torch.diagonal(inverse @ meat @ inverse, dim1=1, dim2=2)
     sandwich = sandwich * (windows / spare)[:, None]
     # what no window shows is as uncertain as the prior has it
-    known = math.log(PRIOR) ** 2
+    known = spread.square()
     shown = torch.diagonal(inverse, dim1=1, dim2=2) / known
-    variance = torch.maximum(plain, sandwich).clamp(max=known)
+    variance = torch.maximum(plain, sandwich).minimum(known)
     variance = torch.maximum(variance, known * shown.square())
     quantile = stats.t.ppf(0.975, spare.clamp(min=_FEW).cpu().numpy())
     factor = torch.as_tensor(quantile, dtype=z.dtype, device=z.device)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
 from orbisim.errors import DivergedError, InputError
-from orbisim.identification.estimate import Estimate, estimate
+from orbisim.identification.estimate import PRIOR, Estimate, estimate
 from orbisim.identification.parameters import Parameter
 from orbisim.identification.residual import counted, errors
 from orbisim.identification.windows import Grid
@@ -90,10 +91,22 @@ class Simulation:
             return backend.rollout(state, controls, **options), wanted
 
 
+Guess = Mapping[str, tuple[float, float]]
+"""By labels of parameters: a value, and the standard deviation of its logarithm."""
+
+
 def identify_learned(
-    backend: Conditioned, parameters: Sequence[Parameter], grid: Grid, steps: int, device: str
+    backend: Conditioned,
+    parameters: Sequence[Parameter],
+    grid: Grid,
+    steps: int,
+    device: str,
+    guess: Guess | None = None,
 ) -> Estimate:
-    """One problem with all windows; with states that were read off frames, the paper's PhyInf.
+    """One problem with all windows; with states read off frames PhyInf, one scene at a time.
+
+    Args:
+      guess: where the search begins, and its prior, of some of the parameters (others: declared).
 
     Raises:
       DivergedError: every window's rollout diverges, with what was found, too.
@@ -101,9 +114,12 @@ def identify_learned(
     simulation = Simulation(backend, parameters, grid, device)
     ends = [bounds(backend, parameter) for parameter in parameters]
     low, high = torch.tensor(ends, dtype=torch.float64, device=device).T
-    start = torch.tensor([[p.declared for p in parameters]], dtype=torch.float64, device=device)
+    guess = guess or {}
+    begun = [guess.get(p.label, (p.declared, math.log(PRIOR))) for p in parameters]
+    start, spread = torch.tensor([begun], dtype=torch.float64, device=device).unbind(-1)
     group = torch.zeros(len(grid.qpos), dtype=torch.long, device=device)
-    found = estimate(simulation, start, (low, high), group, steps, grid.ctrl.shape[1])
+    limits, count = (low, high), grid.ctrl.shape[1]
+    found = estimate(simulation, start, limits, group, steps, count, spread=spread)
     _check_end(simulation, found.values[group])
     return found
 

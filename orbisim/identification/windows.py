@@ -69,7 +69,7 @@ def grid(prepared: Sequence[Prepared], step: float) -> Grid:
                     one.states.qvel[rows.start],
                     initial.activations(bound, one.states, row)[0],
                     held.means(start, step, 0, count),
-                    _between(bound.time, bound.qpos, when, float(bound.time[rows.stop - 1])),
+                    between(bound.time, bound.qpos, when, float(bound.time[rows.stop - 1])),
                     np.array(number),
                 )
             )
@@ -93,7 +93,7 @@ def _steps(prepared: Sequence[Prepared], step: float) -> int:
     return count
 
 
-def _between(time: Floats, values: Floats, when: Floats, end: float) -> Floats:
+def between(time: Floats, values: Floats, when: Floats, end: float) -> Floats:
     """Values [N, n] at times, linear between samples; NaN after the end and next to a NaN."""
     high = np.clip(np.searchsorted(time, when - 1e-9), 1, len(time) - 1)
     part = ((when - time[high - 1]) / (time[high] - time[high - 1]))[:, None]

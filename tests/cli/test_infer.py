@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -9,6 +10,9 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 import torch
+from orbisim_diffusion.checkpoint import PHYSICS, add_part
+from orbisim_diffusion.estimate_physics import Reach
+from orbisim_diffusion.physics import PhysicsInference
 from orbisim_diffusion.refine import Refiner
 
 from orbisim.cli.main import run
@@ -33,6 +37,33 @@ def test_the_command_writes_a_recording(tmp_path: Path, capsys: pytest.CaptureFi
     recording = Recording.load(tmp_path / "rec.npz")
     np.testing.assert_allclose(recording.time, np.arange(5) / 20)
     assert bind(recording, arm()).qpos.shape == (5, 9)
+
+
+def test_what_a_film_says_of_densities_and_friction_stands_in_the_recording(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    xml = ARM.replace('<camera name="wrist"', '<site name="palm"/><camera name="wrist"')
+    folder = add_inference(save_tiny(tmp_path / "tiny", load_scene(xml)))
+    network = PhysicsInference()
+    network.know(torch.tensor([0.2, 0.6]), torch.tensor([150.0, 900.0]))
+    reach = Reach(("swing", "reach"), "palm", "floor", 0.05, (0.04, 0.06), "arm", "0" * 64)
+    add_part(folder, PHYSICS, network, {}, dataclasses.asdict(reach))
+    (tmp_path / "scene.xml").write_text(xml)
+    frames = np.random.default_rng(0).integers(0, 255, (15, 64, 96, 3), np.uint8)
+    iio.imwrite(tmp_path / "video.mp4", frames, plugin="FFMPEG", fps=20, macro_block_size=2)
+    command = ["infer", str(tmp_path / "video.mp4"), "--scene", str(tmp_path / "scene.xml")]
+    command += ["--checkpoint", str(folder), "--out", str(tmp_path / "rec.npz"), "--no-refine"]
+    assert run([*command, "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)["physics"]
+    assert list(said) == ["friction:floor", "density:cube"]
+    known = said["density:cube"]  # of an untrained network: the prior
+    assert known["value"] == pytest.approx((150.0 * 900.0) ** 0.5, rel=0.01)
+    assert known["ci95"] == pytest.approx([150.0, 900.0], rel=0.01) and known["unit"] == "kg/m^3"
+    assert Recording.load(tmp_path / "rec.npz").metadata["physics"] == said
+    other = dataclasses.replace(reach, surface="table")
+    add_part(folder, PHYSICS, network, {}, dataclasses.asdict(other))
+    assert run(command) == 0
+    assert "no geom 'table'" in capsys.readouterr().err
 
 
 def test_what_is_missing_is_said_before_anything_is_computed(

@@ -72,3 +72,18 @@ def test_a_scan_finds_the_deeper_of_two_minima() -> None:
     assert abs(float(alone.values) - 5.0) > 0.5
     assert abs(float(scanned.values) - 5.0) < 0.01
     assert scanned.cost[0, -1] < alone.cost[0, -1]
+
+
+def test_a_prior_of_its_own_is_kept_where_nothing_shows_and_weighed_where_something_does() -> None:
+    group = torch.arange(2).repeat_interleave(6)
+    truth = torch.tensor([[2.0, 1.0, 1.0]], dtype=torch.float64).repeat(2, 1)
+    start = torch.tensor([[1.0, 1.0, 7.0]], dtype=torch.float64).repeat(2, 1)
+    # of the first problem the amplitude is thought to be known, of the second it is not
+    spread = torch.tensor([[0.001, 1.5, 0.2], [1.5, 1.5, 0.2]], dtype=torch.float64)
+    found = estimate(_apart(_decay(truth[group]), 0.2), start, BOUNDS, group, 25, 10, spread=spread)
+    assert float(found.values[0, 0]) < 1.02 and abs(float(found.values[1, 0]) - 2.0) < 0.1
+    torch.testing.assert_close(
+        found.values[:, 2], torch.full((2,), 7.0).double(), rtol=0, atol=1e-6
+    )
+    width = (found.high / found.values).log()[:, 2]
+    assert ((width > 1.9 * 0.2) & (width < 4.0 * 0.2)).all()  # not the factor of 4.5 either way

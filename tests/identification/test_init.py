@@ -114,6 +114,25 @@ def test_gradients_find_the_friction(slides: list[Recording]) -> None:
         ), windows, 1, "cpu")  # fmt: skip
 
 
+def test_a_guess_is_where_it_begins_and_what_it_is_weighed_against(
+    slides: list[Recording],
+) -> None:
+    scene = load_scene(XML)
+    backend: Any = _Slides(scene.model)
+    how: Any = {"backend": backend, "window": 0.4, "check": False}
+
+    def found(spread: float) -> float:
+        guess = {"friction:floor": (0.2, spread)}
+        return identify(scene, slides, "friction:floor", guess=guess, **how).values[0]
+
+    assert found(1.0) == pytest.approx(TRUE, rel=0.02)
+    assert found(1e-4) == pytest.approx(0.2, rel=0.02)
+    with pytest.raises(InputError, match="above 0"):
+        found(0.0)
+    with pytest.raises(InputError, match="begins as declared"):
+        identify(scene, slides, "friction:floor", backend="mujoco", guess={"a": (1.0, 1.0)})
+
+
 class _Diverging(_Slides):
     """Whose rollouts of some windows end in nothing where the friction is above a bound."""
 

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import sys
-import warnings
+import types
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from orbisim_world_model.watch import OutsideTrainingWarning
 
-from orbisim import Recording, State
-from orbisim.errors import DivergedError, RecordingError
+from orbisim import Recording
+from orbisim.errors import RecordingError
+from orbisim.identification import identify
+from orbisim.identification.parameters import parameters, patched
+from orbisim.tasks.collect import collect
+from orbisim.tasks.dataset import EpisodeFile
 from orbisim.tasks.registry import make
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
@@ -22,26 +25,30 @@ import eval_phyinf
 def test_an_episode_that_cannot_be_fitted_is_counted_and_ends_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def measure(data: Path, line: dict[str, Any], *_: object) -> None:
-        line["moving"] = 1
+    def prepared(data: Path, line: dict[str, Any], *_: object) -> None:
+        line["moving"] = int(line["episode"] < 3)
         if line["episode"] == 1:
             raise RecordingError("push seen", "'cube2' is not seen")
-        rows = {"mm": 4.0, "degrees": 1.0}
-        line.update(
-            parameters=[],
-            rollout_declared=rows,
-            rollout_found=rows,
-            rollout_true={"none": "infinite"},
-        )
 
-    monkeypatch.setattr(eval_phyinf, "measure", measure)
-    for episode in range(3):
-        eval_phyinf.one(Path(), episode, "video", Path(), "learned", tmp_path, float("inf"))
-    found = eval_phyinf.summary(tmp_path)["video"]
+    monkeypatch.setattr(eval_phyinf, "prepared", prepared)
+    monkeypatch.setattr(eval_phyinf.Case, "load", staticmethod(lambda path: path.name))
+    for episode in range(4):
+        eval_phyinf.one(Path(), episode, "video", Path(), tmp_path, float("inf"))
+    eval_phyinf.one(Path(), 9, "video", Path(), tmp_path, 0.0)  # the time is over
+    cases: Any = eval_phyinf.read_cases(tmp_path, "video")
+    assert [case for _, case in cases] == ["case_video_000.npz", None, "case_video_002.npz"]
+    lines = [line for line, _ in cases]
+    errors = dict.fromkeys(eval_phyinf._UNITS, 4.0)
+    for line in (lines[0], lines[2]):
+        found = {"name": "friction:table", "true": 0.4, "declared": 0.5, "fit": [0.3, 0.2, 0.35]}
+        line |= {"parameters": [found], "rollouts": {"fit": errors, "true": {"none": "infinite"}}}
+    found = eval_phyinf.summary(lines)["video"]
     assert (found["episodes"], found["fitted"]) == (3, 2)
     assert found["failed"] == {1: "push seen: 'cube2' is not seen"}
-    assert found["rollouts_found"]["runs"] == 2 and not found["rollouts_found"]["none"]
-    assert found["rollouts_true"]["none"] == dict.fromkeys((0, 2), "infinite")
+    assert found["rollouts fit"]["runs"] == 2 and not found["rollouts fit"]["none"]
+    assert found["rollouts true"]["none"] == dict.fromkeys((0, 2), "infinite")
+    assert found["friction_percent"]["fit"]["mean"] == pytest.approx(25.0)
+    assert found["friction_percent"]["fit"]["covered"] == 0.0
 
 
 def test_a_video_is_read_once(tmp_path: Path) -> None:
@@ -60,30 +67,57 @@ def test_a_video_is_read_once(tmp_path: Path) -> None:
         assert one.metadata["noise"] == {"qpos/arm": 0.01}
 
 
-@pytest.mark.parametrize("good", [3, 9])
-def test_a_rollout_that_diverges_says_where(monkeypatch: pytest.MonkeyPatch, good: int) -> None:
-    scene = make("push").scene("push", 0)
-    model = scene.model
-    qpos = np.repeat(model.qpos0[None], 10, 0)
+@pytest.fixture(scope="module")
+def episode(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("phyinf")
+    collect("push", folder / "push.h5", episodes=1, workers=1, seed=4)
+    eval_phyinf.one(folder / "push.h5", 0, "true", Path(), folder, float("inf"))
+    return folder
 
-    class Backend:
-        """Stays where it is, and diverges at some step."""
 
-        timestep = 0.05
+def test_a_rollout_that_diverges_says_where(episode: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ((_, case),) = eval_phyinf.read_cases(episode, "true")
+    assert case is not None
+    batch = eval_phyinf.Batch([case], "learned", "cpu")
 
-        def rollout(self, state: State, controls: Any, raise_on_divergence: bool) -> State:
-            warnings.warn("'robot' left", OutsideTrainingWarning, stacklevel=1)
-            if good < controls.shape[1] and raise_on_divergence:
-                raise DivergedError(f"at step {good} by 'robot'", [0])
-            return state.replace(qpos=np.repeat(qpos[:1], controls.shape[1], 0)[None])
+    def run(at: int) -> list[dict[str, Any]]:
+        path = types.SimpleNamespace(qpos=case.qpos[None, 1:], qvel=case.qvel[None, 1:],
+                                     diverged_at=np.array([at]))  # fmt: skip
+        monkeypatch.setattr(batch, "_run", lambda *_: path)
+        return batch.rollout(batch.truth)
 
-    monkeypatch.setattr(eval_phyinf, "make_backend", lambda *_, **__: Backend())
-    signals = {"qpos": qpos, "ctrl": np.zeros((10, model.nu))}
-    recording = Recording(np.arange(10) * 0.05, signals)
-    cube = int(model.joint(eval_phyinf.free_bodies(model)[0]).qposadr[0])
-    found = eval_phyinf.rollout(scene, recording, qpos, [cube], "learned")
-    if good == 3:
-        assert found["none"] == "of 9 steps: at step 3 by 'robot'"
-    else:
-        assert found["mm"] == 0.0 and found["degrees"] == pytest.approx(0.0, abs=1e-3)
-    assert found["outside"] == ["'robot' left"]
+    assert run(5) == [{"none": "diverged at step 5 of 63"}]
+    (exact,) = run(-1)
+    nothing = dict.fromkeys((*eval_phyinf._UNITS, "mm_last"), 0.0)
+    assert exact == pytest.approx(nothing, abs=0.1)  # float32 knows a hundredth of a degree
+
+
+@pytest.mark.slow
+def test_all_as_one_batch_is_what_the_command_fits(
+    episode: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(eval_phyinf, "_STEPS", 2)
+    ((_, case),) = eval_phyinf.read_cases(episode, "true")
+    assert case is not None
+    batch = eval_phyinf.Batch([case, case], "learned", "cpu")
+    found = batch.fit(None)
+    task = make("push")
+    with EpisodeFile(episode / "push.h5") as file:
+        known = file.attributes(0)
+        arrays = file.episode(0, ["qpos", "ctrl"])
+    scene = task.scene(known["subtask"], known["seed"])
+    cubes = [int(scene.model.joint(n).qposadr[0]) for n in eval_phyinf.free_bodies(scene.model)]
+    rows = eval_phyinf.busiest(arrays["qpos"], cubes)
+    ctrl = arrays["ctrl"][rows.start : rows.stop - 1]
+    signals = {"qpos": arrays["qpos"][rows], "ctrl": np.concatenate([ctrl, ctrl[-1:]])}
+    recording = Recording(np.arange(64) * 0.05, signals)
+    chosen = [0, *(i + 1 for i in np.flatnonzero(case.moving))]
+    names = [["friction:table", "density:cube1", "density:cube2"][i] for i in chosen]
+    wanted = parameters(scene, names)
+    middle = [float(batch.middle[0, i]) for i in chosen]
+    declared = patched(scene, dict(zip(wanted, middle, strict=True)))
+    alone = identify(declared, [recording], names, steps=2, check=False)
+    for number in range(2):
+        got = [x[number, chosen].tolist() for x in (found.value, found.low, found.high)]
+        for a, b in zip(got, (alone.values, alone.low, alone.high), strict=True):
+            assert a == pytest.approx(b, rel=0.02)
