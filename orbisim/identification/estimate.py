@@ -100,7 +100,7 @@ def estimate(
     return Estimate(z.exp(), below, above, torch.stack(history, dim=1))
 
 
-@torch.no_grad()
+@torch.no_grad()  # type: ignore[untyped-decorator]
 def _scanned(
     residuals: Callable[[Tensor], Tensor],
     z: Tensor,
