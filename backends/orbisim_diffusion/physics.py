@@ -23,16 +23,13 @@ _STRIDES = 2
 _PLACE, _STEP, _CHANGE, _TURN = 0.1, 0.01, 0.005, 0.1
 """Units of inputs: m between entities, m a frame, m a frame and frame, rad a frame. A cube that
 slides on friction 0.4 loses 10 mm a frame in every frame of 0.05 s."""
-_FALL, _SLOW = 9.81 * 0.05**2, 0.0025
-"""m a frame and frame: gravity at frames 0.05 s apart; m a frame, below which a direction of motion
-is noise."""
 _HALF, _SMOOTH = 0.025, 0.4
 """Units of half sizes, m, and of an object's own friction."""
 _LEAST = 0.01
 """Of a spread of a logarithm: surer than a hundredth no learned model is."""
 _BLIND = 2.0
 """Of an untrained network's spread: 0.88 of the prior's."""
-_OBJECT, _ROBOT = 38, 15
+_OBJECT, _ROBOT = 34, 15
 """Numbers of a frame of an object, of the hand (see `_objects`, `_hand`)."""
 
 
@@ -230,8 +227,6 @@ def _objects(window: Window) -> Tensor:
     bottom = pos[..., 2:] - window.half[:, None, :, 2:]  # above the lowest of the window
     lowest = torch.where(known[..., None] > 0, bottom, torch.inf).amin((1, 2), keepdim=True)
     lowest = torch.where(torch.isfinite(lowest), lowest, torch.zeros_like(lowest))
-    speed = first[..., :2].norm(dim=-1, keepdim=True)
-    near_other = _nearest(pos, known)
     still = torch.cat([window.half / _HALF, window.friction[..., None] / _SMOOTH], dim=-1)
     seen = known[..., None]
     x = torch.cat(
@@ -244,10 +239,6 @@ def _objects(window: Window) -> Tensor:
             _fine(first, _STEP),
             second / _CHANGE,
             _fine(second, _CHANGE),
-            speed / _STEP,
-            _slowing(first, second),
-            with_hand * apart.norm(dim=-1, keepdim=True) / _PLACE,
-            near_other / _PLACE,
             turn / _TURN,
             seen * _columns(quat),
             known[..., None],
@@ -257,27 +248,6 @@ def _objects(window: Window) -> Tensor:
         dim=-1,
     )
     return x.transpose(1, 2)
-
-
-def _slowing(first: Tensor, second: Tensor) -> Tensor:
-    """[B, T, N, 1]: deceleration along the table in units of gravity.
-
-    Of a box that slides and is touched by nothing it is the friction itself; a network that has to
-    find this out of components, in the few windows in which a box slides freely, takes long.
-    """
-    before = (first - second)[..., :2]
-    speed = before.norm(dim=-1, keepdim=True)
-    along = -(second[..., :2] * before).sum(-1, keepdim=True) / speed.clamp_min(_SLOW)
-    return torch.where(speed > _SLOW, along / _FALL, torch.zeros_like(along)).clamp(-2.0, 2.0)
-
-
-def _nearest(pos: Tensor, known: Tensor) -> Tensor:
-    """[B, T, N, 1]: m to the nearest other object that is known; 0 if there is none."""
-    away = (pos[:, :, :, None] - pos[:, :, None]).norm(dim=-1)
-    pairs = known[:, :, :, None] * known[:, :, None]
-    pairs = pairs * (1.0 - torch.eye(pos.shape[2], device=pos.device))
-    least = torch.where(pairs > 0, away, torch.full_like(away, torch.inf)).amin(-1, keepdim=True)
-    return torch.where(torch.isfinite(least), least, torch.zeros_like(least))
 
 
 def _hand(window: Window) -> Tensor:

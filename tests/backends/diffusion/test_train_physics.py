@@ -51,7 +51,7 @@ def test_friction_is_found_where_something_slides_and_not_where_nothing_does(
     share = said.spread / found.prior[found.kinds(2), 1]
     assert float(off[:64].mean()) < 0.7 * float(blind[:64].mean())
     assert float(share[:64, 0].mean()) < 0.75 and float(share[64:, 0].mean()) > 0.8
-    assert float((said.mean - found.middle[0])[64:, 0].abs().mean()) < 0.3 * found.width[0]
+    assert float((said.mean - found.middle[0])[64:, 0].abs().mean()) < 0.6 * found.width[0]
     assert float(share[:, 1:].mean()) > 0.8  # densities show nowhere
 
 
