@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from fuzz_mutations import BYTES
 from fuzz_values import damage_safetensors, damaged_json
 
@@ -127,9 +128,102 @@ def _read_loop(folder: Path) -> None:
     _loop(folder, _STEPS + 2)
 
 
+# -- PhyInf, a part of a vision checkpoint -------------------------------------------------------
+
+
+@functools.cache
+def _push() -> Any:
+    from orbisim.tasks import make
+
+    return make("push").scene("push", 0)
+
+
+def _make_physics(folder: Path) -> None:
+    import torch
+    from orbisim_diffusion.checkpoint import PHYSICS, add_part
+    from orbisim_diffusion.physics import PhysicsInference
+
+    _make_vision(folder)
+    torch.manual_seed(0)
+    network, model = PhysicsInference(), _push().model
+    network.know(torch.tensor([0.2, 0.3, 0.6]), torch.tensor([150.0, 400.0, 900.0]))
+    joints = [model.joint(j).name for j in range(model.njnt) if model.jnt_type[j] >= 2]
+    reach = {"joints": joints, "hand": "tcp", "surface": "table", "timestep": 0.05}
+    reach |= {"half": [0.02, 0.032], "dynamics": "push", "sha256": 64 * "0"}
+    add_part(folder, PHYSICS, network, {}, reach)
+
+
+def _read_physics(folder: Path) -> None:
+    from orbisim_diffusion.estimate_physics import has_physics, infer_physics, load_physics
+
+    if has_physics(folder):
+        network, reach = load_physics(folder)
+        said = infer_physics(_push(), [_still()], network, reach)
+        assert all(np.isfinite([one.low, one.value, one.high]).all() for one in said.values())
+    else:
+        load_physics(folder)
+
+
+@functools.cache
+def _still() -> Any:
+    from orbisim.recording import Recording
+
+    qpos = np.tile(_push().model.key_qpos[0], (70, 1))
+    return Recording(0.05 * np.arange(70), {"qpos": qpos})
+
+
+# -- films that policies are trained from --------------------------------------------------------
+
+
+@functools.cache
+def _filmed() -> Any:
+    from orbisim_policies.push import PushProblem
+
+    return PushProblem(steps=3)
+
+
+def _make_films(folder: Path) -> None:
+    from orbisim_policies.films import Films
+
+    problem = _filmed()
+    starts = problem.draw([0, 1])
+
+    def each(values: Any) -> Any:
+        return np.repeat(values[:, None], problem.steps, axis=1)
+
+    places, speeds, ctrl, command = map(
+        each, (starts.qpos, starts.qvel, starts.ctrl, starts.command)
+    )
+    seen, done = np.ones((2, problem.steps, 2), bool), np.array([True, False])
+    action = np.zeros((2, problem.steps, problem.actions))
+    notes = {"task": problem.name, "observe": "stainf", "camera": "side"}
+    films = Films(
+        np.arange(2), done, places, speeds, places, speeds, seen, ctrl, command, action,
+        starts.params, notes,
+    )  # fmt: skip
+    films.save(folder / "films.safetensors")
+
+
+def _damage_films(folder: Path, rng: random.Random) -> None:
+    damage_safetensors(folder / "films.safetensors", rng)
+
+
+def _read_films(folder: Path) -> None:
+    from orbisim_policies.films import Films
+    from orbisim_policies.misread import MisreadProblem
+
+    problem = _filmed()
+    films = Films.load(folder / "films.safetensors", problem)
+    films.demonstrations(problem)
+    seen = MisreadProblem(problem, films)
+    seen.numbered(films.starts(), range(len(films)))
+
+
 PARTS: dict[str, tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any], str]] = {
     "progress": (_make_progress, _damage_progress, _read_progress, "*"),
     "vision": (_make_vision, _damage_vision, _read_vision, "*.json"),
     "vision_progress": (_make_loop, _damage_loop, _read_loop, "*"),
+    "physics": (_make_physics, _damage_vision, _read_physics, "*.json"),
+    "films": (_make_films, _damage_films, _read_films, "*"),
 }
 """How to make, damage and read each kind, and which files have their bytes damaged."""

@@ -34,6 +34,8 @@ _SCALAR = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
 _FREE, _BOX = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtGeom.mjGEOM_BOX)
 _APART = 8
 """Frames from the begin of a window to the next one's."""
+_LARGEST = 20.0
+"""Of a logarithm of a friction or density: a factor of 5e8."""
 _BEYOND = 0.1
 """Share by which a half size may lie outside of what was trained on."""
 
@@ -136,15 +138,35 @@ def load_physics(folder: str | Path) -> tuple[PhysicsInference, Reach]:
             f"{folder}: has no physics inference (PhyInf); train it with "
             "`orbisim train inference --physics`"
         )
-    reach = checked(Reach, manifest.get("reach", {}).get(PHYSICS), f"{where}: reach/{PHYSICS}")
+    suited = checked(dict[str, Any], manifest.get("reach"), f"{where}: reach")
+    reach = checked(Reach, suited.get(PHYSICS), f"{where}: reach/{PHYSICS}")
     model = load_part(Path(folder), PHYSICS, files[PHYSICS], PhysicsInference)
     assert isinstance(model, PhysicsInference)
+    _check_draws(model, str(Path(folder) / f"{PHYSICS}.safetensors"))
     return model, reach
+
+
+def _check_draws(model: PhysicsInference, where: str) -> None:
+    """Raises InputError where what tasks drew (logarithms of frictions and densities) makes no
+    sense: what is said lies within it."""
+    low, high, middle, width, widen = (
+        values.double()
+        for values in (model.low, model.high, model.middle, model.width, model.widen)
+    )
+    within = (low >= -_LARGEST) & (low < high) & (high <= _LARGEST)
+    inside = (low <= middle) & (middle <= high)
+    sizes = (width > 0) & (width <= high - low) & (widen > 0)
+    if not bool((within & inside & sizes).all()):  # so is NaN
+        raise InputError(
+            f"{where}: low, middle, high, width or widen of the draws that it was trained on make "
+            "no sense: damaged, or no PhyInf"
+        )
 
 
 def has_physics(folder: str | Path) -> bool:
     """Whether a vision checkpoint has a PhyInf."""
-    return PHYSICS in read_manifest(folder).get("files", {})
+    files = read_manifest(folder).get("files")
+    return isinstance(files, dict) and PHYSICS in files
 
 
 def bodies_of(model: mujoco.MjModel) -> list[str]:
@@ -169,6 +191,7 @@ def infer_physics(
     Raises:
       UnsupportedSceneError: the scene is none that the network was trained on.
       RecordingError: no recording shows enough.
+      InputError: the network says what is no number.
     """
     if reason := reach.problem(scene):
         raise UnsupportedSceneError(
@@ -188,6 +211,8 @@ def infer_physics(
     window = Window(*(torch.cat(fields) for fields in zip(*parts, strict=True)))
     with torch.no_grad():
         found = network.said(window)
+    if not bool(torch.isfinite(torch.stack([*found])).all()):
+        raise InputError("PhyInf says what is no number: weights of its checkpoint are damaged")
     return in_words(network, found, reach.surface, bodies_of(scene.model))
 
 

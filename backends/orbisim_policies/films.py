@@ -15,6 +15,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import numpy.typing as npt
 import torch
@@ -22,7 +23,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from orbisim.errors import InputError
-from orbisim.files.reading import size_of
+from orbisim.files.reading import parse_json, size_of
 from orbisim.files.writing import output_errors, writing
 from orbisim_policies.demonstrations import Demonstrations
 from orbisim_policies.evaluate import as_float
@@ -131,7 +132,7 @@ class Films:
                     raise ValueError(f"not {SCHEMA}")
                 found = Films(
                     **{name: file.get_tensor(name) for name in file.keys()},  # noqa: SIM118
-                    notes=json.loads(header["notes"]),
+                    notes=parse_json(header["notes"], str(path)),
                 )
             found._check(problem)
         except (OSError, SafetensorError, ValueError, KeyError, TypeError) as error:
@@ -154,6 +155,10 @@ class Films:
         shapes: dict[str, tuple[int, ...]]
         shapes = {name: (count, steps, end) for name, end in ends.items()}
         shapes |= {"seeds": (count,), "success": (count,), "params": (count, params)}
+        bodies = int((model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).sum())
+        shapes["seen"] = (count, steps, bodies)
+        if not count or not steps:
+            raise ValueError("there is no frame")
         for name, shape in shapes.items():
             values = getattr(self, name)
             if values.shape != shape or not np.isfinite(values).all():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +67,36 @@ def test_a_checkpoint_holds_it_with_what_it_suits(tmp_path: Path, scene: Scene) 
         torch.testing.assert_close(found.state_dict()[name], value, atol=5e-3, rtol=1e-3)
     (folder / "physics.safetensors").write_bytes(b"damaged")
     with pytest.raises(InputError, match="sha256"):
+        load_physics(folder)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("high", 900.0), ("width", 0.0), ("widen", 0.0), ("low", 9.0)]
+)
+def test_draws_that_make_no_sense_are_refused(
+    tmp_path: Path, scene: Scene, name: str, value: float
+) -> None:
+    folder, model = save_tiny(tmp_path / "look", scene), network()
+    getattr(model, name)[0] = value
+    add_part(folder, PHYSICS, model, {}, dataclasses.asdict(REACH))
+    with pytest.raises(InputError, match="make no sense"):
+        load_physics(folder)
+
+
+def test_what_is_no_number_is_said_by_no_one(scene: Scene) -> None:
+    model = network()
+    model.friction[-1].bias[0] = float("nan")
+    with pytest.raises(InputError, match="no number"):
+        infer_physics(scene, [recording(scene, 70)], model, REACH)
+
+
+@pytest.mark.parametrize("reach", [[], None, "push"])
+def test_a_manifest_without_a_reach_is_refused(tmp_path: Path, scene: Scene, reach: Any) -> None:
+    folder = save_tiny(tmp_path / "look", scene)
+    add_part(folder, PHYSICS, network(), {}, dataclasses.asdict(REACH))
+    path = folder / "manifest.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "reach": reach}))
+    with pytest.raises(InputError, match="reach"):
         load_physics(folder)
 
 

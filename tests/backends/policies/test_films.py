@@ -11,9 +11,10 @@ from orbisim_policies import workflows
 from orbisim_policies.agent import Agent
 from orbisim_policies.apg import ApgConfig
 from orbisim_policies.cloning import CloneConfig
-from orbisim_policies.films import Films
+from orbisim_policies.films import SCHEMA, Films
 from orbisim_policies.push import PushProblem
 from orbisim_policies.run import Run, train_apg, train_clone
+from safetensors.numpy import save_file
 from safetensors.torch import load_file
 
 from orbisim.errors import InputError
@@ -64,3 +65,22 @@ def test_a_training_from_films_goes_on_exactly(
     one, other = ((tmp_path / n / "training.safetensors") for n in ("whole", "parts"))
     for name, tensor in load_file(str(one)).items():
         assert torch.equal(tensor, load_file(str(other))[name]), name
+
+
+@pytest.mark.parametrize("notes", ["null", "[]", "[" * 5000])
+def test_films_whose_notes_are_no_notes_are_refused(
+    push: PushProblem, films: Films, tmp_path: Path, notes: str
+) -> None:
+    path = tmp_path / "films.safetensors"
+    save_file(dict(films.arrays), str(path), {"schema": SCHEMA, "notes": notes})
+    with pytest.raises(InputError, match=r"films\.safetensors"):
+        Films.load(path, push)
+
+
+def test_films_that_say_of_other_bodies_whether_they_were_seen_are_refused(
+    push: PushProblem, films: Films, tmp_path: Path
+) -> None:
+    path = tmp_path / "films.safetensors"
+    dataclasses.replace(films, seen=films.seen[..., :1]).save(path)
+    with pytest.raises(InputError, match="seen has shape"):
+        Films.load(path, push)
