@@ -66,7 +66,7 @@ from orbisim.identification.classical import (  # noqa: E402
     simulated,
 )
 from orbisim.identification.estimate import LARGE, PRIOR, estimate  # noqa: E402
-from orbisim.identification.learned import Simulation, bounds  # noqa: E402
+from orbisim.identification.learned import Described, Simulation, bounds  # noqa: E402
 from orbisim.identification.parameters import parameters, patched  # noqa: E402
 from orbisim.identification.windows import Grid  # noqa: E402
 
@@ -335,8 +335,8 @@ def learned(problems: dict[int, Problem], options: Any) -> dict[str, Any]:
     backend: Any = make_backend(
         f"learned:{options.checkpoint}", scene, device=options.device, compiled=False
     )
-    sized_ = _Sized(backend, list(problems.values()), group)
-    run = Simulation(sized_, wanted, windows, options.device)
+    described = Described(backend, _sizes(list(problems.values()), group, backend))
+    run = Simulation(described, wanted, windows, options.device)
     start = torch.tensor([[p.declared for p in wanted]], dtype=torch.float64)
     ends = [bounds(backend, parameter) for parameter in wanted]
     low, high = torch.tensor(ends, dtype=torch.float64, device=options.device).T
@@ -359,29 +359,13 @@ def learned(problems: dict[int, Problem], options: Any) -> dict[str, Any]:
     return {"rows": rows, **each, "device": options.device}
 
 
-class _Sized:
-    """The backend in worlds with what is known of each window's problem."""
+def _sizes(problems: list[Problem], group: torch.Tensor, backend: Any) -> torch.Tensor:
+    """[W, ...]: attributes of each window's scene, with what is known of it."""
+    from orbisim_world_model.reading import read_attributes
 
-    def __init__(self, backend: Any, problems: list[Problem], group: torch.Tensor) -> None:
-        from orbisim_world_model.reading import read_attributes
-
-        self.inner = backend
-        self.name, self.model, self.surface = backend.name, backend.model, backend.surface
-        self.entity_names = backend.entity_names
-        layout = backend.engine.layout
-        rows = [read_attributes(sized(problem)[0].model, layout) for problem in problems]
-        given = torch.as_tensor(np.stack(rows), dtype=torch.float32)
-        self.attributes = given[group].to(backend.engine.device)
-
-    def with_properties(self, state: Any, objects: Any = None, world: Any = None) -> Any:
-        """As the backend's, with the sizes first."""
-        copies = torch.cat([self.attributes] * (state.nworld // len(self.attributes)))
-        state = self.inner.with_descriptors(state, attributes=copies)
-        return self.inner.with_properties(state, objects, world)
-
-    def rollout(self, state: Any, controls: Any, **options: Any) -> Any:
-        """The backend's."""
-        return self.inner.rollout(state, controls, **options)
+    rows = [read_attributes(sized(one)[0].model, backend.engine.layout) for one in problems]
+    given = torch.as_tensor(np.stack(rows), dtype=torch.float32)
+    return given[group].to(backend.engine.device)
 
 
 # -- one episode a core --------------------------------------------------------------------------

@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor
 
 from orbisim.errors import InputError, RecordingError
 from orbisim.identification.estimate import Estimate, estimate
-from orbisim.identification.learned import Simulation
+from orbisim.identification.learned import Described, Simulation, bounds
 from orbisim.identification.parameters import free_bodies, parameters
 from orbisim.identification.windows import Grid, grid
 from orbisim.recording import Recording, bind
@@ -121,40 +120,13 @@ def _fit(
     )
     starts = films.starts()
     pool = worlds.pool(starts)
-    described = _Described(backend, pool.attributes[torch.as_tensor(group, device=device)])
+    described = Described(backend, pool.attributes[torch.as_tensor(group, device=device)])
     run = Simulation(described, wanted, windows, device)
-    bounds = [backend.trained(p.target, _NAMES[p.name]) or (p.low, p.high) for p in wanted]
-    low, high = torch.tensor(bounds, dtype=torch.float64, device=device).T
+    ends = [bounds(described, parameter) for parameter in wanted]
+    low, high = torch.tensor(ends, dtype=torch.float64, device=device).T
     start = torch.as_tensor(nominal, dtype=torch.float64, device=device)
     steps = windows.ctrl.shape[1]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of states far from the data: readings have outliers
         which = torch.as_tensor(rank, device=device)
         return estimate(run, start, (low, high), which, _STEPS, steps)
-
-
-_NAMES = {"friction": "friction_slide", "density": "density"}
-
-
-class _Described:
-    """The backend in worlds whose objects have the sizes of their films' scenes."""
-
-    def __init__(self, backend: Any, attributes: Tensor) -> None:
-        self.inner, self.attributes = backend, attributes
-        self.name, self.model, self.surface = backend.name, backend.model, backend.surface
-        self.entity_names = backend.entity_names
-
-    def trained(self, target: str, name: str) -> tuple[float, float] | None:
-        """The backend's."""
-        found: tuple[float, float] | None = self.inner.trained(target, name)
-        return found
-
-    def with_properties(self, state: Any, objects: Any = None, world: Any = None) -> Any:
-        """The backend's, with the sizes first."""
-        copies = torch.cat([self.attributes] * (state.nworld // len(self.attributes)))
-        state = self.inner.with_descriptors(state, attributes=copies)
-        return self.inner.with_properties(state, objects, world)
-
-    def rollout(self, state: Any, controls: Any, **options: Any) -> Any:
-        """The backend's."""
-        return self.inner.rollout(state, controls, **options)

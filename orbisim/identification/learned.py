@@ -38,6 +38,36 @@ class Conditioned(Protocol):
         """See `Backend.rollout`."""
 
 
+class Described:
+    """A backend whose windows have attributes of their own: of other scenes, with other sizes.
+
+    Args:
+      backend: a learned one. attributes: [W, ...] of each window's scene, as the backend's
+        `with_descriptors` takes them, on its device.
+    """
+
+    def __init__(self, backend: Any, attributes: Tensor) -> None:
+        self._inner, self._attributes = backend, attributes
+        self.name, self.model, self.surface = backend.name, backend.model, backend.surface
+        self.entity_names = backend.entity_names
+
+    def trained(self, target: str, name: str) -> tuple[float, float] | None:
+        """The backend's."""
+        found: tuple[float, float] | None = self._inner.trained(target, name)
+        return found
+
+    def with_properties(self, state: State, objects: Any = None, world: Any = None) -> State:
+        """The backend's, with the attributes first; W windows in K copies."""
+        copies = torch.cat([self._attributes] * (state.nworld // len(self._attributes)))
+        state = self._inner.with_descriptors(state, attributes=copies)
+        found: State = self._inner.with_properties(state, objects, world)
+        return found
+
+    def rollout(self, state: State, controls: Any, **options: Any) -> Any:
+        """The backend's."""
+        return self._inner.rollout(state, controls, **options)
+
+
 class Simulation:
     """A backend's rollouts over windows, by values of parameters.
 
