@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.consistency import inconsistency
 from orbisim.effects import effect_names, find
+from orbisim.effects.flags import disabled_of, impossible
 from orbisim.evidence import NEAR
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
@@ -89,18 +92,29 @@ def between_samples(bench: Bench) -> str | None:
     )
 
 
-def disabled(scene: Scene) -> str | None:
-    """A note on effects that a disabled flag of the scene makes impossible."""
-    flags = int(scene.model.opt.disableflags)
-    off = {bit for name in effect_names() for bit in find(name).needs if flags & int(bit)}
-    if not off:
-        return None
-    gone = [name for name in effect_names() if set(find(name).needs) & off]
-    names = ", ".join(sorted(_flag(bit) for bit in off))
-    return (
-        f"the scene disables {names} (<option><flag/>), so that {', '.join(gone)} can have no "
-        "effect in it: they were not looked for"
-    )
+def disabled(scene: Scene) -> list[str]:
+    """Notes on effects that a disabled flag of the scene makes impossible, or is lifted for."""
+    kept = [name for name in effect_names() if impossible(scene.model, find(name).needs)]
+    lifted = [name for name in effect_names() if name not in kept and _off(scene, [name])]
+    notes = []
+    if kept:
+        notes.append(
+            f"the scene disables {_off(scene, kept)} (<option><flag/>), so that {', '.join(kept)} "
+            "can have no effect in it: they were not looked for"
+        )
+    if lifted:
+        notes.append(
+            f"the scene disables {_off(scene, lifted)} (<option><flag/>): {', '.join(lifted)} were "
+            "looked for with that enabled for them alone, and if one is named, the augmented scene "
+            "has it so; all else that the flag keeps off stays off"
+        )
+    return notes
+
+
+def _off(scene: Scene, effects: Sequence[str]) -> str:
+    """Names of the flags that are set and that these effects need; empty if none is."""
+    bits = {bit for name in effects for bit in disabled_of(scene.model, find(name).needs)}
+    return ", ".join(sorted(_flag(bit) for bit in bits))
 
 
 def _flag(bit: mujoco.mjtDisableBit) -> str:

@@ -190,7 +190,7 @@ def _by_motion(
     bench = make_bench(bare, prepare_all(bounded(fewer, notes), bare), window)
     if all(map(operator.is_, fewer, fit)):  # else samples are close, and controls are means already
         bench = asked(bench)
-    notes += [note for note in (disabled(scene),) if note is not None]
+    notes += disabled(scene)
     limit = Deadline(start + _SEARCH * settings.patience)
     bench = dataclasses.replace(bench, deadline=limit)
     unseen = _held_back(bare, bounded(thinned(held, window, notes), notes), window, bench.noise)

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.effects.flags import impossible
 from orbisim.effects.screening import Candidate, MotionRegressors
 from orbisim.errors import InputError, UnknownNameError
 from orbisim.scene.descriptor import name_of
@@ -50,6 +51,7 @@ class Parameter:
         bound, is none unless it is neutral: what would have to be larger than it can be stands for
         something else.
       choice: whether it is one of its bounds (the side of a stop), which no fit changes.
+      omitted: what it is where nothing is said of it; none if it has to be said.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Parameter:
     usual: float = 0.0
     possible: tuple[float, float] = (-np.inf, np.inf)
     choice: bool = False
+    omitted: float | None = None
 
     def tail(self, value: float) -> float:
         """Logarithm of the prior density at a value over that at its peak."""
@@ -91,7 +94,7 @@ class EffectInstance:
     Attributes:
       effect: name in the catalogue.
       target: name of the joint, actuator, body, geom or sensor; "world" or "recording" for those.
-      values: a number for each parameter.
+      values: a number for each parameter that cannot be omitted, at least.
       options: choices that are not numbers (the other joint of a coupling, say).
     """
 
@@ -163,7 +166,8 @@ class Effect(abc.ABC):
         fits it whatever its rank.
       declared_as: kind of the declared parameter at the same target that it changes too (a mass);
         empty for none.
-      needs: parts of MuJoCo's pipeline without which it does nothing (`<option><flag/>`).
+      needs: parts of MuJoCo's pipeline without which it does nothing (`<option><flag/>`); see
+        `orbisim.effects.flags`.
       common: whether every joint of a machine has it, more or less: all of these are tried at all
         joints together, so that nothing rarer is named for what they do. Such an effect has one
         parameter, to which its force is proportional.
@@ -205,7 +209,7 @@ class Effect(abc.ABC):
 
     def targets(self, model: mujoco.MjModel) -> tuple[str, ...]:
         """Names of everything in the model that can have this effect."""
-        if any(int(model.opt.disableflags) & int(bit) for bit in self.needs):
+        if impossible(model, self.needs):
             return ()
         return tuple(name for name in names_of_kind(model, self.kind) if self.possible(model, name))
 
@@ -353,7 +357,9 @@ class Effect(abc.ABC):
             if name not in known:
                 raise UnknownNameError(f"parameter of {self.name}", name, known)
             known[name].check(self.name, instance.target, value)
-        missing = [name for name in known if name not in instance.values]
+        missing = [
+            p.name for p in known.values() if p.omitted is None and p.name not in instance.values
+        ]
         if missing:
             raise InputError(f"{self.name} at {instance.target!r} lacks {', '.join(missing)}")
 

@@ -266,7 +266,12 @@ class Cogging(JointEffect):
 
 
 class HardStop(JointEffect):
-    """An undeclared limit: MJCF `range` on the side where the position lies."""
+    """An undeclared limit: MJCF `range` on the side where the position lies, and `solreflimit`.
+
+    A stop of metal or rubber is stiffer than MuJoCo's limits are by default (time constant 20 ms),
+    and throws the joint back, which these do not: how stiff and how damped it is belongs to it. A
+    limit declared at the other end becomes as stiff: MJCF has one `solreflimit` for both.
+    """
 
     name = "hard_stop"
     phrase = "an undeclared hard stop"
@@ -275,9 +280,12 @@ class HardStop(JointEffect):
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         unit = joint_unit(model, target, "rad", "m")
+        time, ratio = _solref(model, target).values()
         return (
             Parameter("position", unit, -100.0, 100.0, 0.5),
             Parameter("side", "1", -1.0, 1.0, 1.0, choice=True),
+            Parameter("timeconst", "s", 1e-4, 1.0, time, time, omitted=time),
+            Parameter("dampratio", "1", 1e-2, 10.0, ratio, ratio, omitted=ratio),
         )
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
@@ -291,9 +299,17 @@ class HardStop(JointEffect):
         upper = instance.values["side"] > 0
         joint.range = [low, min(high, limit)] if upper else [max(low, limit), high]
         joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        declared = joint.solref_limit if joint.solref_limit[0] > 0 else _SOLREF
+        said = (instance.values.get(*pair) for pair in zip(_SOLREF_NAMES, declared, strict=True))
+        if "timeconst" in instance.values or "dampratio" in instance.values:
+            joint.solref_limit = list(said)
 
     def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
-        return ("position",)
+        return ("position", *_SOLREF_NAMES)
+
+    def complete(self, model: mujoco.MjModel, target: str, values: Values) -> Values:
+        """No stiffer than the timestep resolves: below two timesteps MuJoCo takes these."""
+        return {**values, "timeconst": max(values["timeconst"], 2 * model.opt.timestep)}
 
     def places(
         self, model: mujoco.MjModel, target: str, courses: Sequence[Floats]
@@ -304,7 +320,8 @@ class HardStop(JointEffect):
         for side in (1.0, -1.0):
             ends = _turns([side * q for q in courses], _DEPTHS[1] * travel)
             places = [side * (end - depth * travel) for end in ends for depth in _DEPTHS]
-            found.append([{"position": place, "side": side} for place in places])
+            begin = _solref(model, target)
+            found.append([{"position": place, "side": side, **begin} for place in places])
         return found
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
@@ -317,9 +334,23 @@ class HardStop(JointEffect):
                 start = end - depth * float(np.ptp(q))
                 beyond = np.clip(side * q - start, 0, None)
                 values = {"position": side * start, "side": side}
+                values |= _solref(view.model, target)
                 forces = [-side * beyond, -np.where(beyond > 0, v, 0.0)]
                 found.append(self.candidate(view, target, forces, _if_stiff(values), shape=1))
         return found
+
+
+_SOLREF_NAMES = ("timeconst", "dampratio")
+_SOLREF = (0.02, 1.0)
+"""MuJoCo's default of `solreflimit`: time constant, s, and damping ratio."""
+
+
+def _solref(model: mujoco.MjModel, target: str) -> dict[str, float]:
+    """A joint's `solreflimit` as declared; MuJoCo's default where stiffness and damping stand
+    instead (negative numbers)."""
+    declared = model.jnt_solref[index_of(model, "joint", target)]
+    said = declared if declared[0] > 0 else _SOLREF
+    return {name: float(value) for name, value in zip(_SOLREF_NAMES, said, strict=True)}
 
 
 def _turns(every: Sequence[Floats], apart: float) -> list[float]:

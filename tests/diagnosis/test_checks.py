@@ -31,13 +31,15 @@ def test_a_timestep_that_is_too_long_is_said() -> None:
 
 def test_what_a_flag_makes_impossible_is_said_and_not_tried() -> None:
     plain = orbisim.load_scene(PENDULUM.format(step=0.002, flags="", way="Euler"))
-    assert disabled(plain) is None and find("coulomb_friction").targets(plain.model) == ("hinge",)
-    flags = '<flag constraint="disable"/>'
+    assert disabled(plain) == []
+    flags = '<flag gravity="disable" constraint="disable"/>'
     scene = orbisim.load_scene(PENDULUM.format(step=0.002, flags=flags, way="Euler"))
-    told = disabled(scene)
-    assert told is not None and "constraint" in told and "coulomb_friction" in told
-    assert "viscous_damping" not in told
-    assert find("coulomb_friction").targets(scene.model) == ()
+    kept, lifted = disabled(scene)
+    assert "constraint, gravity" in kept and "gravity_tilt" in kept and "sliding_friction" in kept
+    assert "constraint" in lifted and "coulomb_friction" in lifted and "hard_stop" in lifted
+    assert "viscous_damping" not in kept + lifted and "coulomb_friction" not in kept
+    assert find("gravity_tilt").targets(scene.model) == ()
+    assert find("coulomb_friction").targets(scene.model) == ("hinge",)
     assert find("viscous_damping").targets(scene.model) == ("hinge",)
 
 

@@ -32,6 +32,28 @@ def test_hard_stop(scene: Scene) -> None:
     low = {"position": -0.5, "side": -1.0}
     both = add_effects(changed, [EffectInstance("hard_stop", "shoulder", low)]).model
     np.testing.assert_allclose(both.joint("shoulder").range, [-0.5, 0.6])
+    np.testing.assert_array_equal(both.jnt_solref, scene.model.jnt_solref)
+
+
+def test_a_stop_is_as_stiff_and_as_damped_as_said(scene: Scene) -> None:
+    """It throws the joint back, which MuJoCo's default does not."""
+    soft = EffectInstance("hard_stop", "shoulder", {"position": 0.6, "side": 1.0})
+    stiff = soft.replace(timeconst=0.01, dampratio=0.2)
+
+    def fall(stop: EffectInstance) -> tuple[float, float]:
+        engine = make_backend("mujoco", add_effects(scene, [stop]))
+        state = engine.reset()
+        motion = []
+        for _ in range(1000):
+            state = engine.step(state, [0.0, 0.0], 1)
+            motion.append((float(state.qpos[0, 0]), float(state.qvel[0, 0])))
+        depth, back = np.array(motion).max(axis=0)[0], np.array(motion).min(axis=0)[1]
+        return float(depth), float(back)
+
+    assert fall(stiff)[0] < fall(soft)[0] and fall(stiff)[1] < 2 * fall(soft)[1] < 0
+    assert find("hard_stop").complete(scene.model, "shoulder", {**stiff.values, "timeconst": 1e-4})[
+        "timeconst"
+    ] == pytest.approx(2 * scene.model.opt.timestep)
 
 
 @pytest.mark.parametrize(
