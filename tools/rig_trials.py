@@ -132,7 +132,13 @@ def main(argv: list[str] | None = None) -> int:
     making.add_argument("--count", type=int, default=300)
     making.add_argument("--first", type=int, default=0, help="number of the first trial")
     making.add_argument("--machines", nargs="+", default=[], help="only these")
-    making.add_argument("--kind", default="", choices=("", "none", "single", "pair", "outside"))
+    making.add_argument(
+        "--kind",
+        default="",
+        choices=("", "none", "single", "pair", "outside", "triple", "many"),
+        help="triple: three effects; many: friction at every joint, a payload and one effect more. "
+        "Default: drawn, none of these two",
+    )
     making.add_argument(
         "--artefact",
         nargs="+",

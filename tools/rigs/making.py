@@ -6,6 +6,7 @@ import dataclasses
 import json
 import shutil
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import mujoco
 import numpy as np
 
 from rigs import instruments
+from rigs.draws import Draw
 from rigs.excitation import Motion, joint_of, motion
 from rigs.instruments import Chain, logged, seen
 from rigs.law import Floats, Law, Usual
@@ -22,6 +24,12 @@ from rigs.truth import Diverged, Run, Stepping, Truth
 
 KINDS = {"none": 0.26, "single": 0.44, "pair": 0.12, "outside": 0.18}
 """Shares of the trials: no effect, one, two that are easily confused, one without a name."""
+ASKED = ("triple", "many")
+"""Further kinds, which are made if they are asked for: three effects that have nothing to do with
+each other, and what a real machine has at once: friction of both kinds at every joint, a mass that
+is off, and one effect more."""
+EVERYWHERE = ("coulomb_friction", "viscous_damping")
+"""What a real machine has at every joint."""
 
 CONFUSABLE = (
     ("coulomb_friction", "viscous_damping"),
@@ -71,7 +79,7 @@ class Wish:
     """What is asked of all trials, instead of being drawn.
 
     Attributes:
-      machines: to draw from; all if empty. kind: of `KINDS`; drawn if empty.
+      machines: to draw from; all if empty. kind: of `KINDS` or `ASKED`; of the former if empty.
       artefacts: of each trial, these alone (`()` for white noise only); drawn if None.
       louder: factor on the noise of positions.
     """
@@ -87,7 +95,8 @@ def plan(rng: np.random.Generator, wish: Wish) -> Plan:
     kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
     kind = wish.kind or kind
     machines = wish.machines or tuple(MACHINES)
-    able = [name for name in machines if kind != "outside" or MACHINES[name].drive != "thrown"]
+    jointed = kind in ("outside", "many")
+    able = [name for name in machines if not jointed or MACHINES[name].drive != "thrown"]
     if wish.artefacts:
         able = [n for n in able if all(applies(a, MACHINES[n]) for a in wish.artefacts)]
     machine = MACHINES[str(rng.choice(able or machines))]
@@ -182,7 +191,7 @@ def _written(
     return {
         "laws": [law.to_json() for law in laws],
         "same": [
-            list(other)
+            [*other, law.effect, law.target]
             for law in laws
             for one, other in machine.same
             if one == (law.effect, law.target)
@@ -240,16 +249,49 @@ def _laws(wish: Plan, usual: Usual, rng: np.random.Generator) -> list[Law]:
     table = (nameless if wish.kind == "outside" else possible)(wish.machine, usual)
     if not table:
         raise Unmakeable(f"nothing of kind {wish.kind} fits {wish.machine.name}")
-    if wish.kind != "pair":
-        # an effect first, then its place: seven joints do not make an effect more frequent
-        effects = sorted({effect for effect, _ in table})
+    if wish.kind == "pair":
+        return _pair(wish.machine, usual, table, rng)
+    if wish.kind == "many":
+        return _many(usual, table, rng)
+    return _apart(usual, table, 3 if wish.kind == "triple" else 1, rng)
+
+
+Table = Mapping[tuple[str, str], Draw]
+
+
+def _apart(usual: Usual, table: Table, count: int, rng: np.random.Generator) -> list[Law]:
+    """So many effects, no one of them twice: an effect first, then its place, as seven joints do
+    not make an effect more frequent."""
+    laws: list[Law] = []
+    for _ in range(count):
+        effects = sorted({effect for effect, _ in table} - {law.effect for law in laws})
+        if not effects:
+            raise Unmakeable(f"fewer than {count} effects fit {usual.model.nbody - 1} bodies")
         effect = effects[int(rng.integers(len(effects)))]
         places = sorted(target for e, target in table if e == effect)
         target = places[int(rng.integers(len(places)))]
-        return [table[effect, target](usual, target, rng)]
+        laws.append(table[effect, target](usual, target, rng))
+    return laws
+
+
+def _many(usual: Usual, table: Table, rng: np.random.Generator) -> list[Law]:
+    """Friction at every joint, a payload, and one effect more."""
+    everywhere = sorted(key for key in table if key[0] in EVERYWHERE)
+    loaded = sorted(key for key in table if key[0] == "payload")
+    if not everywhere or not loaded:
+        raise Unmakeable("nothing moves at joints")
+    laws = [table[key](usual, key[1], rng) for key in everywhere]
+    load = loaded[int(rng.integers(len(loaded)))]
+    laws.append(table[load](usual, load[1], rng))
+    rest = {key: draw for key, draw in table.items() if key[0] not in (*EVERYWHERE, "payload")}
+    return laws + _apart(usual, rest, 1, rng)
+
+
+def _pair(machine: Machine, usual: Usual, table: Table, rng: np.random.Generator) -> list[Law]:
+    """Two effects that are easily confused, beside each other where that is possible."""
     pairs = [pair for pair in CONFUSABLE if all(any(e == n for e, _ in table) for n in pair)]
     if not pairs:
-        raise Unmakeable(f"no pair that is easily confused fits {wish.machine.name}")
+        raise Unmakeable(f"no pair that is easily confused fits {machine.name}")
     first, second = pairs[int(rng.integers(len(pairs)))]
     places = sorted(target for e, target in table if e == first)
     target = places[int(rng.integers(len(places)))]

@@ -47,7 +47,7 @@ class Outcome:
 
     @property
     def kind(self) -> str:
-        """none, single, pair or outside."""
+        """none, single, pair, outside, triple or many."""
         return str(self.truth["kind"])
 
     @property
@@ -72,8 +72,10 @@ class Outcome:
         """The injected law that a reported name is, or is the same physics as."""
         if name in self.laws:
             return name
-        same = {tuple(other) for other in self.truth["same"]}
-        return self.laws[0] if self.laws and name in same else None
+        for effect, target, *law in self.truth["same"]:
+            if (effect, target) == name and self.laws:
+                return (law[0], law[1]) if law else self.laws[0]
+        return None
 
     def allowed(self, name: tuple[str, str]) -> bool:
         """Whether the measuring chain makes a finding correct that is no law."""
@@ -91,9 +93,14 @@ class Outcome:
         return any(self.stands_for(name) for name in self.names)
 
     @property
+    def known(self) -> set[tuple[str, str]]:
+        """The injected laws that are among the findings."""
+        return {law for name in self.names if (law := self.stands_for(name)) is not None}
+
+    @property
     def all_found(self) -> bool:
         """Every injected law is among the findings."""
-        return set(self.laws) <= {self.stands_for(name) for name in self.names}
+        return set(self.laws) <= self.known
 
     @property
     def needless(self) -> list[tuple[str, str]]:

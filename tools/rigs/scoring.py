@@ -89,9 +89,26 @@ def _names(own: Sequence[Outcome]) -> list[str]:
         ("... one of them first", [o.right_first for o in pairs]),
         ("... wrong names only", [o.wrong for o in pairs]),
         ("outside the catalogue: something named", [bool(o.needless) for o in outside]),
+        *_of_several("triple", own),
+        *_of_several("many", own),
     ]  # fmt: skip
     lines = ["| trials | share, 95 % bounds (Wilson) |", "| --- | --- |"]
     return lines + [f"| {what} | {share(sum(hits), len(hits))} |" for what, hits in rows] + [""]
+
+
+def _of_several(kind: str, own: Sequence[Outcome]) -> list[tuple[str, list[bool]]]:
+    """Rows for trials in which more than two effects are missing."""
+    some = [o for o in own if o.kind == kind and o.visible]
+    if not some:
+        return []
+    findings = [(o, name) for o in some for name in o.names]
+    return [
+        (f"{kind}: all found", [o.all_found for o in some]),
+        ("... one of them first", [o.right_first for o in some]),
+        ("... wrong names only", [o.wrong for o in some]),
+        ("... effects found, of all there are", [law in o.known for o in some for law in o.laws]),
+        ("... findings that are needless", [name in o.needless for o, name in findings]),
+    ]
 
 
 def _alarms(own: Sequence[Outcome]) -> list[str]:
@@ -194,18 +211,20 @@ def _peers(outcomes: Sequence[Outcome]) -> list[str]:
             by_trial[o.truth["trial"]][o.tool] = o
     tools = sorted({o.tool for o in outcomes})
     common = [t for t in by_trial.values() if set(t) == set(tools)]
+    there = {o.kind for o in outcomes}
+    kinds = [k for k in ("single", "pair", "triple", "many", "none", "outside") if k in there]
     lines = [
         "## Beside the peers",
         "",
         f"Held-out error over that of the declared scene, {len(common)} trials that all tools have "
         "finished: median, and share of the trials in which it is the lowest (within 1 %).",
         "",
-        "| tool | single | pair | none | outside | lowest | names, visible singles: right first |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
+        f"| tool | {' | '.join(kinds)} | lowest | names, visible singles: right first |",
+        f"| --- |{' --- |' * len(kinds)} --- | --- |",
     ]
     for tool in tools:
         cells = []
-        for kind in ("single", "pair", "none", "outside"):
+        for kind in kinds:
             ratios = [t[tool].after / t[tool].before for t in common
                       if t[tool].kind == kind and t[tool].before > 0]  # fmt: skip
             cells.append(f"{np.median(ratios):.2f}" if ratios else "-")
@@ -222,7 +241,7 @@ def _failures(own: Sequence[Outcome]) -> list[str]:
     for o in own:
         t = o.truth
         bad = o.failure or (
-            (o.kind in ("single", "pair") and o.visible and not o.right_first)
+            (o.laws and o.visible and not o.right_first)
             or o.needless
             or (o.kind == "none" and not o.quiet)
         )

@@ -103,7 +103,11 @@ NUMBER = 5
 def outcome(
     found: list[tuple[str, str]], kind: str = "single", allowed: tuple[str, ...] = ()
 ) -> Outcome:
-    laws = {"none": [], "pair": [("a", "x"), ("b", "y")]}.get(kind, [("a", "x")])
+    laws = {
+        "none": [],
+        "pair": [("a", "x"), ("b", "y")],
+        "triple": [("b", "y"), ("a", "x"), ("f", "z")],
+    }.get(kind, [("a", "x")])
     truth = {
         "trial": "r00001",
         "kind": kind,
@@ -112,7 +116,7 @@ def outcome(
         "noise": 1e-3,
         "visibility": 9.0,
         "laws": [{"effect": e, "target": t, "value": 2.0, "size": 1.0} for e, t in laws],
-        "same": [["c", "x"]],
+        "same": [["c", "x", "a", "x"]],
         "allowed": list(allowed),
     }
     numbers = {"p": {"value": 2.1, "ci95": [1.9, 2.3]}}
@@ -160,6 +164,29 @@ def test_a_summary_counts_with_bounds() -> None:
     text = "\n".join(scoring.summary(some, [o.truth for o in some]))
     assert "right first | 1 of 2, 50 % (9 to 91)" in text
     assert "| all | 1 of 1, 100 % (3 to 100) | 0 of 1 | explained 1 |" in text  # a false alarm
+
+
+def test_several_effects_are_counted_one_by_one() -> None:
+    two = outcome([("c", "x"), ("d", "x"), ("f", "z")], "triple")
+    assert two.known == {("a", "x"), ("f", "z")}  # the first one by the same physics
+    assert two.right_first and not two.all_found
+    every = outcome([("a", "x"), ("b", "y"), ("f", "z")], "triple")
+    assert every.all_found
+    text = "\n".join(scoring.summary([two, every], [two.truth]))
+    assert "| triple: all found | 1 of 2" in text and "of all there are | 5 of 6" in text
+    assert "that are needless | 1 of 6" in text
+
+
+@pytest.mark.parametrize("kind", ["triple", "many"])
+def test_trials_with_several_effects_are_made(kind: str, tmp_path: Path) -> None:
+    made = make(NUMBER, 5, tmp_path, Wish(("gym_reacher",), kind, ()))
+    laws = [(law["effect"], law["target"]) for law in made["laws"]]
+    assert len(set(laws)) == len(laws) and made["visibility"] > 0
+    if kind == "triple":
+        assert len({effect for effect, _ in laws}) == 3
+    else:
+        assert [e for e, _ in laws[:4]] == 2 * ["coulomb_friction"] + 2 * ["viscous_damping"]
+        assert [e for e, _ in laws].count("payload") == 1 and len(laws) == 6
 
 
 def test_without_an_effect_nothing_may_be_off() -> None:
