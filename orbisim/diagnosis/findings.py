@@ -45,10 +45,12 @@ def verdict_of(found: Attribution, settings: Settings) -> Verdict:
 
 
 def _significant(found: Attribution, settings: Settings) -> bool:
-    """Whether the declared scene leaves more than noise, white or not; where the time was up, in
-    any window: that nothing explains what is off in a few was not found out then."""
-    before, noise = found.before, found.left is not None and not found.left.structured
-    left = max(before.ratio, before.pooled) if found.cut_short else before.ratio
+    """Whether the declared scene leaves more than noise, white or not; where the time was up, more
+    than white noise, in any window: that no effect explains what is left, or what is off in a few,
+    was not found out then. A late sensor leaves what noise of a slow course may leave, too."""
+    before, whole = found.before, not found.cut_short
+    noise = whole and found.left is not None and not found.left.structured
+    left = before.ratio if whole else max(before.ratio, before.pooled)
     return not noise and left > max(NEAR, enough(settings, before))
 
 

@@ -118,7 +118,8 @@ def _least(
     context: Context, current: Judged, every: Sequence[EffectInstance]
 ) -> EffectInstance | None:
     """What leaves least, starts alone fitted, over all windows: an event may happen in few. Of many
-    values, those that a glance at each window likes best are compared."""
+    values, those that a glance at each window likes best are compared; from where windows are
+    measured to start, as starts that were fitted without the event pass it by."""
     best, least, begin = None, np.inf, context.judge.begin(current)
     possible: list[EffectInstance] = []
     for one in every:
@@ -126,7 +127,7 @@ def _least(
             possible.append(clean(context.bench.scene, one))
     if len(possible) > _FEW:
         begun = [current.hypothesis.plus(one) for one in possible]
-        left = [context.judge.glance(one, begin, every=True) for one in begun]
+        left = [context.judge.glance(one, begin.as_measured(), every=True) for one in begun]
         possible = [possible[i] for i in np.argsort(left, kind="stable")[:_FEW]]
     for one in possible:
         try:

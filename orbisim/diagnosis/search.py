@@ -67,10 +67,23 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
 
 
 def _ended(found: Found, later: Found) -> bool:
-    """Whether a round has changed nothing, or no more than values where nothing is left."""
-    places = [[(e.effect, e.target) for e in one.best.hypothesis.effects] for one in (found, later)]
-    same = places[0] == places[1] and done(later.context, later.best)
-    return later.best is found.best or same
+    """Whether a round has changed nothing, or no more than values where nothing is left or other
+    values are worth nothing: a further round would try the same once more."""
+    if later.best is found.best:
+        return True
+    (places, *form), (later_places, *later_form) = _form(found), _form(later)
+    if places != later_places:
+        return False
+    if done(later.context, later.best):
+        return True
+    return form == later_form and worth(later.context.bench, found.best, later.best).total < EVEN
+
+
+def _form(found: Found) -> list[object]:
+    """What an explanation is but for its values: effects, parameters retuned, steps and lead."""
+    hypothesis, bench = found.best.hypothesis, found.context.bench
+    places = [(one.effect, one.target) for one in hypothesis.effects]
+    return [places, [one for one, _ in hypothesis.factors], stepping(bench.scene), bench.lead]
 
 
 def _round(found: Found, number: int) -> Found:

@@ -314,14 +314,17 @@ class HardStop(JointEffect):
     def places(
         self, model: mujoco.MjModel, target: str, courses: Sequence[Floats]
     ) -> list[list[Mapping[str, float]]]:
-        """Near both ends of the travel: an impact is over within a sample or two."""
+        """Near both ends of the travel, where an impact is over within a sample or two; as soft as
+        limits are declared, and as stiff as steps resolve."""
         travel = float(np.ptp(np.concatenate(courses)))
         found: list[list[Mapping[str, float]]] = []
         for side in (1.0, -1.0):
             ends = _turns([side * q for q in courses], _DEPTHS[1] * travel)
             places = [side * (end - depth * travel) for end in ends for depth in _DEPTHS]
-            begin = _solref(model, target)
-            found.append([{"position": place, "side": side, **begin} for place in places])
+            begins = _solref(model, target), dict(zip(_SOLREF_NAMES, _stiff(model), strict=True))
+            found.append(
+                [{"position": place, "side": side, **one} for place in places for one in begins]
+            )
         return found
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
@@ -351,6 +354,12 @@ def _solref(model: mujoco.MjModel, target: str) -> dict[str, float]:
     declared = model.jnt_solref[index_of(model, "joint", target)]
     said = declared if declared[0] > 0 else _SOLREF
     return {name: float(value) for name, value in zip(_SOLREF_NAMES, said, strict=True)}
+
+
+def _stiff(model: mujoco.MjModel) -> tuple[float, float]:
+    """`solreflimit` of a stop as stiff as the timestep resolves that throws a joint back at a fifth
+    of its speed, as rubber and plastics do: exp(-pi z / sqrt(1 - z^2)) for a damping ratio z."""
+    return 2 * float(model.opt.timestep), 0.46
 
 
 def _turns(every: Sequence[Floats], apart: float) -> list[float]:

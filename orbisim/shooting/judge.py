@@ -84,6 +84,12 @@ class Beginning:
     unknowns: Sequence[Unknown] = ()
     shooter: Shooter | None = None
 
+    def as_measured(self) -> Beginning:
+        """The same with windows that start where they were measured to, at the references."""
+        if self.start is None:
+            return self
+        return dataclasses.replace(self, start=np.zeros_like(self.start))
+
     @functools.cached_property
     def own(self) -> Own | None:
         """What the explanation's own parameters change; None where that is not to be had."""
@@ -324,7 +330,8 @@ class Judge:
         simulated, or if `begin` has no starts.
 
         Args:
-          every: whether every window is simulated, also where there are many.
+          every: whether every window is simulated, also where there are many, and what is left is
+            as `Judged.loss`, in which a window that an event throws off counts no more than others.
         """
         if begin.start is None or begin.free is None:
             return np.inf, 1.0
@@ -339,7 +346,7 @@ class Judge:
             return np.inf, 1.0
         dof = np.maximum(self.fitted.data - 2 * self.fitted.nv, 1)
         means = (left / dof)[slice(None) if some is None else some]
-        return self._typical(self.fitted, means), size
+        return _loss(means) if every else self._typical(self.fitted, means), size
 
     def tried(self, hypothesis: Hypothesis, begin: Beginning) -> float:
         """What one step of a fit leaves, over all windows; with derivatives by the numbers of the

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import orbisim
+from orbisim.diagnosis import search as searching
 from orbisim.diagnosis.conclusion import _as_found, _best_first, attribute, concluded
 from orbisim.diagnosis.context import begun
 from orbisim.diagnosis.explanations import Found, Tried, best_few
@@ -25,7 +26,7 @@ from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
-from orbisim.shooting.judge import Judged
+from orbisim.shooting.judge import Beginning, Judged
 from orbisim.shooting.retune import SPREAD, Tunable, retuned
 from orbisim.shooting.timestep import stepping
 from orbisim.testing import inject_effect
@@ -151,24 +152,29 @@ def test_events_are_tried_where_something_is_left(arm: orbisim.Scene) -> None:
     samples = SimpleNamespace(absolute=absolute, usable=np.ones(201, bool))
     bench = SimpleNamespace(scene=arm, contacts=False, samples=[samples])
 
-    def quick_loss(hypothesis: Hypothesis, begin: None) -> float:
+    fitted_starts = Beginning(start=np.ones((1, 4)))
+
+    def quick_loss(hypothesis: Hypothesis, begin: Beginning) -> float:
         fitted.append(hypothesis)
         return abs(hypothesis.effects[-1].values["position"] - 1.44)
 
-    def glance(hypothesis: Hypothesis, begin: None, every: bool) -> float:
+    def glance(hypothesis: Hypothesis, begin: Beginning, every: bool) -> float:
         assert every  # an event may happen in few windows
+        assert not np.any(begin.start)  # starts that were fitted without it pass it by
         return abs(hypothesis.effects[-1].values["position"] - 1.43)
 
     fitted: list[Hypothesis] = []
-    judge = SimpleNamespace(quick_loss=quick_loss, glance=glance, begin=lambda judged: None)
+    judge = SimpleNamespace(
+        quick_loss=quick_loss, glance=glance, begin=lambda judged: fitted_starts
+    )
     context: Any = SimpleNamespace(
         bench=bench, judge=judge, allowed=lambda one: one.effect == "hard_stop"
     )
     current: Any = SimpleNamespace(hypothesis=Hypothesis())
     found = [one.instance for one in events(context, current, np.array([0.9, 0.01]))]
     assert [one.target for one in found] == ["shoulder"] * 2
-    assert found[0].values == pytest.approx({"position": 1.44, "side": 1.0})  # 3 % of the travel
-    assert found[1].values == pytest.approx({"position": -0.34, "side": -1.0})
+    places = [(one.values["position"], one.values["side"]) for one in found]
+    np.testing.assert_allclose(places, [(1.44, 1.0), (-0.34, -1.0)])  # 3 % of the travel
     assert len(fitted) == 6  # those that a glance likes best, on either side
     current.hypothesis = Hypothesis((found[0],))
     assert list(events(context, current, np.array([0.9, 0.01]))) == []
@@ -352,3 +358,28 @@ def test_where_the_time_was_up_what_was_sure_at_first_is_the_answer(arm: orbisim
     assert _best_first(dataclasses.replace(found, best=sure)) == [sure]
     for after in (concluded(found, NEVER), _as_found(found), _as_found(found, Deadline(0.0))):
         assert [one.effect for one in after.hypothesis.effects] == ["coulomb_friction"]
+
+
+@pytest.mark.parametrize(
+    ("effect", "step", "gained", "ended"),
+    [
+        (FRICTION, 0.002, 0.1, True),  # other values are worth nothing
+        (FRICTION, 0.002, 5.0, False),
+        (DAMPING, 0.002, 0.1, False),  # another effect
+        (FRICTION, 0.001, 0.1, False),  # other steps
+    ],
+)
+def test_a_round_that_changes_no_more_than_values_is_the_last(
+    effect: EffectInstance, step: float, gained: float, ended: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def found(effect: EffectInstance, step: float) -> Any:
+        best = SimpleNamespace(hypothesis=Hypothesis((effect,)))
+        bench = SimpleNamespace(scene=step, lead=None)
+        return SimpleNamespace(best=best, context=SimpleNamespace(bench=bench))
+
+    monkeypatch.setattr(searching, "stepping", lambda scene: scene)
+    monkeypatch.setattr(searching, "done", lambda context, judged: False)
+    monkeypatch.setattr(searching, "worth", lambda *_: SimpleNamespace(total=gained))
+    before = found(FRICTION, 0.002)
+    assert searching._ended(before, found(effect, step)) is ended
+    assert searching._ended(before, before)

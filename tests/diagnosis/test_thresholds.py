@@ -99,3 +99,14 @@ def test_a_search_that_was_ended_says_nothing_of_few_windows(cut_short: bool, ve
         hypothesis=Hypothesis(), before=before, after=before, left=None, cut_short=cut_short
     )
     assert verdict_of(found, Settings()) == verdict
+
+
+@pytest.mark.parametrize(("cut_short", "verdict"), [(False, "no_residual"), (True, "unexplained")])
+def test_a_search_that_was_ended_calls_nothing_noise(cut_short: bool, verdict: str) -> None:
+    """What is left may be an effect that was not tried: a late sensor looks like coloured noise."""
+    before = SimpleNamespace(ratio=8.7, pooled=8.7, fit=SimpleNamespace(count=5000))
+    left = SimpleNamespace(structured=False)
+    found: Any = SimpleNamespace(
+        hypothesis=Hypothesis(), before=before, after=before, left=left, cut_short=cut_short
+    )
+    assert verdict_of(found, Settings()) == verdict
