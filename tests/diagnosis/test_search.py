@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -66,6 +67,20 @@ def test_adds_what_is_missing_and_nothing_else(
     assert names(found.best.hypothesis) == names(Hypothesis(missing))
     assert found.best.ratio < 1.1 and not found.law and not found.late
     assert worth(found.context.bench, found.best, found.best).total == 0
+
+
+def test_friction_is_found_where_the_scene_disables_constraints(arm: orbisim.Scene) -> None:
+    """As dm_control's acrobot does: its machine has friction all the same."""
+    spec = arm.spec
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    declared = orbisim.Scene.from_spec(spec, source=arm.source)
+    runs = inject_effect(arm, [FRICTION], duration=2.0, episodes=2, noise=1e-4, seed=4)
+    bench = make_bench(declared, prepare_all(runs, declared), 0.5)
+    found = search(bench, Settings(effects=ALLOWED[:2]))
+    assert names(found.best.hypothesis) == names(Hypothesis((FRICTION,)))
+    assert found.best.ratio < 1.1
+    told = found.best.hypothesis.effects[0].values["torque"]
+    assert told == pytest.approx(FRICTION.values["torque"], rel=0.05)
 
 
 def test_a_right_scene_needs_nothing(arm: orbisim.Scene) -> None:
