@@ -23,7 +23,7 @@ from orbisim.effects import EffectInstance, find
 from orbisim.effects.screening import Candidate
 from orbisim.evidence import EFFECT, Blocks, Gain, gain, weights
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
-from orbisim.shooting.regress import Normal, fit, profiled, with_ones
+from orbisim.shooting.regress import Normal, fit, profiled, scaled_gram, with_ones
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -275,9 +275,10 @@ def _by_fold(data: Data, index: Ints, ones: int) -> Floats:
     inner = gram[:, index[:, None], index]
     wanted = moment[:, index] - inner[:, :, :ones].sum(axis=2)
     inner, wanted = inner[:, ones:, ones:], wanted[:, ones:]
-    scale = np.sqrt(np.maximum(np.einsum("fii->fi", inner), 1e-300))
-    inner = inner / (scale[:, :, None] * scale[:, None, :]) + _RIDGE * np.eye(inner.shape[1])
-    return np.asarray(np.linalg.solve(inner, (wanted / scale)[..., None])[..., 0] / scale)
+    inner, scale = scaled_gram(inner)
+    inner = inner + _RIDGE * np.eye(inner.shape[1])
+    wanted = np.where(np.isfinite(wanted), wanted, 0.0) / scale
+    return np.asarray(np.linalg.solve(inner, wanted[..., None])[..., 0] / scale)
 
 
 _RIDGE = 1e-9
@@ -453,7 +454,7 @@ class _Search:
                 continue
             at = list(group.index)
             strength = np.diag(rest.gram)[at] / np.maximum(np.diag(self.whole.gram)[at], 1e-300)
-            if strength.max(initial=0.0) < _NEW:
+            if not _NEW <= strength.max(initial=0.0) < np.inf:  # nothing new, or overflowed
                 continue
             left = with_ones(rest, at).square if group.fixed else fit(rest, at)[1]
             scored.append((left, len(scored), group))

@@ -395,7 +395,7 @@ class Problem:
         moment = np.einsum("wdp,wd->p", weighted, left)
         moment = moment - self.precision * (values - self.centre)
         scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        known = np.flatnonzero(np.isfinite(np.diag(gram)) & np.isfinite(moment))
+        known = np.flatnonzero((np.diag(gram) < _HUGE**2) & np.isfinite(moment))
         within = np.ix_(known, known)
         scaled = gram[within] / np.outer(scale, scale)[within] + damping * np.eye(len(known))
         step = np.zeros(count)
@@ -425,7 +425,7 @@ class Problem:
         information = np.einsum("wdp,wdq->wpq", weighted, weighted)
         score = np.einsum("wdp,wd->wp", weighted, left)
         # a window whose slopes overflow (see `parameter_step`) says nothing
-        told = np.isfinite(information).all(axis=(1, 2)) & np.isfinite(score).all(axis=1)
+        told = (np.abs(information) < _HUGE).all(axis=(1, 2)) & (np.abs(score) < _HUGE).all(axis=1)
         information[~told], score[~told] = 0.0, 0.0
         gram = information.sum(axis=0) + np.diag(self.precision)
         trust, square = self.trust(here.cost), float(here.cost.sum())
@@ -465,14 +465,23 @@ class Trial:
 
 
 def least_squares(matrix: Floats, wanted: Floats, brakes: Floats) -> Floats:
-    """Window by window, with columns scaled and damped; what changes nothing stays put."""
+    """Window by window, with columns scaled and damped; what changes nothing stays put, and so does
+    a window that overflows."""
+    whole = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(wanted).all(axis=1)
+    matrix, wanted = (
+        np.where(whole[:, None, None], matrix, 0.0),
+        np.where(whole[:, None], wanted, 0.0),
+    )
     scale = np.maximum(np.linalg.norm(matrix, axis=1), 1e-300)
     u, s, vt = np.linalg.svd(matrix / scale[:, None, :], full_matrices=False)
-    inverse = np.where(s > 1e-8 * s[:, :1], s / (s**2 + brakes[:, None]), 0.0)
+    felt = s > 1e-8 * s[:, :1]
+    inverse = np.where(felt, s / np.where(felt, s**2 + brakes[:, None], 1.0), 0.0)
     inner = np.einsum("wdk,wd->wk", u, wanted) * inverse
     return np.asarray(np.einsum("wkf,wk->wf", vt, inner) / scale)
 
 
+_HUGE = 1e150
+"""Of what a window says of parameters: squares of such numbers are finite, larger ones overflow."""
 _START_STEP = 1e-6
 """Step of differences by starts: well above the rounding of a run, well below what bends it."""
 _SHORTER = 7

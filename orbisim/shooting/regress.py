@@ -255,16 +255,35 @@ def fit(
     index = list(columns)
     if not index:
         return np.zeros(0), normal.square
-    gram = normal.gram[np.ix_(index, index)].copy()
-    strength = np.diag(gram)  # none, but for rounding, where others that are gone explain it all
-    scale = np.sqrt(np.where(strength > 0, strength, np.inf))
+    gram, moment = normal.gram[np.ix_(index, index)], normal.moment[index]
+    scaled, scale = scaled_gram(gram)
     if ridge is not None:
-        gram = gram + np.diag(ridge)
-    moment = normal.moment[index]
-    scaled = gram / np.outer(scale, scale) + 1e-12 * np.eye(len(index))
-    x = np.linalg.lstsq(scaled, moment / scale, rcond=1e-11)[0] / scale
-    left = normal.square - 2 * x @ moment + x @ gram @ x
+        scaled = scaled + np.diag(ridge / scale**2)
+    scaled = scaled + 1e-12 * np.eye(len(index))
+    x = np.linalg.lstsq(scaled, np.where(np.isfinite(moment), moment, 0.0) / scale, rcond=1e-11)[0]
+    x = x / scale
+    felt = x != 0.0  # what overflows has no coefficient
+    gram, moment = gram[np.ix_(felt, felt)], moment[felt]
+    left = normal.square - 2 * x[felt] @ moment + x[felt] @ gram @ x[felt]
     return x, float(max(left, 0.0))
+
+
+def scaled_gram(gram: Floats) -> tuple[Floats, Floats]:
+    """Gram matrices [..., P, P] of columns of unit length, and the lengths [..., P].
+
+    A column of which hardly anything is left, or that overflows, has an infinite length: it says
+    nothing, and has no coefficient.
+    """
+    strength = np.einsum("...ii->...i", gram)
+    felt = np.isfinite(strength) & (strength > _NOTHING)
+    scale = np.sqrt(np.where(felt, strength, np.inf))
+    known = felt[..., :, None] & felt[..., None, :] & np.isfinite(gram)
+    # one after the other: the product of two short lengths is 0
+    return np.where(known, gram, 0.0) / scale[..., :, None] / scale[..., None, :], scale
+
+
+_NOTHING = 1e-280
+"""Square of a length whose products with others of its kind are no longer normal numbers."""
 
 
 def with_ones(normal: Normal, columns: Sequence[int]) -> Normal:
@@ -287,11 +306,11 @@ def profiled(normal: Normal, nuisance: Sequence[int], ridge: Floats) -> Normal:
     index = list(nuisance)
     if not index:
         return normal
-    inner = normal.gram[np.ix_(index, index)] + np.diag(ridge)
-    scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
-    inverse = np.linalg.pinv(inner / np.outer(scale, scale), rcond=1e-11) / np.outer(scale, scale)
-    across = normal.gram[:, index]
-    moment = normal.moment[index]
+    scaled, scale = scaled_gram(normal.gram[np.ix_(index, index)] + np.diag(ridge))
+    inverse = np.linalg.pinv(scaled, rcond=1e-11) / scale[:, None] / scale
+    felt = np.isfinite(scale)  # what overflows explains nothing
+    across = np.where(felt, normal.gram[:, index], 0.0)
+    moment = np.where(felt, normal.moment[index], 0.0)
     return Normal(
         normal.gram - across @ inverse @ across.T,
         normal.moment - across @ inverse @ moment,

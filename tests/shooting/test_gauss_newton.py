@@ -15,7 +15,7 @@ from orbisim.recording import Recording
 from orbisim.shooting.bench import make_bench
 from orbisim.shooting.confidence import confidence
 from orbisim.shooting.fits import Hints, Unknown
-from orbisim.shooting.gauss_newton import Problem, gauss_newton
+from orbisim.shooting.gauss_newton import Problem, gauss_newton, least_squares
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judge
 from orbisim.shooting.shooter import Variant
@@ -63,9 +63,11 @@ def test_slopes_that_overflow_move_nothing() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*overflow.*:RuntimeWarning")
+@pytest.mark.parametrize("flown", [1e80, 1e154, 1e200])
 def test_a_window_whose_slopes_overflow_says_nothing_of_parameters(
-    monkeypatch: pytest.MonkeyPatch,
+    flown: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """So far that their squares, or sums and products of these, are no numbers."""
     shooter: Any = SimpleNamespace(data=np.array([4, 4]), count=8, recording=np.zeros(2, int))
     unknowns = [Unknown("a", 0.0, -10.0, 10.0, 1e-3)]
     problem = Problem(shooter, lambda _: Variant(None), unknowns, Hints(), None)  # type: ignore[arg-type]
@@ -74,7 +76,7 @@ def test_a_window_whose_slopes_overflow_says_nothing_of_parameters(
         values=np.zeros(1), xi=np.zeros((2, 1)), residual=np.ones((2, 4)), cost=np.ones(2)
     )
     slopes = np.ones((2, 4, 1))
-    slopes[1, 2] = 1e200
+    slopes[1, 2] = flown
     found = problem._result(here, np.zeros((2, 4, 1)), slopes)
     np.testing.assert_array_equal(found.information[:, 0, 0], [4.0, 0.0])
     assert np.isfinite(found.covariance).all()
@@ -131,3 +133,14 @@ def test_a_window_that_nothing_explains_does_not_widen_intervals(arm: orbisim.Sc
         return float(np.sqrt(found.fit.covariance[0, 0]))
 
     assert deviation([wrong, runs[1]]) < 2 * deviation(runs)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_window_that_overflows_keeps_its_start(value: float) -> None:
+    rng = np.random.default_rng(1)
+    matrix, wanted = rng.normal(size=(3, 9, 4)), rng.normal(size=(3, 9))
+    moves = least_squares(matrix, wanted, np.zeros(3))
+    matrix[1, 2, 3] = value
+    again = least_squares(matrix, wanted, np.zeros(3))
+    np.testing.assert_array_equal(again[[0, 2]], moves[[0, 2]])
+    assert not again[1].any()

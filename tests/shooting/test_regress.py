@@ -5,7 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from orbisim.shooting.regress import fit, normal_of, profiled, total, without_start
+from orbisim.shooting.regress import (
+    Normal,
+    fit,
+    normal_of,
+    profiled,
+    scaled_gram,
+    total,
+    without_start,
+)
 
 RNG = np.random.default_rng(2)
 DESIGN, TARGET = RNG.standard_normal((30, 5)), RNG.standard_normal(30)
@@ -61,3 +69,19 @@ def test_a_column_of_which_nothing_is_left_has_no_coefficient() -> None:
     x, left = fit(dataclasses.replace(rest, gram=below), [1, 5])
     assert x[1] == 0.0
     assert left == pytest.approx(fit(rest, [1])[1], rel=1e-6)
+
+
+@pytest.mark.parametrize("strength", [np.inf, np.nan, 1e-310, -1e-12])
+def test_a_column_that_overflows_or_is_none_has_no_coefficient(strength: float) -> None:
+    """The others have what they have without it."""
+    gram = np.array([[4.0, 1.0, 1e40], [1.0, 2.0, -1e40], [1e40, -1e40, strength]])
+    normal = Normal(gram, np.array([2.0, 3.0, 1e30]), 10.0, 50)
+    x, left = fit(normal, [0, 1, 2])
+    without, square = fit(normal, [0, 1])
+    np.testing.assert_allclose(x, [*without, 0.0], rtol=1e-9)
+    assert left == pytest.approx(square)
+    gone = profiled(normal, [1, 2], np.zeros(2))
+    assert np.isfinite(gone.gram[:2, :2]).all()
+    scaled, scale = scaled_gram(np.stack([gram, np.eye(3)]))
+    assert np.isfinite(scaled).all() and np.isinf(scale[0, 2])
+    np.testing.assert_array_equal(scaled[1], np.eye(3))

@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 import tempfile
 from pathlib import Path
+from traceback import extract_tb
 from typing import Any
 
 import from_source
 
 KEPT = ("verdict", "effects", "retuned", "alternatives", "error", "residual", "noise", "notes")
+
+_PLACES = 8
+"""Innermost lines of a fault that are kept."""
 
 
 def scene_of(folder: Path) -> Path:
@@ -41,7 +45,9 @@ def diagnosed(folder: Path, patience: float, seed: int = 0, half: bool = False) 
         try:
             cli.main(words, standalone_mode=False)
         except Exception as error:
-            print(json.dumps({"report": None, "failure": f"{error!r}"[:2000]}))
+            places = [f"{Path(f.filename).name}:{f.lineno}" for f in extract_tb(error.__traceback__)]
+            failure = f"{error!r} at {', '.join(places[-_PLACES:])}"
+            print(json.dumps({"report": None, "failure": failure[:2000]}))
             return 0
         report: dict[str, Any] = json.loads((Path(out) / "report.json").read_text())
     told = {key: report[key] for key in KEPT if key in report}
