@@ -41,7 +41,11 @@ class MotionView:
         self.qpos = np.concatenate([flow.qpos, flow.after_qpos])
         self.qvel = np.concatenate([flow.qvel, flow.after_qvel])
         self.ctrl = np.concatenate([flow.ctrl, flow.ctrl])
-        acc = [samples[i].qacc[[r, r + 1]] for i, r in zip(flow.recording, flow.row, strict=True)]
+        places = list(zip(flow.recording, flow.row, strict=True))
+        acc = [samples[i].qacc[[r, r + 1]] for i, r in places]
+        # the declared scene's: the flow's may be of a variant with activations of its own
+        self._act = np.array([samples[i].act[r] for i, r in places])
+        self._history = np.array([samples[i].history[r] for i, r in places])
         stacked = np.array(acc).reshape(len(flow), 2, self.model.nv)
         self.qacc = np.concatenate([stacked[:, 0], stacked[:, 1]])
         self._walk()
@@ -68,9 +72,9 @@ class MotionView:
         keep: dict[str, list[Floats]] = {name: [] for name in _KEPT}
         for m in range(count):
             data.qpos[:], data.qvel[:] = self.qpos[m], self.qvel[m]
-            data.ctrl[:], data.act[:] = self.ctrl[m], self.flow.act[m % n]
+            data.ctrl[:], data.act[:] = self.ctrl[m], self._act[m % n]
             if model.nhistory:
-                data.history[:] = self.flow.history[m % n]
+                data.history[:] = self._history[m % n]
             data.time = self.time[m]
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)

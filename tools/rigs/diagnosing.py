@@ -45,9 +45,9 @@ def diagnosed(folder: Path, patience: float, seed: int = 0, half: bool = False) 
         try:
             cli.main(words, standalone_mode=False)
         except Exception as error:
-            places = [f"{Path(f.filename).name}:{f.lineno}" for f in extract_tb(error.__traceback__)]
-            failure = f"{error!r} at {', '.join(places[-_PLACES:])}"
-            print(json.dumps({"report": None, "failure": failure[:2000]}))
+            frames = extract_tb(error.__traceback__)[-_PLACES:]
+            places = ", ".join(f"{Path(f.filename).name}:{f.lineno}" for f in frames)
+            print(json.dumps({"report": None, "failure": f"{error!r} at {places}"[:2000]}))
             return 0
         report: dict[str, Any] = json.loads((Path(out) / "report.json").read_text())
     told = {key: report[key] for key in KEPT if key in report}
