@@ -15,7 +15,7 @@ from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.simplification import Sure, only_sure, plain, told
 from orbisim.diagnosis.suspects import Screening
-from orbisim.diagnosis.worth import vague, worth
+from orbisim.diagnosis.worth import prior, vague, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.evidence import NEAR, Gain
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
@@ -172,9 +172,19 @@ def _finally(
     Args:
       known: what has windows' starts close to the hypothesis' own.
     """
-    judge = context.judge
     anew = dataclasses.replace(hypothesis, frozen=frozenset())
-    cold = None
+    fitted = _fitted(found, context, known, anew)
+    possible = fitted is not None and prior(context.bench, fitted.hypothesis) > -np.inf
+    if possible or not known.hypothesis.frozen:
+        return fitted
+    # what all windows do not determine either has gone where no machine has it
+    kept = _fitted(found, context, known, known.hypothesis)
+    return fitted if kept is None else kept
+
+
+def _fitted(found: Found, context: Context, known: Judged, anew: Hypothesis) -> Judged | None:
+    """From nothing and from what was known, whichever is better."""
+    judge, cold = context.judge, None
     if not context.bench.contacts:  # there a start from nothing takes long
         cold = judge.judge(anew, 8)
         if cold is not None and cold.ratio <= NEAR:

@@ -47,10 +47,13 @@ def gains(bench: Bench, before: Judged, others: Sequence[Judged]) -> list[Gain]:
         hidden = one.fit.start.shape[1] - 2 * bench.scene.model.nv
         return log_prior(bench, one, data) - hidden * starts
 
-    known = _squares(before, len(size)), odds(before)
-    return [
-        gain(known[0], _squares(one, len(size)), blocks, odds(one) - known[1]) for one in others
-    ]
+    known, there = _squares(before, len(size)), odds(before)
+    found = []
+    for one in others:
+        other = odds(one)
+        more = 0.0 if other == there else other - there  # both may be impossible: -inf
+        found.append(gain(known, _squares(one, len(size)), blocks, more))
+    return found
 
 
 def blocks_of(judged: Judged, beyond: float = np.inf) -> Blocks:

@@ -13,7 +13,8 @@ import pytest
 
 import orbisim
 from orbisim.diagnosis import search as searching
-from orbisim.diagnosis.conclusion import _as_found, _best_first, attribute, concluded
+from orbisim.diagnosis import worth as worths
+from orbisim.diagnosis.conclusion import _as_found, _best_first, _finally, attribute, concluded
 from orbisim.diagnosis.context import begun
 from orbisim.diagnosis.explanations import Found, Tried, best_few
 from orbisim.diagnosis.moves import _generalized
@@ -226,6 +227,45 @@ def test_the_best_so_far_is_returned_when_the_time_is_up(arm: orbisim.Scene) -> 
     assert found.bench.deadline is NEVER
     none = search(dataclasses.replace(whole, deadline=Deadline(0.0)), Settings())
     assert none.late and none.best is none.declared
+
+
+LOAD = EffectInstance(
+    "payload", "forearm", {"mass": 0.1, "com_x": 0.1, "com_y": -9.98, "com_z": 0.0}
+)
+"""Nothing is attached ten metres beside an arm."""
+
+
+def test_what_two_impossible_explanations_differ_by_is_a_number(
+    arm: orbisim.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Their prior odds are the same, and no reason to drop what is in one of them."""
+    bench = bench_of(arm, FRICTION)
+    judged = begun(bench, Settings(), lambda _: None).judge.judge(Hypothesis((FRICTION,)))
+    assert judged is not None and prior(bench, Hypothesis((LOAD,))) == -np.inf
+    monkeypatch.setattr(worths, "log_prior", lambda _, one, __: prior(bench, one.hypothesis))
+    less = dataclasses.replace(judged, hypothesis=Hypothesis((LOAD,)), fitted=judged.fitted + 5.0)
+    more = dataclasses.replace(judged, hypothesis=Hypothesis((LOAD, FRICTION)))
+    assert worth(bench, less, more).total > 0
+    assert worth(bench, judged, more).total == -np.inf
+
+
+def test_what_all_windows_do_not_determine_stays_where_it_was(arm: orbisim.Scene) -> None:
+    """A number that some windows do not determine is fitted to all; where that leads to what no
+    machine has, it keeps its value."""
+    bench = bench_of(arm)
+    known = LOAD.replace(com_y=0.0)
+
+    def judge(hypothesis: Hypothesis, *_: Any, **__: Any) -> Any:
+        effect = known if hypothesis.frozen else LOAD
+        fitted = dataclasses.replace(hypothesis, effects=(effect,))
+        return SimpleNamespace(hypothesis=fitted, loss=1.0, ratio=3.0)
+
+    own: Any = SimpleNamespace(judge=judge, begin_joined=lambda *_: None)
+    context: Any = SimpleNamespace(bench=bench, judge=own)
+    before: Any = SimpleNamespace(hypothesis=Hypothesis((known,), frozen=frozenset({(0, "com_y")})))
+    found: Any = SimpleNamespace(context=context)
+    last = _finally(found, context, before, before.hypothesis)
+    assert last is not None and last.hypothesis.effects == (known,)
 
 
 def test_a_number_of_a_usual_size_costs_the_width_of_its_prior(arm: orbisim.Scene) -> None:
