@@ -467,11 +467,9 @@ class Trial:
 def least_squares(matrix: Floats, wanted: Floats, brakes: Floats) -> Floats:
     """Window by window, with columns scaled and damped; what changes nothing stays put, and so does
     a window that overflows."""
-    whole = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(wanted).all(axis=1)
-    matrix, wanted = (
-        np.where(whole[:, None, None], matrix, 0.0),
-        np.where(whole[:, None], wanted, 0.0),
-    )
+    whole = np.asarray(np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(wanted).all(axis=1))
+    matrix = np.where(whole[:, None, None], matrix, 0.0)
+    wanted = np.where(whole[:, None], wanted, 0.0)
     scale = np.maximum(np.linalg.norm(matrix, axis=1), 1e-300)
     u, s, vt = np.linalg.svd(matrix / scale[:, None, :], full_matrices=False)
     felt = s > 1e-8 * s[:, :1]

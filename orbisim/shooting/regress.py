@@ -314,6 +314,6 @@ def profiled(normal: Normal, nuisance: Sequence[int], ridge: Floats) -> Normal:
     return Normal(
         normal.gram - across @ inverse @ across.T,
         normal.moment - across @ inverse @ moment,
-        float(max(normal.square - moment @ inverse @ moment, 0.0)),
+        max(float(normal.square - moment @ inverse @ moment), 0.0),
         normal.count,
     )
