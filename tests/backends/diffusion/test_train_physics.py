@@ -35,23 +35,24 @@ from tests.backends.diffusion.tiny import save_tiny
 QUICK = TrainConfig(batch=32, rate=3e-3, warmup=5, average=0.9)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("objective", ["rollout", "values"])
 def test_friction_is_found_where_something_slides_and_not_where_nothing_does(
     objective: Objective,
 ) -> None:
     torch.manual_seed(0)
     world: Any = Slides()
-    found, _ = train_physics(objective, Run(1e9, 160), world, world, training=QUICK)
+    found, _ = train_physics(objective, Run(1e9, 50), world, world, training=QUICK)
     truth = world.draw(128)  # fresh: the first half moves
     with torch.no_grad():
         said = found.said(world.seen(truth))
     off = (said.mean - truth.logs)[:, 0].abs()
     blind = (found.middle[0] - truth.logs[:, 0]).abs()
     share = said.spread / found.prior[found.kinds(2), 1]
-    assert float(off[:64].mean()) < 0.7 * float(blind[:64].mean())
-    assert float(share[:64, 0].mean()) < 0.75 and float(share[64:, 0].mean()) > 0.8
-    assert float((said.mean - found.middle[0])[64:, 0].abs().mean()) < 0.6 * found.width[0]
+    # a transformer over tokens of 4 frames, which had to find out what a deceleration is, left 0.8
+    # and 0.6 of the prior's error after as many steps, and nothing learned of real pushes
+    assert float(off[:64].mean()) < 0.2 * float(blind[:64].mean())
+    assert float(share[:64, 0].mean()) < 0.3 and float(share[64:, 0].mean()) > 0.95
+    assert float((said.mean - found.middle[0])[64:, 0].abs().mean()) < 0.05 * found.width[0]
     assert float(share[:, 1:].mean()) > 0.8  # densities show nowhere
 
 
