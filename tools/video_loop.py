@@ -7,14 +7,15 @@
 What is hidden (`--hidden`): `friction`, a table whose friction is between 0.12 and 0.7 instead of
 the declared 0.35; a block is set going over it. `payload`, 30 to 300 g in the middle of a block
 that weighs 96 g; another block of 192 g hits it, since how a block slides by itself does not tell
-its mass. `--without` episodes are as declared. Each has eight films (H.264), and what is compared
-knows nothing else. `see` films, reads each video as `orbisim infer` does, and keeps the recordings
-(`run0.npz`, ...; `seen.json` says how far off they are, since here the truth is known). `diagnose`
-takes the recordings alone: `orbisim diagnose` compares six of them with the declared scene and
-holds two out; `diagnosis.json` has verdict, effects, value found and true, errors before and after
-on what was held out. `film` makes the films alone, for another machine to read; `both` diagnoses
-each episode as soon as it is seen, so that a run that is ended has whole episodes. All go on where
-they were ended; `--again` diagnoses anew. `summary.json` counts all that is there.
+its mass. `--without` episodes are as declared. Each has eight films, with two blocks six (H.264),
+and what is compared knows nothing else. `see` films, reads each video as `orbisim infer` does, and
+keeps the recordings (`run0.npz`, ...; `seen.json` says how far off they are, since here the truth
+is known). `diagnose` takes the recordings alone: `orbisim diagnose` compares all but two of them
+with the declared scene and holds two out; `diagnosis.json` has verdict, effects, value found and
+true, errors before and after on what was held out. `film` makes the films alone, for another
+machine to read; `both` diagnoses each episode as soon as it is seen, so that a run that is ended
+has whole episodes. All go on where they were ended; `--again` diagnoses anew. `summary.json` counts
+all that is there.
 """
 
 from __future__ import annotations
@@ -82,12 +83,15 @@ class Hidden:
     Attributes:
       name: key of the truth in the lines that are written. effect: its name in the catalogue.
       declared: the number as declared. bodies: that are filmed.
+      films: of an episode, of which the last `_HELD` are held out. Two bodies take twice as long to
+        read off a frame, so that there are fewer.
     """
 
     name: str
     effect: str
     declared: float
     bodies: tuple[str, ...]
+    films: int
 
     def scene(self, value: float) -> Scene:
         """With this friction of the table, or this payload, kg."""
@@ -107,8 +111,8 @@ class Hidden:
 
 
 HIDDEN = {
-    "friction": Hidden("friction", "sliding_friction", _FRICTION, ("block",)),
-    "payload": Hidden("payload", "payload", 0.0, ("block", "striker")),
+    "friction": Hidden("friction", "sliding_friction", _FRICTION, ("block",), 8),
+    "payload": Hidden("payload", "payload", 0.0, ("block", "striker"), 6),
 }
 _LOADS = (0.03, 0.3)
 """kg; the block weighs 0.096."""
@@ -128,7 +132,7 @@ second before it hits. Its speed then, m/s: the block slides 1 to 14 cm. How far
 block's middle, m, standard deviation."""
 _WINDOW = 0.25
 """Of the diagnosis, s: a slide takes 0.2 to 0.8 s."""
-_RUNS, _HELD = 8, 2
+_HELD = 2
 
 
 def main() -> None:
@@ -190,7 +194,7 @@ def film_episode(
     folder.mkdir(parents=True, exist_ok=True)
     scene = hidden.scene(value)
     start = slide if hidden.name == "friction" else strike
-    made = [film(scene, start, rng, folder / f"run{run}.mp4") for run in range(_RUNS)]
+    made = [film(scene, start, rng, folder / f"run{run}.mp4") for run in range(hidden.films)]
     kept.write_text(
         json.dumps({hidden.name: value, "qpos": [run.round(7).tolist() for run in made]})
     )
@@ -258,7 +262,7 @@ def judge(
         return
     torch.set_num_threads(1)
     begun = time.time()
-    recordings = [Recording.load(folder / f"run{run}.npz") for run in range(_RUNS)]
+    recordings = [Recording.load(folder / f"run{run}.npz") for run in range(hidden.films)]
     result = diagnose(
         hidden.scene(hidden.declared),
         recordings[:-_HELD],
