@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,12 +13,13 @@ import torch
 from orbisim_diffusion.checkpoint import PHYSICS, read_manifest
 from orbisim_diffusion.config import TrainConfig
 from orbisim_diffusion.estimate_physics import load_physics
-from orbisim_diffusion.physics import PhysicsInference
+from orbisim_diffusion.physics import PhysicsInference, Posterior
 from orbisim_diffusion.physics_data import Windows
 from orbisim_diffusion.train_physics import (
     FreeRuns,
     Objective,
     calibrate,
+    physics_errors,
     train_physics,
 )
 from orbisim_diffusion.training import Run
@@ -69,6 +71,25 @@ def test_spreads_are_widened_until_they_are_right() -> None:
     model.know(world.pack.world[:, 0], torch.tensor([200.0, 400.0, 800.0]))
     calibrate(model, cast(Windows, world))
     assert 7.0 < float(model.widen[0]) <= 10.0  # 95 % of even draws: 1.65 deviations, not 1.96
+
+
+def test_what_it_gains_over_the_prior_is_stated_with_an_interval() -> None:
+    class Halved(PhysicsInference):
+        """Answers the prior, and is twice as sure."""
+
+        def forward(self, window: Any) -> Posterior:
+            rows = self.prior[self.kinds(2)].expand(len(window.known), 3, 2)
+            return Posterior(rows[..., 0], rows[..., 1] / 2.0)
+
+    torch.manual_seed(0)
+    model, world = Halved().eval(), Slides()
+    model.know(world.pack.world[:, 0], torch.tensor([200.0, 400.0, 800.0]))
+    found = physics_errors(model, cast(Windows, world))
+    # of a normal distribution as wide as the prior: ln 2 - (4 - 1) / 2
+    expected = math.log(2.0) - 1.5
+    assert found["friction_moving_gain"] == pytest.approx(expected, abs=0.15)
+    low, high = found["friction_moving_gain_low"], found["friction_moving_gain_high"]
+    assert low < found["friction_moving_gain"] < high and 0.05 < high - low < 0.5
 
 
 def test_free_runs_are_the_frozen_steps_and_have_its_gradients(tmp_path: Path) -> None:
