@@ -23,7 +23,7 @@ from orbisim.errors import InputError
 from orbisim.scene import load_scene
 from orbisim_diffusion.checkpoint import PHYSICS, add_part, digest
 from orbisim_diffusion.config import TrainConfig
-from orbisim_diffusion.estimate_physics import Reach
+from orbisim_diffusion.estimate_physics import Reach, load_physics
 from orbisim_diffusion.loop import Kept, Loop, mixed
 from orbisim_diffusion.physics import (
     FRAMES,
@@ -45,6 +45,8 @@ from orbisim_diffusion.training import Run
 
 Objective = Literal["rollout", "values"]
 TRAIN = TrainConfig(batch=512, rate=1e-3, warmup=100, decay=1e-2)
+GO_ON = dataclasses.replace(TRAIN, batch=128, rate=3e-4, warmup=20)
+"""Of what has been trained before: little is left to learn, which a CPU can, in smaller steps."""
 HORIZON = 21
 """Steps of a free run in training: a window's 63 steps are three of them, so that gradients pass
 through 1 s, as in the fit, and no contact that the model misses spoils a whole window."""
@@ -76,6 +78,8 @@ class Task:
         `values`: the likelihood of the true values.
       dynamics: checkpoint of the dynamics; None for the zoo's that fits the data's task.
       graph: whether a GPU's steps are CUDA graphs.
+      start: a vision checkpoint whose PhyInf, and whose prior, training goes on with (`GO_ON`), or
+        None.
     """
 
     data: Sequence[Path]
@@ -83,6 +87,7 @@ class Task:
     objective: Objective = "rollout"
     dynamics: str | None = None
     graph: bool = True
+    start: Path | None = None
 
 
 def tune_physics(
@@ -117,7 +122,13 @@ def tune_physics(
         network = module.network if isinstance(module, _Trained) else module
         add_part(folder, PHYSICS, network, {}, dataclasses.asdict(reach))
 
-    model, loop = train_physics(task.objective, run, Windows(pack), free, report=report, kept=keep)
+    training, start = TRAIN, None
+    if task.start is not None:
+        training, start = GO_ON, load_physics(task.start)[0]
+    model, loop = train_physics(
+        task.objective, run, Windows(pack), free,
+        training=training, start=start, report=report, kept=keep,
+    )  # fmt: skip
     test = Windows(held)
     calibrate(model, test, run.seed)
     metrics = {
@@ -138,6 +149,7 @@ def train_physics(
     free: FreeRuns,
     *,
     training: TrainConfig = TRAIN,
+    start: PhysicsInference | None = None,
     report: Callable[[str], None] = print,
     kept: Kept | None = None,
 ) -> tuple[PhysicsInference, Loop]:
@@ -147,6 +159,7 @@ def train_physics(
       objective: see `Task`. run: see `Run`. windows: of the training data.
       free: rollouts of the same data.
       training: how; a batch is of windows, at most as many as there are episodes.
+      start: what to go on with; its prior stays.
       report: is told how it goes.
       kept: see `orbisim_diffusion.loop.Kept`; is given the network with what was learned with it.
     """
@@ -154,7 +167,10 @@ def train_physics(
     pack = windows.pack
     module = _Trained().to(pack.device)
     there = pack.mask > 0
-    module.network.know(frictions(pack), densities(pack)[there])
+    if start is None:
+        module.network.know(frictions(pack), densities(pack)[there])
+    else:
+        module.network.load_state_dict(start.state_dict())
     batch = min(training.batch, pack.episodes)
     loop = Loop(module, training, run.limit, run.progress, run.steps)
 

@@ -73,6 +73,18 @@ def test_spreads_are_widened_until_they_are_right() -> None:
     assert 7.0 < float(model.widen[0]) <= 10.0  # 95 % of even draws: 1.65 deviations, not 1.96
 
 
+def test_training_goes_on_with_what_was_learned_before() -> None:
+    torch.manual_seed(0)
+    world: Any = Slides()
+    begun = PhysicsInference()
+    begun.know(torch.tensor([0.1, 0.3]), torch.tensor([100.0, 900.0]))
+    torch.nn.init.normal_(begun.head.weight)
+    late = TrainConfig(batch=32, rate=1e-6, warmup=1, average=0.0)
+    found, _ = train_physics("values", Run(1e9, 1), world, world, training=late, start=begun)
+    torch.testing.assert_close(found.head.weight, begun.head.weight, atol=1e-5, rtol=0)
+    assert torch.equal(found.prior, begun.prior)
+
+
 def test_what_it_gains_over_the_prior_is_stated_with_an_interval() -> None:
     class Halved(PhysicsInference):
         """Answers the prior, and is twice as sure."""
@@ -138,5 +150,4 @@ def test_the_command_adds_it_and_states_its_errors(
     assert row["ci95"][0] <= row["value"] <= row["ci95"][1]
     assert run([*fit, "--guess", str(tmp_path)]) == 2
     assert run([*command, "--objective", "values"]) == 2
-    assert run([*command, "--physics", "--start", str(folder)]) == 2
     assert "--physics" in capsys.readouterr().err
