@@ -87,6 +87,7 @@ def main() -> None:
     parser.add_argument("--source", action="append", choices=("true", "video"))
     parser.add_argument("--checkpoint", type=Path, default=FOLDER / "push", help="with StaInf")
     parser.add_argument("--network", type=Path, action="append", default=[], help="with PhyInf")
+    parser.add_argument("--no-fit", action="store_true", help="networks alone")
     parser.add_argument("--dynamics", default="learned", help="backend that is fitted")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
@@ -113,7 +114,8 @@ def main() -> None:
         lines: list[dict[str, Any]] = []
         for source in sources:
             cases = read_cases(options.out, source)
-            lines += measured(cases, options.network, options.dynamics, options.device)
+            how = options.dynamics, options.device, not options.no_fit
+            lines += measured(cases, options.network, *how)
     (options.out / "episodes.jsonl").write_text("".join(json.dumps(one) + "\n" for one in lines))
     found = summary(lines)
     (options.out / "summary.json").write_text(json.dumps(found, indent=1) + "\n")
@@ -322,18 +324,20 @@ def measured(
     networks: Sequence[Path],
     dynamics: str,
     device: str,
+    fits: bool = True,
 ) -> list[dict[str, Any]]:
-    """The lines with what was found, and errors of rollouts with it."""
+    """The lines with what was found (`fits`: by fits, too), and errors of rollouts with it."""
     lines, known = [line for line, _ in cases], [case for _, case in cases if case is not None]
     fitted = [line for line, case in cases if case is not None]
     if not known:
         return lines
     batch = Batch(known, dynamics, device)
-    found = {"fit": batch.fit(None)}
+    found = {"fit": batch.fit(None)} if fits else {}
     for path in networks:
         said = batch.network(path)
         found[f"network {path.name}"] = said
-        found[f"both {path.name}"] = batch.fit(said)
+        if fits:
+            found[f"both {path.name}"] = batch.fit(said)
     truth, middle = batch.truth, batch.middle
     runs = {"declared": batch.rollout(middle), "true": batch.rollout(truth)}
     runs |= {name: batch.rollout(some.value) for name, some in found.items()}

@@ -1,23 +1,27 @@
-"""The loop closed from video alone: a sliding block, a table whose friction is another one.
+"""The loop closed from video alone: sliding blocks, and something hidden in the true scene.
 
     MUJOCO_GL=egl python tools/video_loop.py see --with 40 --without 20 --out out/loop --workers 16
     python tools/video_loop.py diagnose --out out/loop --workers 16 [--patience 600]
+    MUJOCO_GL=egl python tools/video_loop.py both --hidden payload --out out/payload --workers 16
 
-Each episode is a true scene, whose table has a friction between 0.12 and 0.7 (`--without`: the
-declared 0.35). A block is set going over it eight times, a camera films it (an H.264 file each),
+What is hidden (`--hidden`): `friction`, a table whose friction is between 0.12 and 0.7 instead of
+the declared 0.35; a block is set going over it. `payload`, 30 to 300 g in the middle of a block
+that weighs 96 g; another block of 192 g hits it, since how a block slides by itself does not tell
+its mass. `--without` episodes are as declared. Each has eight films, with two blocks six (H.264),
 and what is compared knows nothing else. `see` films, reads each video as `orbisim infer` does, and
 keeps the recordings (`run0.npz`, ...; `seen.json` says how far off they are, since here the truth
-is known). `diagnose` takes the recordings alone: `orbisim diagnose` compares six of them with the
-declared scene and holds two out; `diagnosis.json` has verdict, effects, friction found and true,
-errors before and after on what was held out. `film` makes the films alone, for another machine to
-read; `both` diagnoses each episode as soon as it is seen, so that a run that is ended has whole
-episodes. All go on where they were ended; `--again` diagnoses anew. `summary.json` counts all that
-is there.
+is known). `diagnose` takes the recordings alone: `orbisim diagnose` compares all but two of them
+with the declared scene and holds two out; `diagnosis.json` has verdict, effects, value found and
+true, errors before and after on what was held out. `film` makes the films alone, for another
+machine to read; `both` diagnoses each episode as soon as it is seen, so that a run that is ended
+has whole episodes. All go on where they were ended; `--again` diagnoses anew. `summary.json` counts
+all that is there.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import math
 import os
@@ -44,9 +48,7 @@ from orbisim.tasks import pool
 
 Floats = npt.NDArray[np.float64]
 
-DECLARED = 0.35
-"""The table's friction as the scene declares it."""
-SCENE = """
+_WORLD = """
 <mujoco model="slide">
   <option timestep="0.002" integrator="implicitfast" cone="elliptic"/>
   <visual><global offwidth="512" offheight="512"/><quality shadowsize="1024"/></visual>
@@ -58,11 +60,62 @@ SCENE = """
           friction="{friction} 0.005 0.0001" rgba="0.76 0.66 0.52 1"/>
     <body name="block" pos="0 0 0.02">
       <freejoint name="block"/>
-      <geom name="block" type="box" size="0.04 0.03 0.02" density="500" rgba="0.8 0.2 0.2 1"/>
-    </body>
+      <geom name="block" type="box" size="0.04 0.03 0.02" density="500" rgba="0.8 0.2 0.2 1"/>{load}
+    </body>{striker}
   </worldbody>
 </mujoco>
 """
+_STRIKER = """
+    <body name="striker" pos="-0.2 0 0.02">
+      <freejoint name="striker"/>
+      <geom name="striker" type="box" size="0.04 0.03 0.02" density="1000" rgba="0.15 0.3 0.8 1"/>
+    </body>"""
+_LOAD = """
+      <body name="load"><inertial pos="0 0 0" mass="{mass}" diaginertia="1e-9 1e-9 1e-9"/></body>"""
+_FRICTION = 0.35
+"""The table's, as declared."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Hidden:
+    """What the true scene has and the declared one has not.
+
+    Attributes:
+      name: key of the truth in the lines that are written. effect: its name in the catalogue.
+      declared: the number as declared. bodies: that are filmed.
+      films: of an episode, of which the last `_HELD` are held out. Two bodies take twice as long to
+        read off a frame, so that there are fewer.
+    """
+
+    name: str
+    effect: str
+    declared: float
+    bodies: tuple[str, ...]
+    films: int
+
+    def scene(self, value: float) -> Scene:
+        """With this friction of the table, or this payload, kg."""
+        if self.name == "friction":
+            return load_scene(_WORLD.format(friction=value, load="", striker=""))
+        load = _LOAD.format(mass=value) if value else ""
+        return load_scene(_WORLD.format(friction=_FRICTION, load=load, striker=_STRIKER))
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """A number that differs from the declared one: even in the logarithm."""
+        if self.name == "payload":
+            return float(np.exp(rng.uniform(*np.log(_LOADS))))
+        value = self.declared
+        while 0.75 < value / self.declared < 1.35:
+            value = float(np.exp(rng.uniform(math.log(0.12), math.log(0.7))))
+        return value
+
+
+HIDDEN = {
+    "friction": Hidden("friction", "sliding_friction", _FRICTION, ("block",), 8),
+    "payload": Hidden("payload", "payload", 0.0, ("block", "striker"), 6),
+}
+_LOADS = (0.03, 0.3)
+"""kg; the block weighs 0.096."""
 _HALF = 0.02
 """Half the block's height, m. It is flat, so that it slides and does not nod: a cube's front edge
 goes down by some mm when it is set going, and a body that is said to lie flat is then misplaced."""
@@ -73,15 +126,20 @@ _REST, _AFTER = 1e-3, 2
 _REACH = (0.08, 0.36)
 """How far the block slides, m: speeds differ by a factor of two, or a force that does not depend on
 speed looks like one that does."""
+_GAP, _HIT, _ASIDE = (0.08, 0.14), (0.8, 1.5), 0.005
+"""Between the middles of the blocks less their lengths, m: the striker slides for a tenth of a
+second before it hits. Its speed then, m/s: the block slides 1 to 14 cm. How far it hits beside the
+block's middle, m, standard deviation."""
 _WINDOW = 0.25
 """Of the diagnosis, s: a slide takes 0.2 to 0.8 s."""
-_RUNS, _HELD = 8, 2
+_HELD = 2
 
 
 def main() -> None:
     """Films and infers, or diagnoses, on several processes; prints the summary."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("stage", choices=("film", "see", "diagnose", "both"))
+    parser.add_argument("--hidden", choices=tuple(HIDDEN), default="friction")
     parser.add_argument("--with", dest="with_effect", type=int, default=40)
     parser.add_argument("--without", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=0)
@@ -97,16 +155,17 @@ def main() -> None:
     arguments = parser.parse_args()
     begun = time.time()
     end = begun + arguments.seconds
+    hidden = HIDDEN[arguments.hidden]
     asked = arguments.effect, arguments.patience, arguments.again, end
     work: Any = judge
     if arguments.stage == "diagnose":
         found = sorted(arguments.out.glob("*/seen.json"), key=lambda p: p.parent.name.split("_")[1])
-        jobs: list[tuple[Any, ...]] = [(p.parent, *asked) for p in found]
+        jobs: list[tuple[Any, ...]] = [(p.parent, hidden, *asked) for p in found]
     else:
         # by turns, so that a run that is ended has episodes of both kinds
         wanted = {True: arguments.with_effect, False: arguments.without}
         turns = [(i, d) for i in range(max(wanted.values())) for d in wanted if i < wanted[d]]
-        jobs = [(arguments.first_seed + i, d, arguments.out) for i, d in turns]
+        jobs = [(hidden, arguments.first_seed + i, d, arguments.out) for i, d in turns]
         if arguments.stage == "film":
             work = film_episode
         else:
@@ -116,55 +175,57 @@ def main() -> None:
     with quiet_engine():
         for _ in pool.run(work, jobs, arguments.workers):
             print(json.dumps({"seconds": round(time.time() - begun, 1)}), flush=True)
-    line = summary(arguments.out)
+    line = summary(arguments.out, hidden)
     (arguments.out / "summary.json").write_text(json.dumps(line, indent=1) + "\n")
     print(json.dumps(line))
 
 
-def film_episode(seed: int, different: bool, out: Path) -> tuple[float, list[Floats]]:
-    """Films one episode, unless that is done: its friction, and true coordinates [T, 7] by film."""
+def film_episode(
+    hidden: Hidden, seed: int, different: bool, out: Path
+) -> tuple[float, list[Floats]]:
+    """Films one episode, unless that is done: its truth, and true coordinates [T, 7 n] by film."""
     folder = _folder(seed, different, out)
     kept = folder / "truth.json"
     if kept.exists():
         known = json.loads(kept.read_text())
-        return known["friction"], [np.array(run) for run in known["qpos"]]
+        return known[hidden.name], [np.array(run) for run in known["qpos"]]
     rng = np.random.default_rng([seed, int(different)])
-    friction = DECLARED
-    while different and 0.75 < friction / DECLARED < 1.35:
-        friction = float(np.exp(rng.uniform(math.log(0.12), math.log(0.7))))
+    value = hidden.draw(rng) if different else hidden.declared
     folder.mkdir(parents=True, exist_ok=True)
-    scene = load_scene(SCENE.format(friction=friction))
-    made = [film(scene, friction, rng, folder / f"run{run}.mp4") for run in range(_RUNS)]
+    scene = hidden.scene(value)
+    start = slide if hidden.name == "friction" else strike
+    made = [film(scene, start, rng, folder / f"run{run}.mp4") for run in range(hidden.films)]
     kept.write_text(
-        json.dumps({"friction": friction, "qpos": [run.round(7).tolist() for run in made]})
+        json.dumps({hidden.name: value, "qpos": [run.round(7).tolist() for run in made]})
     )
-    return friction, made
+    return value, made
 
 
-def see(seed: int, different: bool, out: Path, pixels: int, end: float) -> None:
+def see(hidden: Hidden, seed: int, different: bool, out: Path, pixels: int, end: float) -> None:
     """Films and infers one episode, unless that is done or the time is over."""
     folder = _folder(seed, different, out)
     if (folder / "seen.json").exists() or time.time() > end:
         return
     torch.set_num_threads(1)
-    friction, truth = film_episode(seed, different, out)
-    declared = load_scene(SCENE.format(friction=DECLARED))
+    value, truth = film_episode(hidden, seed, different, out)
+    declared = hidden.scene(hidden.declared)
     errors, seen, noise = [], [], []
     for run, qpos in enumerate(truth):
         found = inferred(declared, folder / f"run{run}.mp4", pixels)
         found.save(folder / f"run{run}.npz")
-        apart = np.asarray(found.signals["xpos/block"]) - qpos[:, :3]
-        whole = np.isfinite(apart).all(1)
-        errors.append(apart[whole])
-        seen.append(float(whole.mean()))
-        noise.append(np.min(found.metadata["noise"]["xpos/block"]))  # along the table
+        for number, body in enumerate(hidden.bodies):
+            apart = np.asarray(found.signals[f"xpos/{body}"]) - qpos[:, 7 * number :][:, :3]
+            whole = np.isfinite(apart).all(1)
+            errors.append(apart[whole])
+            seen.append(float(whole.mean()))
+            noise.append(np.min(found.metadata["noise"][f"xpos/{body}"]))  # along the table
     off = 1e3 * np.linalg.norm(np.concatenate(errors), axis=1)
     white = [np.diff(e, axis=0).std(0) / math.sqrt(2.0) for e in errors if len(e) > 2]
     line = {
         "seed": seed,
         "different": different,
-        "friction": round(friction, 4),
-        "declared": DECLARED,
+        hidden.name: round(value, 4),
+        "declared": hidden.declared,
         "frames": sum(len(e) for e in errors),
         "seen": round(float(np.mean(seen)), 3),
         "position_mm": {
@@ -178,15 +239,22 @@ def see(seed: int, different: bool, out: Path, pixels: int, end: float) -> None:
     (folder / "seen.json").write_text(json.dumps(line) + "\n")
 
 
-def see_and_judge(asked: tuple[Any, ...], seed: int, different: bool, out: Path, *how: Any) -> None:
+def see_and_judge(
+    asked: tuple[Any, ...], hidden: Hidden, seed: int, different: bool, out: Path, *how: Any
+) -> None:
     """Both for one episode; `asked` and `how` are what `judge` and `see` get besides."""
-    see(seed, different, out, *how)
+    see(hidden, seed, different, out, *how)
     if (_folder(seed, different, out) / "seen.json").exists():
-        judge(_folder(seed, different, out), *asked)
+        judge(_folder(seed, different, out), hidden, *asked)
 
 
 def judge(
-    folder: Path, effects: list[str] | None, patience: float, again: bool, end: float
+    folder: Path,
+    hidden: Hidden,
+    effects: list[str] | None,
+    patience: float,
+    again: bool,
+    end: float,
 ) -> None:
     """Diagnoses one episode from its recordings, unless that is done or the time is over."""
     path = folder / "diagnosis.json"
@@ -194,9 +262,9 @@ def judge(
         return
     torch.set_num_threads(1)
     begun = time.time()
-    recordings = [Recording.load(folder / f"run{run}.npz") for run in range(_RUNS)]
+    recordings = [Recording.load(folder / f"run{run}.npz") for run in range(hidden.films)]
     result = diagnose(
-        load_scene(SCENE.format(friction=DECLARED)),
+        hidden.scene(hidden.declared),
         recordings[:-_HELD],
         recordings[-_HELD:],
         window=_WINDOW,
@@ -217,11 +285,11 @@ def _folder(seed: int, different: bool, out: Path) -> Path:
     return out / f"{'with' if different else 'without'}_{seed:03d}"
 
 
-def summary(out: Path) -> dict[str, Any]:
+def summary(out: Path, hidden: Hidden) -> dict[str, Any]:
     """Counts over all episodes that were diagnosed."""
     lines = [json.loads(p.read_text()) for p in sorted(out.glob("*/diagnosis.json"))]
     seen = [json.loads(p.read_text()) for p in sorted(out.glob("*/seen.json"))]
-    found: dict[str, Any] = {"seen": len(seen), "diagnosed": len(lines)}
+    found: dict[str, Any] = {"hidden": hidden.name, "seen": len(seen), "diagnosed": len(lines)}
     for name in ("median", "p90", "worst", "from_frame_to_frame", "stated_noise"):
         values = [line["position_mm"][name] for line in seen]
         found[f"position_mm_{name}"] = round(float(np.median(values)), 2) if values else None
@@ -232,11 +300,15 @@ def summary(out: Path) -> dict[str, Any]:
         part["verdicts"] = _counts([line["verdict"] for line in some])
         part["named"] = _counts([" + ".join(n) or "nothing" for n in names])
         if different:
-            right = [i for i, n in enumerate(names) if n == ["sliding_friction"]]
-            part["sliding_friction_alone"] = len(right)
-            part["sliding_friction_among"] = sum("sliding_friction" in n for n in names)
-            off = [abs(_value(some[i]) / some[i]["friction"] - 1.0) for i in right]
-            part["friction_off_percent_median"] = _median(100 * np.array(off))
+            right = [i for i, n in enumerate(names) if n == [hidden.effect]]
+            part[f"{hidden.effect}_alone"] = len(right)
+            part[f"{hidden.effect}_among"] = sum(hidden.effect in n for n in names)
+            rows = [(_first(some[i]), some[i][hidden.name]) for i in right]
+            off = [abs(float(row["value"]) / true - 1.0) for row, true in rows]
+            part[f"{hidden.name}_off_percent_median"] = _median(100 * np.array(off))
+            inside = [row["ci95"][0] <= true <= row["ci95"][1] for row, true in rows]
+            part["within_its_interval"] = sum(inside)
+        if different and hidden.name == "friction":
             meant = [(line["friction"], _meant(line)) for line in some if line["effects"]]
             off = [abs(found / true - 1.0) for true, found in meant if found is not None]
             part["friction_is_meant"] = len(off)
@@ -251,10 +323,10 @@ def summary(out: Path) -> dict[str, Any]:
     return found
 
 
-def _value(line: dict[str, Any]) -> float:
-    """The friction that was found: the first parameter's value."""
-    parameters = line["effects"][0]["parameters"]
-    return float(next(iter(parameters.values()))["value"])
+def _first(line: dict[str, Any]) -> dict[str, Any]:
+    """The first parameter of the first effect that was found, with value and interval."""
+    found: dict[str, Any] = next(iter(line["effects"][0]["parameters"].values()))
+    return found
 
 
 def _meant(line: dict[str, Any]) -> float | None:
@@ -262,9 +334,9 @@ def _meant(line: dict[str, Any]) -> float | None:
 
     None if something else than friction and load was named.
     """
-    model = load_scene(SCENE.format(friction=DECLARED)).model
+    model = HIDDEN["friction"].scene(_FRICTION).model
     weight = float(model.body("block").mass[0] * -model.opt.gravity[2])
-    friction, load = DECLARED, weight
+    friction, load = _FRICTION, weight
     for effect in line["effects"]:
         values = {name: float(p["value"]) for name, p in effect["parameters"].items()}
         if effect["effect"] == "sliding_friction":
@@ -286,17 +358,38 @@ def _median(values: Floats) -> float | None:
     return round(float(np.median(values)), 5) if len(values) else None
 
 
-def film(scene: Scene, friction: float, rng: np.random.Generator, path: Path) -> Floats:
-    """A block that is set going towards the middle; its true coordinates [T, 7] at the frames."""
-    model, data = scene.model, mujoco.MjData(scene.model)
+def slide(model: mujoco.MjModel, data: mujoco.MjData, rng: np.random.Generator) -> None:
+    """A block that is set going towards the middle."""
     heading, spin = rng.uniform(-np.pi, np.pi), rng.uniform(-4.0, 4.0)
     reach = float(np.exp(rng.uniform(*np.log(_REACH))))
     direction = np.array([np.cos(heading), np.sin(heading)])
     yaw = rng.uniform(-np.pi, np.pi)
+    friction = float(model.geom("table").friction[0])
     data.qpos[:2] = -0.5 * reach * direction * [1.0, 0.7]
     data.qpos[2:] = [_HALF, np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]
     data.qvel[:2] = np.sqrt(2 * friction * 9.81 * reach) * direction
     data.qvel[5] = spin
+
+
+def strike(model: mujoco.MjModel, data: mujoco.MjData, rng: np.random.Generator) -> None:
+    """A block at rest near the middle, and the striker on its way to it, end on."""
+    heading = rng.uniform(-np.pi, np.pi)
+    direction = np.array([np.cos(heading), np.sin(heading)])
+    gap, speed = rng.uniform(*_GAP), rng.uniform(*_HIT)
+    length = float(2.0 * model.geom("block").size[0])
+    spot = rng.uniform(-0.06, 0.06, 2) - 0.03 * direction
+    aside = rng.normal(0.0, _ASIDE) * np.array([-direction[1], direction[0]])
+    for at, place in ((0, spot), (7, spot + aside - (length + gap) * direction)):
+        yaw = heading + rng.normal(0.0, 0.1)
+        data.qpos[at : at + 2] = place
+        data.qpos[at + 2 : at + 7] = [_HALF, np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]
+    data.qvel[6:8] = np.sqrt(speed**2 + 2 * _FRICTION * 9.81 * gap) * direction
+
+
+def film(scene: Scene, start: Any, rng: np.random.Generator, path: Path) -> Floats:
+    """What `start` sets going, until it rests; its true coordinates [T, 7 n] at the frames."""
+    model, data = scene.model, mujoco.MjData(scene.model)
+    start(model, data, rng)
     renderer = make_renderer("mujoco", scene)
     every = round(1.0 / _FPS / model.opt.timestep)
     frames, found, still = [], [], 0

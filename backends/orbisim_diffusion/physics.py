@@ -15,22 +15,31 @@ FEWEST = 12
 """Frames in which an object must be known, or nothing is said of a window."""
 NORMAL = 1.959964
 """Standard deviations on either side of the mean that 95 % of a normal distribution lie within."""
-_WIDTH, _HEADS, _LAYERS = 96, 4, 4
-_DROPOUT = 0.1
+_WIDTH, _KERNEL = 64, 5
+_DILATIONS = (1, 2, 4)
+"""Of the convolutions over time: a reading knows 15 frames on either side, a slide and what is
+before and after it."""
+_DROPOUT = 0.05
 """Some thousand episodes are seen hundreds of times each."""
-_STRIDES = 2
-"""Convolutions that halve the number of times: 64 frames are 16 tokens of each entity."""
+_FALL = 9.81 * 0.05**2
+"""m: by how much a frame's step changes under gravity, frames 0.05 s apart. A body that slides on a
+level table with nothing beside it loses the friction coefficient times this in each frame."""
+_SOFT = 0.0005
+"""m: what goes less far in two frames has hardly a direction."""
 _PLACE, _STEP, _CHANGE, _TURN = 0.1, 0.01, 0.005, 0.1
-"""Units of inputs: m between entities, m a frame, m a frame and frame, rad a frame. A cube that
-slides on friction 0.4 loses 10 mm a frame in every frame of 0.05 s."""
+"""Units of inputs: m between entities, m a frame, m a frame and frame, rad a frame."""
 _HALF, _SMOOTH = 0.025, 0.4
 """Units of half sizes, m, and of an object's own friction."""
+_EDGE = 0.02
+"""Share of the range of logarithms next to its ends that a reading begins away from: a sigmoid has
+no slope there."""
 _LEAST = 0.01
 """Of a spread of a logarithm: surer than a hundredth no learned model is."""
-_BLIND = 2.0
-"""Of an untrained network's spread: 0.88 of the prior's."""
-_OBJECT, _ROBOT = 34, 15
-"""Numbers of a frame of an object, of the hand (see `_objects`, `_hand`)."""
+_BLIND = -7.0
+"""Before training a frame's reading weighs 0.001 of the prior: those of a window are no more than
+0.1 of it, and each has a slope."""
+_INPUTS = 56
+"""Numbers of a frame of an object (see `_inputs`)."""
 
 
 class Window(NamedTuple):
@@ -69,9 +78,13 @@ class Posterior(NamedTuple):
 class PhysicsInference(nn.Module):
     """PhyInf (paper, section 3.4, appendix B.3): what a window of states says of what is unseen.
 
-    Each entity's frames become few tokens by convolutions over time, alike for all objects; a
-    transformer looks at the tokens of hand and objects together; each object's tokens answer for
-    its density, all tokens together for the friction. Objects have no order, windows no origin.
+    Each frame of each object is a reading of the table's friction and of the object's density: a
+    value and a weight. The friction's value begins at the object's deceleration along its motion in
+    units of gravity, which is the friction where it slides freely; convolutions over time, alike
+    for all objects, correct it and say what it weighs, from what is seen in the frame of its motion
+    (of the object, the hand, and the nearest other object). The answer is the product of the prior
+    and all readings, normal distributions: where none weighs anything it is the prior. Objects have
+    no order, windows no origin and no direction.
 
     Buffers, taken from the training data (`know`) and from held-out windows: `low`, `high` [2]
     logarithms of the least and largest friction and density that were drawn, `middle` and `width`
@@ -86,17 +99,11 @@ class PhysicsInference(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.objects, self.hand = _track(_OBJECT), _track(_ROBOT)
-        times = FRAMES // 2**_STRIDES
-        self.time = nn.Parameter(0.02 * torch.randn(times, _WIDTH))
-        self.kind = nn.Parameter(0.02 * torch.randn(2, _WIDTH))
-        self.layers = nn.ModuleList(
-            nn.TransformerEncoderLayer(
-                _WIDTH, _HEADS, 4 * _WIDTH, _DROPOUT, "gelu", batch_first=True, norm_first=True
-            )
-            for _ in range(_LAYERS)
-        )
-        self.density, self.friction = _head(2 * _WIDTH), _head(3 * _WIDTH)
+        self.into = nn.Linear(_INPUTS, _WIDTH)
+        self.layers = nn.ModuleList(_Over(dilation) for dilation in _DILATIONS)
+        self.head = nn.Linear(_WIDTH, 4)
+        nn.init.zeros_(self.head.weight)
+        nn.init.zeros_(self.head.bias)
         for name, value in (
             ("low", torch.zeros(2)),
             ("high", torch.ones(2)),
@@ -121,39 +128,25 @@ class PhysicsInference(nn.Module):
 
     def forward(self, window: Window) -> Posterior:
         """What windows of `FRAMES` frames say; spreads are not yet widened (see `said`)."""
-        present = window.present
-        count, objects = present.shape
-        tracks = self.objects(_objects(window).flatten(0, 1)).unflatten(0, (count, objects))
-        hand = self.hand(_hand(window))[:, None]
-        tokens = torch.cat([hand + self.kind[0], tracks + self.kind[1]], dim=1) + self.time
-        entities, times = tokens.shape[1:3]
-        there = torch.cat([torch.ones_like(present[:, :1]), present], dim=1)
-        absent = (there < 0.5)[:, :, None].expand(-1, -1, times).flatten(1)
-        z = tokens.flatten(1, 2)
+        x, slowing, shown = _inputs(window)
+        z = self.into(x.flatten(0, 1)).transpose(1, 2)
         for layer in self.layers:
-            z = layer(z, src_key_padding_mask=absent)
-        z = z.unflatten(1, (entities, times)).float()
-        pooled = torch.cat([z.mean(2), z.amax(2)], dim=-1)  # [B, 1 + N, 2 W]
-        each = present[..., None]
-        mean = (z[:, 1:].mean(2) * each).sum(1) / each.sum(1).clamp_min(1.0)
-        largest = (z[:, 1:].amax(2) - 1e4 * (1.0 - each)).amax(1)
-        table = self.friction(torch.cat([mean, largest, z[:, 0].mean(1)], dim=-1))
-        return self._distribution(table, self.density(pooled[:, 1:]))
-
-    def _distribution(self, table: Tensor, objects: Tensor) -> Posterior:
-        """From answers [B, 2] and [B, N, 2]: means within what was drawn, spreads up to its own.
-
-        Mean and spread are separate: a mean that is as far from the prior's as the spread is
-        narrower than its own (the posterior of a prior and one reading) stays where it begins,
-        since neither has a slope while the other one says nothing.
-        """
-        raw = torch.cat([table[:, None], objects], dim=1)
-        kind = self.kinds(objects.shape[1])
-        low, high, middle, width = (x[kind] for x in (self.low, self.high, self.middle, self.width))
-        begin = ((middle - low) / (high - low)).clamp(0.01, 0.99).logit()
-        mean = low + (high - low) * (begin + raw[..., 0]).sigmoid()
-        spread = _LEAST + (width - _LEAST) * (_BLIND + raw[..., 1]).sigmoid()
-        return Posterior(mean, spread)
+            z = layer(z)
+        raw = self.head(z.transpose(1, 2)).unflatten(0, shown.shape[:2]).float()  # [B, N, T, 4]
+        low, high, width = self.low, self.high, self.width
+        table = (slowing.clamp_min(1e-3).log() - low[0]) / (high[0] - low[0])
+        plain = (self.middle[1] - low[1]) / (high[1] - low[1])
+        begin = torch.stack([table, plain.expand_as(table)], dim=-1)
+        begin = begin.clamp(_EDGE, 1.0 - _EDGE).logit()
+        value = low + (high - low) * (begin + raw[..., :2]).sigmoid()
+        weight = nn.functional.softplus(_BLIND + raw[..., 2:]) * shown[..., None]
+        # of the density an object's own readings, of the friction all of them
+        said, sure = (value * weight).sum(2), weight.sum(2)  # [B, N, 2]
+        said = torch.cat([said[..., 0].sum(1, keepdim=True), said[..., 1]], dim=1)
+        sure = torch.cat([sure[..., 0].sum(1, keepdim=True), sure[..., 1]], dim=1)
+        kind = self.kinds(shown.shape[1])
+        mean = (self.middle[kind] + said) / (1.0 + sure)
+        return Posterior(mean, (width[kind].square() / (1.0 + sure) + _LEAST**2).sqrt())
 
     def said(self, window: Window) -> Posterior:
         """`forward` with spreads as held-out windows have them, and never wider than the prior."""
@@ -173,90 +166,107 @@ class PhysicsInference(nn.Module):
         return torch.tensor([0, *([1] * objects)], device=self.low.device)
 
 
-def _track(inputs: int) -> nn.Sequential:
-    """From frames [B, T, F] to tokens [B, T / 4, W]."""
-    parts: list[nn.Module] = [nn.Linear(inputs, _WIDTH), _Transposed(), nn.SiLU()]
-    for _ in range(_STRIDES):
-        parts += [nn.Conv1d(_WIDTH, _WIDTH, 5, stride=2, padding=2), nn.SiLU()]
-    return nn.Sequential(*parts, _Transposed())
+class _Over(nn.Module):
+    """A convolution over time of [B, W, T], added to what comes in."""
 
-
-class _Transposed(nn.Module):
-    """Swaps the last two axes."""
+    def __init__(self, dilation: int) -> None:
+        super().__init__()
+        around = dilation * (_KERNEL // 2)
+        self.norm = nn.GroupNorm(1, _WIDTH)
+        self.over = nn.Conv1d(_WIDTH, _WIDTH, _KERNEL, padding=around, dilation=dilation)
+        self.out = nn.Conv1d(_WIDTH, _WIDTH, 1)
+        self.drop = nn.Dropout(_DROPOUT)
 
     def forward(self, x: Tensor) -> Tensor:
-        return x.transpose(1, 2)
+        z = nn.functional.silu(self.over(nn.functional.silu(self.norm(x))))
+        return x + self.out(self.drop(z))
 
 
-def _head(inputs: int) -> nn.Sequential:
-    """An untrained one answers 0: the prior."""
-    last = nn.Linear(_WIDTH, 2)
-    nn.init.zeros_(last.weight)
-    nn.init.zeros_(last.bias)
-    return nn.Sequential(nn.LayerNorm(inputs), nn.Linear(inputs, _WIDTH), nn.SiLU(), last)
+def _steps(x: Tensor, known: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Of x [B, T, ..., 3]: the step to each frame, the one from it, where both are known.
 
-
-def _origin(window: Window) -> Tensor:
-    """[B, 1, 1, 3] where a window is looked at from: the middle of what the objects pass."""
-    weight = (window.known * window.present[:, None])[..., None]
-    total = weight.sum((1, 2)).clamp_min(1.0)
-    return ((window.pos * weight).sum((1, 2)) / total)[:, None, None]
-
-
-def _changes(x: Tensor, known: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """First and second differences over time [B, T, ..., 3], and whether both frames are known."""
+    0 where one of the two frames is not known, or is none of the window.
+    """
     both = known[:, 1:] * known[:, :-1]
-    first = (x[:, 1:] - x[:, :-1]) * both[..., None]
-    both = torch.cat([torch.zeros_like(both[:, :1]), both], dim=1)
-    first = torch.cat([torch.zeros_like(first[:, :1]), first], dim=1)
-    three = both[:, 1:] * both[:, :-1]
-    second = (first[:, 1:] - first[:, :-1]) * three[..., None]
-    return first, torch.cat([torch.zeros_like(second[:, :1]), second], dim=1), both
+    step = (x[:, 1:] - x[:, :-1]) * both[..., None]
+    none, never = torch.zeros_like(step[:, :1]), torch.zeros_like(both[:, :1])
+    to, of = torch.cat([none, step], dim=1), torch.cat([step, none], dim=1)
+    return to, of, torch.cat([never, both], dim=1) * torch.cat([both, never], dim=1)
 
 
-def _objects(window: Window) -> Tensor:
-    """[B, N, T, F]: what is seen of each object, 0 where it is not known."""
-    origin, pos, quat = _origin(window), window.pos, window.quat
+def _inputs(window: Window) -> tuple[Tensor, Tensor, Tensor]:
+    """[B, N, T, F]: what is seen of each object, in the frame of its motion.
+
+    And [B, N, T] each: its deceleration along its motion in units of gravity, and 1 where it is
+    seen in a frame and its neighbours.
+    """
+    pos, quat = window.pos, window.quat
     known = window.known * window.present[:, None]
-    apart = pos - window.hand_pos[:, :, None]
-    near = torch.einsum("btji,btnj->btni", window.hand_rot, apart)
-    with_hand = (known * window.hand_known[..., None])[..., None]
-    first, second, both = _changes(pos, known)
-    turn = logarithm(multiply(quat[:, 1:], conjugate(quat[:, :-1]))) * both[:, 1:, :, None]
-    turn = torch.cat([torch.zeros_like(turn[:, :1]), turn], dim=1)
+    to, of, shown = _steps(pos, known)
+    along = (to + of) * torch.tensor([1.0, 1.0, 0.0], device=pos.device)
+    along = along / (along.norm(dim=-1, keepdim=True) + _SOFT)
+    across = torch.stack([-along[..., 1], along[..., 0], along[..., 2]], dim=-1)
+
+    def turned(x: Tensor) -> Tensor:
+        """[B, T, N, 3]: along the motion, across it, upwards."""
+        return torch.stack([(x * along).sum(-1), (x * across).sum(-1), x[..., 2]], dim=-1)
+
+    change = turned(of - to) * shown[..., None]
+    slowing = -change[..., 0] / _FALL
+    hand_known = (window.hand_known[..., None] * known)[..., None]
+    hand_to, hand_of, _ = _steps(window.hand_pos, window.hand_known)
+    hand = turned(window.hand_pos[:, :, None] - pos) * hand_known
+    axes = (window.hand_rot[..., i][:, :, None].expand_as(pos) for i in (0, 1))
+    faces = torch.cat([turned(axis)[..., :2] for axis in axes], dim=-1)
+    other, other_known = _nearest(pos, known)
+
+    def of_other(x: Tensor) -> Tensor:
+        return torch.gather(x, 2, other[..., None].expand(-1, -1, -1, 3)) * other_known[..., None]
+
+    beside = turned(of_other(pos) - pos * other_known[..., None])
+    radius = window.half.amax(-1)[:, None].expand(known.shape)
+    apart = beside[..., :2].norm(dim=-1) - radius - torch.gather(radius, 2, other)
+    turn = logarithm(multiply(quat[:, 1:], conjugate(quat[:, :-1])))
+    turn = torch.cat([torch.zeros_like(turn[:, :1]), turn], dim=1) * shown[..., None]
     bottom = pos[..., 2:] - window.half[:, None, :, 2:]  # above the lowest of the window
     lowest = torch.where(known[..., None] > 0, bottom, torch.inf).amin((1, 2), keepdim=True)
     lowest = torch.where(torch.isfinite(lowest), lowest, torch.zeros_like(lowest))
     still = torch.cat([window.half / _HALF, window.friction[..., None] / _SMOOTH], dim=-1)
-    seen = known[..., None]
+    steps = [turned(to), turned(of)]
+    hand_steps = [turned(x[:, :, None].expand_as(pos)) * hand_known for x in (hand_to, hand_of)]
+    other_steps = [turned(of_other(to)), turned(of_other(of))]
     x = torch.cat(
         [
-            seen * (pos - origin) / _PLACE,
-            seen * (bottom - lowest) / _PLACE,
-            with_hand * apart / _PLACE,
-            with_hand * near / _PLACE,
-            first / _STEP,
-            _fine(first, _STEP),
-            second / _CHANGE,
-            _fine(second, _CHANGE),
-            turn / _TURN,
-            seen * _columns(quat),
-            known[..., None],
-            both[..., None],
+            *(v / _STEP for v in (*steps, *hand_steps, *other_steps)),
+            *(_fine(v[..., :2], _STEP) for v in steps),
+            change / _CHANGE,
+            _fine(change, _CHANGE),
+            slowing[..., None].clamp(-2.0, 2.0),
+            hand / _PLACE,
+            faces * hand_known,
+            beside / _PLACE,
+            _fine(apart * other_known, _PLACE)[..., None],
+            turned(turn) / _TURN,
+            _double(quat, along),
+            known[..., None] * (bottom - lowest) / _PLACE,
             still[:, None].expand(-1, pos.shape[1], -1, -1),
+            known[..., None],
+            shown[..., None],
+            hand_known,
+            other_known[..., None],
         ],
         dim=-1,
     )
-    return x.transpose(1, 2)
+    return x.transpose(1, 2), slowing.transpose(1, 2), shown.transpose(1, 2)
 
 
-def _hand(window: Window) -> Tensor:
-    """[B, T, F]: what is seen of the hand."""
-    seen = window.hand_known[..., None]
-    first, second, _ = _changes(window.hand_pos, window.hand_known)
-    rot = window.hand_rot[..., :2].flatten(-2)
-    place = (window.hand_pos - _origin(window)[:, 0]) / _PLACE
-    return torch.cat([seen * place, seen * rot, first / _STEP, second / _CHANGE], dim=-1)
+def _nearest(pos: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
+    """[B, T, N] each: which other object that is known is nearest, and whether there is one."""
+    far = torch.cdist(pos, pos)
+    hidden = 1.0 - known[:, :, None] * known[..., None]
+    far = far + 1e3 * (hidden + torch.eye(pos.shape[2], device=pos.device))
+    near, other = far.min(-1)
+    return other, (near < 1e3).to(pos.dtype)
 
 
 def _fine(change: Tensor, unit: float) -> Tensor:
@@ -264,12 +274,17 @@ def _fine(change: Tensor, unit: float) -> Tensor:
     return torch.asinh(change / (0.05 * unit)) / 3.0
 
 
-def _columns(quat: Tensor) -> Tensor:
-    """[..., 3]: which way the object's first axis points. A cube's other axes say no more here."""
+def _double(quat: Tensor, along: Tensor) -> Tensor:
+    """[..., 4]: which way the object's first axis points as seen along its motion.
+
+    As cosine and sine of twice the angle and of four times: a box looks the same from behind, a
+    cube from each side. 0 for an axis that stands upright and where nothing moves.
+    """
     w, x, y, z = quat.unbind(-1)
-    return torch.stack(
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)], dim=-1
-    )
+    axis = torch.complex(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z))
+    angle = axis * torch.complex(along[..., 0], along[..., 1]).conj()
+    double, fourfold = angle.square(), angle.square().square()
+    return torch.stack([double.real, double.imag, fourfold.real, fourfold.imag], dim=-1)
 
 
 def log_likelihood(found: Posterior, true: Tensor, mask: Tensor) -> Tensor:

@@ -219,7 +219,7 @@ _INFERENCE = (
     "--start",
     default=None,
     type=click.Path(path_type=Path),
-    help="Checkpoint whose StaInf to begin from; of the same encoder.",
+    help="Checkpoint whose StaInf, of the same encoder, or PhyInf to begin from.",
 )
 @click.option("--workers", type=click.IntRange(min=1), default=1, help="Processes that read.")
 @click.option(
@@ -275,9 +275,7 @@ def inference(
         raise MissingDependencyError("training", "learned", str(error)) from error
     run, on = Run(time_limit, steps, None, seed), torch_device(device)
     if physics:
-        if start is not None:
-            raise InputError("--start is of StaInf; PhyInf is trained from nothing")
-        task = Task(data, held_out_data, objective or "rollout", dynamics, graph)
+        task = Task(data, held_out_data, objective or "rollout", dynamics, graph, start)
         metrics = tune_physics(checkpoint, task, run, device=on, report=note)
     elif objective or dynamics:
         raise InputError("--objective and --dynamics are of --physics")

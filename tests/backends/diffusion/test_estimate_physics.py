@@ -34,11 +34,11 @@ REACH = Reach(JOINTS, "tcp", "table", 0.05, (0.02, 0.032), "push", "0" * 64)
 
 def network() -> PhysicsInference:
     torch.manual_seed(0)
-    model = PhysicsInference().eval()
+    model = PhysicsInference().eval().requires_grad_(False)
     model.know(torch.tensor([0.2, 0.3, 0.6]), torch.tensor([150.0, 400.0, 900.0]))
-    for head in (model.density, model.friction):
-        torch.nn.init.normal_(head[-1].weight, std=0.5)
-    return model.requires_grad_(False)
+    torch.nn.init.normal_(model.head.weight, std=0.5)
+    model.head.bias[2:] = 5.0  # readings weigh about as much as the prior
+    return model
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_draws_that_make_no_sense_are_refused(
 
 def test_what_is_no_number_is_said_by_no_one(scene: Scene) -> None:
     model = network()
-    model.friction[-1].bias[0] = float("nan")
+    model.head.bias[0] = float("nan")
     with pytest.raises(InputError, match="no number"):
         infer_physics(scene, [recording(scene, 70)], model, REACH)
 

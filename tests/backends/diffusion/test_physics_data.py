@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 from orbisim_diffusion.physics import FRAMES
-from orbisim_diffusion.physics_data import Windows, changed, densities, frictions, usable
+from orbisim_diffusion.physics_data import Noise, Windows, changed, densities, frictions, usable
 from orbisim_world_model.pack import Pack
 from orbisim_world_model.packing import read_data
 from orbisim_world_model.properties import with_object, with_world
@@ -70,6 +70,25 @@ def test_what_is_seen_is_the_episode_turned_with_errors_and_gaps(pack: Pack) -> 
     assert float((way[0] - way[1]).abs().median()) < 0.005
     assert float((exact.pos[..., :2] - noisy.pos[..., :2]).abs().median()) > 0.02
     torch.testing.assert_close(noisy.quat.norm(dim=-1), torch.ones(64, FRAMES, 2))
+
+
+def test_what_moves_is_read_worse_than_what_rests_and_errors_stay(pack: Pack) -> None:
+    torch.manual_seed(0)
+    plain = {"exact": 0.0, "offset": 0.0, "tilt": 0.0, "turn": 0.0}
+    windows = Windows(pack, Noise(**plain))
+    truth = windows.draw(256)
+    exact, noisy = windows.seen(truth, noisy=False), windows.seen(truth)
+    # turned about the vertical: lengths from where the hand is cannot tell, steps can
+    way = (exact.pos[:, 1:] - exact.pos[:, :-1]).norm(dim=-1)
+    height = (noisy.pos - exact.pos)[..., 2].abs()[:, 1:]
+    rests, moves = height[way < 1e-5], height[way > 0.005]
+    assert len(moves) > 200 and float(moves.median()) > 4.0 * float(rests.median())
+    near = Windows(pack, Noise(**plain, stays=0.0)).seen(truth)
+    steps = [
+        (w.pos[:, 1:] - w.pos[:, :-1])[..., 2].abs()[way > 0.005].median() for w in (noisy, near)
+    ]
+    errors = [(w.pos - exact.pos)[:, 1:, :, 2].abs()[way > 0.005].median() for w in (noisy, near)]
+    assert float(steps[0] / errors[0]) < 0.8 * float(steps[1] / errors[1])
 
 
 def test_episodes_that_are_too_short_are_refused(pack: Pack) -> None:

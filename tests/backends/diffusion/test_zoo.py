@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
+from orbisim_diffusion.estimate_physics import load_physics
+from orbisim_diffusion.physics_data import Windows
 from orbisim_diffusion.quality import psnr
 from orbisim_diffusion.zoo import FOLDER
+from orbisim_world_model.packing import read_data
 
 from orbisim.errors import RenderingUnavailableError, UnsupportedSceneError
 from orbisim.registry import make_backend, make_renderer
 from orbisim.scene import load_scene
+from orbisim.tasks.collect import collect
 from orbisim.tasks.registry import make
 
 _SIDE = {"camera": "side", "height": 128, "width": 128}
@@ -36,3 +42,19 @@ def test_an_episodes_start_is_shown_as_mujoco_shows_it() -> None:
 def test_scenes_that_none_was_trained_on_are_refused() -> None:
     with pytest.raises(UnsupportedSceneError, match="no vision checkpoint of the zoo"):
         make_renderer("diffusion", load_scene("task:ball"), device="cpu")
+
+
+def test_the_shipped_phyinf_reads_friction_off_pushes_and_says_no_density(tmp_path: Path) -> None:
+    path = tmp_path / "push.h5"
+    collect("push", path, episodes=12, workers=1, seed=31)
+    windows = Windows(read_data([path]))
+    network, _ = load_physics(FOLDER / "push")
+    truth = windows.every(24)
+    some = (windows.way(truth) > 0.05).any(1)  # m
+    with torch.no_grad():
+        said = network.said(windows.seen(truth, noisy=False))
+    off = (said.mean - truth.logs)[some, 0].exp().sub(1.0).abs()
+    prior = (network.prior[0, 0] - truth.logs)[some, 0].exp().sub(1.0).abs()
+    assert len(off) >= 12 and float(off.median()) < 0.08 < 0.15 < float(prior.median())
+    share = said.spread[:, 1:] / network.prior[1, 1]
+    assert float(share.median()) > 0.9
