@@ -131,15 +131,15 @@ def main() -> int:
             continue
         if method == "bound":
             result[method] = bound(problems)
-            print(json.dumps({method: result[method]}), flush=True)
-            continue
-        if method == "learned":
-            fits = _kept(options, method, lambda: learned(problems, options))
         else:
-            fits = apart(method, problems, options, began)
-        if fits:
+            if method == "learned":
+                fits = _kept(options, method, lambda: learned(problems, options))
+            else:
+                fits = apart(method, problems, options, began)
+            if not fits:
+                continue
             result[method] = summary(fits, problems)
-            print(json.dumps({method: result[method]}), flush=True)
+        print(json.dumps({method: result[method]}), flush=True)
         if options.json:
             options.json.write_text(json.dumps(result, indent=1))
     return 0
