@@ -98,6 +98,17 @@ def test_sysid_and_cma_bring_the_error_down(pushes: Pack) -> None:
     assert table["friction:table"]["error"][0] < table["friction:table"]["declared"][0]
 
 
+@pytest.mark.slow
+def test_thrown_cubes_tell_their_density_through_the_model_that_knows_them() -> None:
+    problems = _made("thrown=3")
+    zoo = identify_push.ROOT / "backends" / "orbisim_world_model" / "zoo"
+    options = types.SimpleNamespace(checkpoint=zoo / "shove", device="cpu", steps=5, scan=0)
+    table = identify_push.summary(identify_push.learned(problems, options), problems)
+    for label, most in (("friction:table", 0.1), ("density:cube1", 0.2)):
+        error = table[label]["error"][0]
+        assert error < most and error < table[label]["declared"][0]
+
+
 def test_what_is_printed() -> None:
     assert identify_push._quantiles([]) == []
     assert identify_push._quantiles([1.0, 2.0, 3.0])[0] == 2.0
