@@ -42,6 +42,9 @@ class DataSet:
 def data_sets() -> list[DataSet]:
     """All of them."""
     hit = {"task": "push", "seed": TEST, "subtask": "to_hit"}
+    # a model that knows no actuator's limit must not see two grippers: these have that of `push`
+    strong = {"force": 60.0}
+    throws = {"task": "shove", "subtask": "thrown", "changes": strong}
     sets = [
         DataSet("push_train", "push"),
         DataSet("push_test", "push", 260, TEST),
@@ -56,11 +59,11 @@ def data_sets() -> list[DataSet]:
         DataSet("push_ood_slippery", episodes=100, changes={"table_friction": 0.05}, **hit),
         DataSet("push_ood_rough", episodes=100, changes={"table_friction": 1.0}, **hit),
         DataSet("push_ood_three", "push", 100, TEST, "three"),
-        DataSet("shove_train", "shove"),
-        DataSet("shove_test", "shove", 260, TEST),
-        DataSet("shove_calibration", "shove", 260, CALIBRATION),
-        DataSet("shove_more_train", "shove", 1000, EXTRA),
-        DataSet("shove_strikes_train", "shove", 300, MORE, "strikes", {"steps": 200}),
+        DataSet("shove_train", **throws),
+        DataSet("shove_test", episodes=260, seed=TEST, **throws),
+        DataSet("shove_calibration", episodes=260, seed=CALIBRATION, **throws),
+        DataSet("shove_more_train", episodes=1000, seed=EXTRA, **throws),
+        DataSet("shove_strikes_train", "shove", 300, MORE, "strikes", {"steps": 200, **strong}),
         DataSet("push_cubes_train", "push_cubes"),
         DataSet("push_cubes_test", "push_cubes", 168, TEST),
         DataSet("pick_and_place_train", "pick_and_place"),

@@ -2,12 +2,15 @@
 
     python tools/collect_clips.py push_train.h5 push_hold_train.h5 --out push_clips_train.pack
         [--clips 60000] [--seconds 120] [--length 16] [--workers 16] [--seed 0]
-        [--hard CHECKPOINT] [--device cuda]
+        [--throws 0.5] [--scene task:push] [--hard CHECKPOINT] [--device cuda]
 
 Each clip begins at a state of an episode shortly before a cube's velocity changes (a share of them
 anywhere), turned about the robot's vertical axis, with cubes and arm moved by up to centimetres
 and degrees, and other densities and frictions, and is simulated by C MuJoCo under the episode's
 own controls, as much moved. Starts with an overlap deeper than a millimetre are drawn again.
+
+With `--throws`, that share of the clips has cubes of its own, thrown at each other as those of
+`task:shove` are, whatever the cubes of the episode do; the arm is the episode's.
 
 With `--hard`, half of the clips begin where this checkpoint errs: at a state with a chance in
 proportion to how far off a cube is after a clip's length, open loop along the episode itself. Its
@@ -38,6 +41,8 @@ from orbisim_world_model.reading import read_attributes, read_settings  # noqa: 
 
 from orbisim import load_scene  # noqa: E402
 from orbisim.errors import InputError  # noqa: E402
+from orbisim.tasks.shove import ShoveConfig, throw  # noqa: E402
+from orbisim.tasks.tabletop import draw_setting  # noqa: E402
 
 ARM, CUBES = 6, 8
 """Joints of the arm; first coordinate of the cubes."""
@@ -61,13 +66,16 @@ def main() -> None:
     began = time.monotonic()
     pack = read_data(options.data)
     rows, episodes = starts(pack, options.length)
-    generate = functools.partial(_clip, length=options.length, seed=options.seed)
+    generate = functools.partial(
+        _clip, length=options.length, seed=options.seed, throws=options.throws
+    )
     chances = np.full(len(rows), 1.0 / len(rows))
     if options.hard is not None:
         off = misses(pack, rows, episodes, options)
         print(json.dumps({"misses_mm": [float(v) for v in 1e3 * np.quantile(off, LEVELS)]}))
         chances = 0.5 * chances + 0.5 * off / off.sum()
-    _Worker.give(pack, rows, episodes, np.cumsum(chances))
+    model = load_scene(options.scene).model if options.scene else scene(pack)
+    _Worker.give(pack, rows, episodes, np.cumsum(chances), model)
     found, tried = [], 0
     context = multiprocessing.get_context("fork")
     with context.Pool(options.workers) as pool:
@@ -78,6 +86,7 @@ def main() -> None:
             if time.monotonic() - began > options.seconds:
                 pool.terminate()
                 break
+    torch.set_num_threads(options.workers)  # the workers are gone; of each state the hand's follows
     packed(pack, found, options).save(options.out)
     said = {"clips": len(found), "tried": tried, "starts": len(rows)}
     print(json.dumps({**said, "seconds": round(time.monotonic() - began, 1)}), flush=True)
@@ -143,24 +152,29 @@ class _Worker:
     data: Any
 
     @classmethod
-    def give(cls, pack: Pack, rows: Any, episodes: Any, upto: Any) -> None:
-        """Takes over the episodes; `upto` are the chances of the rows, added up."""
+    def give(cls, pack: Pack, rows: Any, episodes: Any, upto: Any, model: Any) -> None:
+        """Takes over the episodes and the scene; `upto`: chances of the rows, added up."""
         cls.pack = {n: getattr(pack, n).double().numpy() for n in ("qpos", "qvel", "ctrl")}
         cls.pack |= {"attributes": pack.attributes.double().numpy(), "layout": pack.layout}
         cls.rows, cls.episodes, cls.upto = rows, episodes, upto
-        cls.model = scene(pack)
+        cls.model = model
         cls.data = mujoco.MjData(cls.model)
 
 
-def _clip(number: int, length: int, seed: int) -> dict[str, Any] | None:
+def _clip(number: int, length: int, seed: int, throws: float) -> dict[str, Any] | None:
     """One clip, or None if no start was found or the simulation went wrong."""
     rng = np.random.default_rng([seed, number])
     w, model, data = _Worker, _Worker.model, _Worker.data
     index = min(int(np.searchsorted(w.upto, rng.random(), side="right")), len(w.rows) - 1)
     row, episode = int(w.rows[index]), int(w.episodes[index])
-    describe(model, data, w.pack["attributes"][episode], w.pack["layout"], rng)
+    thrown = throws > 0 and rng.random() < throws  # without any, clips are those of old seeds
+    if not thrown:
+        describe(model, data, w.pack["attributes"][episode], w.pack["layout"], rng)
     for _ in range(TRIES):
-        ctrl = place(data, w.pack, row, length, rng)
+        if thrown:
+            ctrl = thrown_at(model, data, w.pack, row, length, rng)
+        else:
+            ctrl = place(data, w.pack, row, length, rng)
         mujoco.mj_forward(model, data)
         if not data.ncon or data.contact.dist[: data.ncon].min() > -DEEP:
             break
@@ -207,6 +221,27 @@ def made(model: Any, data: Any, names: Any, halves: Any, drawn: Any, table: floa
     model.geom_friction[model.geom("table").id, 0] = table
     mujoco.mj_resetData(model, data)
     mujoco.mj_setConst(model, data)
+
+
+def thrown_at(model: Any, data: Any, pack: Any, row: int, length: int, rng: Any) -> Any:
+    """Cubes of their own, one thrown at the other; the arm of a row, and its controls [length, nu].
+
+    Raises:
+      InputError: the episodes have another number of cubes than two.
+    """
+    names = pack["layout"].objects
+    if len(names) != 2:
+        raise InputError(f"--throws: episodes with {len(names)} cubes; a throw takes two")
+    config = ShoveConfig()
+    setting = draw_setting(config, len(names), rng)
+    halves = [np.full(3, cube.half) for cube in setting.cubes]
+    drawn = [(cube.density, cube.friction) for cube in setting.cubes]
+    made(model, data, names, halves, drawn, setting.table_friction)
+    poses, velocity = throw(setting, config, rng)
+    data.qpos[:CUBES], data.qvel[:CUBES] = (pack[n][row, :CUBES] for n in ("qpos", "qvel"))
+    data.qpos[CUBES:] = np.concatenate([pose.qpos for pose in poses])
+    data.qvel[CUBES:] = np.concatenate([velocity, np.zeros(6)])
+    return pack["ctrl"][row : row + length].copy()
 
 
 def place(data: Any, pack: Any, row: int, length: int, rng: Any) -> Any:
@@ -280,6 +315,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--length", type=int, default=16)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--scene", help="whose robot the clips have; the episodes' task's if none")
+    parser.add_argument("--throws", type=float, default=0.0, help="share of clips")
     parser.add_argument("--hard", type=Path, help="checkpoint whose errors say where to begin")
     parser.add_argument("--device", default="cpu", help="of `--hard`")
     return parser

@@ -2,7 +2,7 @@
 
     python tools/identify_push.py (--data push_test.h5 | --motions thrown=6,flick=2) --work DIR
         [--checkpoint CHECKPOINT] [--methods learned,sysid,cma] [--episodes 100] [--workers 32]
-        [--device cuda] [--time-limit 300] [--seed 1] [--scan 16] [--json FILE]
+        [--device cuda] [--time-limit 300] [--seed 1] [--force 60] [--scan 16] [--json FILE]
 
 Every episode has a table and cubes of its own. Declared are the task's nominal values (0.4, 400
 kg/m^3); fitted are the friction of the table and the density of the cube that is pushed, from
@@ -131,15 +131,15 @@ def main() -> int:
             continue
         if method == "bound":
             result[method] = bound(problems)
-            print(json.dumps({method: result[method]}), flush=True)
-            continue
-        if method == "learned":
-            fits = _kept(options, method, lambda: learned(problems, options))
         else:
-            fits = apart(method, problems, options, began)
-        if fits:
+            if method == "learned":
+                fits = _kept(options, method, lambda: learned(problems, options))
+            else:
+                fits = apart(method, problems, options, began)
+            if not fits:
+                continue
             result[method] = summary(fits, problems)
-            print(json.dumps({method: result[method]}), flush=True)
+        print(json.dumps({method: result[method]}), flush=True)
         if options.json:
             options.json.write_text(json.dumps(result, indent=1))
     return 0
@@ -175,16 +175,18 @@ def made(options: Any) -> dict[int, Problem]:
     steps = round(options.window / tasks.make("shove").control_timestep)
     found, seed = {}, options.seed * APART
     while len(found) < options.episodes:
-        problem = _world(wanted, seed, steps)
+        problem = _world(wanted, seed, steps, options.force)
         if problem is not None:
             found[len(found)] = problem
         seed += APART
     return found
 
 
-def _world(wanted: dict[str, int], seed: int, steps: int) -> Problem | None:
+def _world(
+    wanted: dict[str, int], seed: int, steps: int, force: float | None = None
+) -> Problem | None:
     """One world's recordings; None if nothing moves in one motion's."""
-    task: Any = tasks.make("shove")
+    task: Any = tasks.make("shove", **({} if force is None else {"force": force}))
     fit, held = [], []
     for name, count in wanted.items():
         task.config = dataclasses.replace(task.config, steps=LONG.get(name, steps))
@@ -571,8 +573,9 @@ def _parser() -> argparse.ArgumentParser:
     zoo = ROOT / "backends" / "orbisim_world_model" / "zoo"
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--data", type=Path, help="episodes of task:push")
-    source.add_argument("--motions", help="subtasks of task:shove and how often: thrown=6,flick=2")
+    source.add_argument("--motions", help="subtasks of task:shove and how often: thrown=6,lifted=2")
     parser.add_argument("--seed", type=int, default=1, help="of the worlds of --motions")
+    parser.add_argument("--force", type=float, help="of the gripper, N; the task's own if none")
     parser.add_argument("--work", type=Path, required=True, help="folder for what is done")
     parser.add_argument("--checkpoint", type=Path, default=zoo / "push_contacts")
     parser.add_argument("--methods", default=",".join(METHODS))

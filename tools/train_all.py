@@ -116,9 +116,10 @@ _CLIPS = (
 _SHOVE = (
     *_CONTACTS[:-1],
     ("train.rate", 5e-4),
-    ("train.stages", "0.4x8x2048arf,0.6x20x2048arf"),
+    ("train.stages", "0.4x8x1536arf,0.6x20x1536arf"),
 )
-"""After `push_contacts`: rollouts as long as the windows of an identification."""
+"""After `push_contacts`: rollouts as long as the windows of an identification; no more states in a
+step than `_CLIPS` has, which fit into the memory of one GPU."""
 _TAIL = (
     ("model.rest", True),
     ("train.rate", 2e-4),
@@ -203,7 +204,7 @@ JOBS: dict[str, Job] = {
         start="push_contacts",
     ),
     "shove": Job(
-        ("push", "shove", "shove_strikes", "shove_clips"),
+        ("push", "push_hold", "shove", "shove_strikes", "shove_clips"),
         settings=_SHOVE,
         weight=6.0,
         horizons=(10, 20),

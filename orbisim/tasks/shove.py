@@ -1,8 +1,9 @@
 """`task:shove`: the scenes of `task:push` in motions that show what a cube weighs.
 
 A stiff servo pushes a heavy cube as it pushes a light one. Two things tell them apart: a collision
-with a cube whose mass is known, since momentum is kept, and a push by a known force, which
-friction, mu m g, holds back. The gripper of this task is a weak one: its force is limited.
+with a cube whose mass is known, since momentum is kept, and a push or a lift by a known force,
+which friction, mu m g, or weight holds back. The gripper of this task is a weak one: its force is
+limited.
 """
 
 from __future__ import annotations
@@ -49,6 +50,10 @@ _BEYOND = 0.02
 """m that cubes stay apart when the hand is to stop, before they meet."""
 
 
+_GRASP, _RISING = 6, 1.0
+"""Control steps in which a weak gripper closes about a cube, and the hand's speed at most, m/s."""
+
+
 @dataclasses.dataclass(frozen=True)
 class ShoveConfig(PushConfig):
     """What the task is drawn from, beside what `task:push` is.
@@ -60,6 +65,7 @@ class ShoveConfig(PushConfig):
         takes from it on the way. spin: about the vertical, rad/s, standard deviation.
       height: of a thrown cube above the table at the start, m; half of them slide from the start.
       gap: between the closed fingers and a cube that they are to flick, m.
+      lift: acceleration of the hand as it rises, m/s^2.
     """
 
     steps: int = 24
@@ -68,6 +74,7 @@ class ShoveConfig(PushConfig):
     spin: float = 1.0
     height: Range = (0.0, 0.015)
     gap: Range = (0.001, 0.004)
+    lift: Range = (1.0, 8.0)
 
 
 class Shove(Push):
@@ -75,13 +82,14 @@ class Shove(Push):
 
     Subtasks: `thrown` (cube 1 begins in motion, sliding or a little above the table, towards cube
     2; the arm stays out of the way), `flick` (the closed fingers stand beside cube 1 and open with
-    limited force), `strikes` (strike after strike of cube 1 towards cube 2 by the stiff arm, which
-    stops before they meet).
+    limited force), `lifted` (the fingers close about cube 1 with that force and rise, so that a
+    heavy one slips from them), `strikes` (strike after strike of cube 1 towards cube 2 by the stiff
+    arm, which stops before they meet).
     """
 
     name: ClassVar[str] = "shove"
     asset = "push"
-    counts: ClassVar[Mapping[str, int]] = {"thrown": 1200, "flick": 800, "strikes": 0}
+    counts: ClassVar[Mapping[str, int]] = {"thrown": 1200, "flick": 800, "lifted": 0, "strikes": 0}
     default_subtask = "thrown"
     config: ShoveConfig = ShoveConfig()
 
@@ -101,6 +109,7 @@ class Shove(Push):
         draw: Mapping[str, Callable[[Setting, ShoveConfig, np.random.Generator], Script]] = {
             "thrown": thrown,
             "flick": flick,
+            "lifted": lifted,
             "strikes": strikes,
         }
         return draw[subtask](setting, self.config, rng)
@@ -112,6 +121,19 @@ class Shove(Push):
 
 def thrown(setting: Setting, config: ShoveConfig, rng: np.random.Generator) -> Script:
     """Cube 1 begins in motion towards cube 2, with some spin; the arm stays above."""
+    poses, velocity = throw(setting, config, rng)
+
+    def plan(stage: Stage) -> Plan:
+        stage.data.qvel[_FIRST_QVEL : _FIRST_QVEL + 6] = velocity
+        return iter(())
+
+    return Script(poses, start_of_tool(rng), plan)
+
+
+def throw(
+    setting: Setting, config: ShoveConfig, rng: np.random.Generator
+) -> tuple[list[Pose], Floats]:
+    """Poses of both cubes, and the velocity [6] of cube 1's free joint, m/s and rad/s."""
     first, second = setting.cubes[0].half, setting.cubes[1].half
     while True:
         heading, arrival = rng.uniform(-np.pi, np.pi), rng.uniform(*config.arrival)
@@ -127,13 +149,7 @@ def thrown(setting: Setting, config: ShoveConfig, rng: np.random.Generator) -> S
     yaws = rng.uniform(-np.pi, np.pi, 2)
     aimed, spin = heading + rng.normal(0, config.aim), rng.normal(0, config.spin)
     poses = [_pose(spot, first, yaws[0], float(high)), _pose(target, second, yaws[1])]
-
-    def plan(stage: Stage) -> Plan:
-        velocity = [speed * np.cos(aimed), speed * np.sin(aimed), 0.0, 0.0, 0.0, spin]
-        stage.data.qvel[_FIRST_QVEL : _FIRST_QVEL + 6] = velocity
-        return iter(())
-
-    return Script(poses, start_of_tool(rng), plan)
+    return poses, np.array([speed * np.cos(aimed), speed * np.sin(aimed), 0.0, 0.0, 0.0, spin])
 
 
 def flick(setting: Setting, config: ShoveConfig, rng: np.random.Generator) -> Script:
@@ -161,6 +177,27 @@ def flick(setting: Setting, config: ShoveConfig, rng: np.random.Generator) -> Sc
         yield Hold(1, grip=OPEN)
 
     return Script(poses, tool, plan, yaw=yaw)
+
+
+def lifted(setting: Setting, config: ShoveConfig, rng: np.random.Generator) -> Script:
+    """The open fingers stand about cube 1, close and rise; cube 2 stands aside."""
+    first, second = setting.cubes[0].half, setting.cubes[1].half
+    while True:
+        spot = np.array([rng.uniform(*config.x), rng.uniform(*config.y)])
+        aside = np.array([rng.uniform(*config.x), rng.uniform(*config.y)])
+        clear = float(np.linalg.norm(aside - spot)) > _ASIDE
+        if clear and within((float(spot[0]), float(spot[1]))):
+            break
+    yaw = float(rng.uniform(-np.pi / 2, np.pi / 2))
+    poses = [_pose(spot, first, yaw), _pose(aside, second, rng.uniform(-np.pi, np.pi))]
+    x, y = (float(v) for v in spot)
+    rise = Move((x, y, HOVER), speed=_RISING, accel=float(rng.uniform(*config.lift)))
+
+    def plan(stage: Stage) -> Plan:
+        yield Hold(_GRASP, grip=CLOSED)
+        yield rise
+
+    return Script(poses, (x, y, SKIM), plan, yaw=yaw, grip=OPEN)
 
 
 def strikes(setting: Setting, config: ShoveConfig, rng: np.random.Generator) -> Script:

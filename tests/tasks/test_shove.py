@@ -54,6 +54,15 @@ def test_the_force_is_limited_in_nominal_and_drawn_scenes() -> None:
     assert pushing.actuator_forcerange[pushing.actuator("gripper").id, 1] == 60.0
 
 
+def test_a_lifted_cube_slips_from_a_weak_gripper_if_it_is_heavy() -> None:
+    heights = []
+    for density, force in ((150.0, 1.0), (900.0, 1.0), (900.0, 60.0)):
+        qpos = _episode("lifted", 1, density, force=force, lift=(4.0, 4.0)).arrays["qpos"]
+        heights.append(float(qpos[-1, FIRST + 2] - qpos[0, FIRST + 2]))
+    assert heights[0] > 0.09 and heights[2] > 0.09
+    assert heights[1] < heights[2] - 0.01
+
+
 def test_strikes_let_go_of_the_cube() -> None:
     arrays = _episode("strikes", 1, steps=100).arrays
     speed = np.linalg.norm(arrays["qvel"][:, VELOCITY : VELOCITY + 2], axis=1)
@@ -61,7 +70,7 @@ def test_strikes_let_go_of_the_cube() -> None:
     assert np.abs(np.diff(arrays["ctrl"][-60:], axis=0)).max() > 1e-3
 
 
-@pytest.mark.parametrize("subtask", ["thrown", "flick", "strikes"])
+@pytest.mark.parametrize("subtask", ["thrown", "flick", "lifted", "strikes"])
 def test_the_same_seed_gives_the_same_episode(subtask: str) -> None:
     a, b = (_episode(subtask, 2, steps=20) for _ in range(2))
     assert all(np.array_equal(a.arrays[name], b.arrays[name]) for name in a.arrays)

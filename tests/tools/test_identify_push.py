@@ -38,8 +38,12 @@ def test_true_values_explain_what_is_held_out(pushes: Pack) -> None:
 
 @pytest.fixture(scope="module")
 def shoves() -> dict[int, identify_push.Problem]:
-    options = types.SimpleNamespace(motions="thrown=2,flick=1", window=0.6, episodes=2, seed=3)
-    return identify_push.made(options)
+    return _made("thrown=2,flick=1", window=0.6, seed=3)
+
+
+def _made(motions: str, **changes: object) -> dict[int, identify_push.Problem]:
+    options = {"window": 1.0, "episodes": 2, "seed": 1, "force": None, **changes}
+    return identify_push.made(types.SimpleNamespace(motions=motions, **options))
 
 
 def test_true_values_reproduce_recordings_of_shove(
@@ -69,9 +73,17 @@ def test_the_bound_falls_with_more_windows(shoves: dict[int, identify_push.Probl
 
 @pytest.mark.parametrize("motions", ["thrown", "thrown=0", "thrown=x"])
 def test_motions_say_how_often(motions: str) -> None:
-    options = types.SimpleNamespace(motions=motions, window=1.0, episodes=1, seed=1)
     with pytest.raises(InputError, match="how often"):
-        identify_push.made(options)
+        _made(motions)
+
+
+def test_a_lift_shows_density_where_the_gripper_is_weak() -> None:
+    weak, strong = (
+        identify_push.bound(_made("lifted=3", episodes=3, force=force))["noise"]["density:cube1"]
+        for force in (None, 60.0)
+    )
+    assert weak[0] < 0.05  # of the density, where a sample is off by 0.5 mm and 5 mrad
+    assert strong[0] > 5 * weak[0]
 
 
 @pytest.mark.slow
@@ -84,6 +96,17 @@ def test_sysid_and_cma_bring_the_error_down(pushes: Pack) -> None:
     assert other["processor_seconds"] < 30.0
     table = identify_push.summary({"rows": {"0": other}}, {0: problem})
     assert table["friction:table"]["error"][0] < table["friction:table"]["declared"][0]
+
+
+@pytest.mark.slow
+def test_thrown_cubes_tell_their_density_through_the_model_that_knows_them() -> None:
+    problems = _made("thrown=3")
+    zoo = identify_push.ROOT / "backends" / "orbisim_world_model" / "zoo"
+    options = types.SimpleNamespace(checkpoint=zoo / "shove", device="cpu", steps=5, scan=0)
+    table = identify_push.summary(identify_push.learned(problems, options), problems)
+    for label, most in (("friction:table", 0.1), ("density:cube1", 0.2)):
+        error = table[label]["error"][0]
+        assert error < most and error < table[label]["declared"][0]
 
 
 def test_what_is_printed() -> None:
