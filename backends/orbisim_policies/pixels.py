@@ -292,6 +292,7 @@ def processes(workers: int, device: str) -> int:
 
 
 _ON_A_GPU = 4
+"""Processes: see `processes`."""
 _TOGETHER = 32
 """Episodes in lockstep, each with an OpenGL context of its own."""
 
