@@ -122,9 +122,10 @@ OPTIONS: dict[str, Any] = {
 
 @pytest.mark.usefixtures("drawing")
 def test_a_training_films_first_and_keeps_what_it_has_read(tmp_path: Path) -> None:
-    options = {**OPTIONS, "out": tmp_path / "bc"}
+    options = {**OPTIONS, "out": tmp_path / "bc", "episodes": 2, "film_limit": 1e-6}
     manifest = workflows.train("task:push", "bc", options, lambda _: None)
-    assert manifest["films"]["episodes"] == 1 and manifest["films"]["observe"] == "stainf"
+    assert manifest["films"]["episodes"] == 1 and manifest["films"]["asked"] == 2
+    assert manifest["films"]["observe"] == "stainf"
     # no window of a second is that short, so that all stays nominal
     assert manifest["films"]["phyinf"]["windows"] == 0
     path = tmp_path / "bc" / workflows.FILMS
