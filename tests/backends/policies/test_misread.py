@@ -141,7 +141,7 @@ def test_a_step_makes_no_tensor_of_numbers_of_the_host(
     as long."""
     seen = MisreadProblem(push, films)
     starts = seen.numbered(push.draw(FILMED), range(COUNT))
-    names = ("qpos", "qvel", "ctrl", "command", "params")
+    names = ("qpos", "qvel", "command", "params")
     given = {name: torch.as_tensor(getattr(starts, name)).float() for name in names}
     action = torch.zeros((COUNT, push.actions))
 
@@ -150,7 +150,7 @@ def test_a_step_makes_no_tensor_of_numbers_of_the_host(
 
     for name in ("tensor", "as_tensor", "from_numpy"):
         monkeypatch.setattr(torch, name, refused)
-    qpos, qvel, ctrl, command, params = given.values()
+    qpos, qvel, command, params = given.values()
     score = seen.begin(qpos, qvel, command)
     seen.observe(Moment(qpos, qvel, command, params, score, torch.zeros(COUNT)))
     control, command = seen.control(command, action)
