@@ -29,11 +29,12 @@ from orbisim.files.writing import write_json
 
 
 def runs(
-    task: str, worlds: int, device: str, steps: int
+    task: str, worlds: int, device: str, steps: int, compiled: bool
 ) -> tuple[Callable[[], Any], Callable[[], Any]]:
     """A step under random actions, and one under a policy; the same worlds go on."""
     problem = make_problem(task, steps)
-    environment = DeviceEnvironment(problem, worlds, device=device, starts=min(worlds, 256))
+    how: dict[str, Any] = {"device": device, "starts": min(worlds, 256), "compiled": compiled}
+    environment = DeviceEnvironment(problem, worlds, **how)
     view = environment.reset()["observations"]
     policy = Policy(problem.observations, problem.actions, NetworkConfig()).to(view.device)
     actions = torch.rand((4, worlds, problem.actions), device=view.device) * 2 - 1
@@ -83,6 +84,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=20)
     parser.add_argument("--count", type=int, default=64, help="control steps of a repeat")
     parser.add_argument("--steps", type=int, default=64, help="of an episode")
+    parser.add_argument("--plain", action="store_true", help="not compiled by torch")
     parser.add_argument("--out", type=Path, default=Path("out/bench_policies.json"))
     options = parser.parse_args()
     on_gpu = options.device.startswith("cuda")
@@ -95,7 +97,7 @@ def main() -> None:
             label: rate(run, worlds, options.device, options.count, options.repeats)
             for label, run in zip(
                 ("random actions", "policy"),
-                runs(task, worlds, options.device, options.steps),
+                runs(task, worlds, options.device, options.steps, not options.plain),
                 strict=True,
             )
         }

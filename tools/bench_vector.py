@@ -4,7 +4,8 @@
 
 For each task and number of worlds: `orbisim.vector` on C MuJoCo (all cores) and, with `--warp`, on
 MuJoCo-Warp (arrays on the host, and tensors that stay on the device; `--profile STEPS` prints
-where the time of a step goes) or, with `--learned`, in the zoo's dynamics where there are any;
+where the time of a step goes) or, with `--learned`, in the zoo's dynamics where there are any
+(first as they are, then compiled by torch, which takes minutes for each number of worlds);
 dm_control's own environments in gymnasium's `AsyncVectorEnv` (by shimmy, one process for each
 core, each with its share of the worlds one after the other); gymnasium's own MuJoCo environments
 in `AsyncVectorEnv`, where there is one of that robot. Actions are random; episodes begin anew
@@ -113,7 +114,7 @@ def rate(step: Callable[[], None], worlds: int, seconds: float, repeats: int) ->
 
 
 def ours(
-    domain: str, task: str, worlds: int, backend: str, options: Any, arrays: Any = "numpy"
+    domain: str, task: str, worlds: int, backend: Any, options: Any, arrays: Any = "numpy"
 ) -> float:
     """`orbisim.vector`; with tensors, actions are on the device as a policy's would be."""
     environment = orbisim.vector.load(domain, task, worlds, backend, seed=0, arrays=arrays)
@@ -137,6 +138,13 @@ def ours(
     )
     environment.close()
     return found
+
+
+def plain(worlds: int) -> Any:
+    """The learned step as it is, which needs no minutes of compiling first."""
+    from orbisim_world_model.backend import LearnedBackend
+
+    return LearnedBackend(nworld=worlds, compiled=False)
 
 
 def profiled(environment: Any, actions: Any, steps: int) -> dict[str, Any]:
@@ -232,6 +240,7 @@ def measure(
             ours, domain, task, worlds, "warp", options, "torch"
         )
     if options.learned:
+        jobs["orbisim learned, plain"] = lambda: ours(domain, task, worlds, plain(worlds), options)
         jobs["orbisim learned"] = functools.partial(ours, domain, task, worlds, "learned", options)
     if worlds <= options.most and not options.ours:
         make = functools.partial(_shimmy, domain, task)

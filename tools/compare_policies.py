@@ -8,10 +8,11 @@ rewards, episodes, seconds (--limit) and, where they try, at most the same true 
 policy that is kept is of every method the best by 48 episodes on the way, the same for all. All are
 evaluated in C MuJoCo, and beside it inside the learned dynamics.
 
---search tries four configurations of each method (`SPACE`) with a seed of their own, for the same
-seconds each; without it, every method has the configuration that did best there, and its first one
-if none was searched for. What stands in --out is not run again, and a training that was killed goes
-on.
+--search tries four configurations of each method (`SPACE`) with a seed of their own, on the same
+budget (`SEARCH`): the same seconds and at most the same true control steps each, which for clones
+are those of their demonstrations. Without it, every method has the configuration that did best
+there, and its first one if none was searched for. What stands in --out is not run again, and a
+training that was killed goes on.
 """
 
 from __future__ import annotations
@@ -68,6 +69,12 @@ SPACE: Mapping[str, Sequence[Mapping[str, Any]]] = {
     "dreamer": ({}, {"rate": 1e-3}, {"ratio": 128.0}, {"entropy": 3e-3}),
 }
 """Four configurations of each method: changes of `BASE`; the first is what it has unsearched."""
+SEARCH: Mapping[str, Any] = {"steps": 40_000, "demonstrations": 625, "limit": 280.0}
+"""What each configuration may use where --search is not told otherwise. Demonstrations of 64 steps
+each are as many true steps as the others have; 280 s are what SAC needs for them, with one update
+for eight steps."""
+BUDGET: Mapping[str, Any] = {"steps": 250_000, "demonstrations": 1000, "limit": 400.0}
+"""The same of policies that are reported."""
 HORIZON, SPARSE_HORIZON = 25, 16
 """Control steps whose gradients are taken at once in tasks of the suite, and, by `shac`, where the
 reward comes at the end: they divide episodes of 1,000 and of 64 steps."""
@@ -239,6 +246,13 @@ def best(rows: Sequence[Mapping[str, Any]], task: str, method: str) -> int:
     return int(max(mine, key=worth)["choice"]) if mine else 0
 
 
+def budget(options: argparse.Namespace) -> None:
+    """What was not said is that of a search, or of policies that are reported."""
+    for name, value in (SEARCH if options.search else BUDGET).items():
+        if getattr(options, name) is None:
+            setattr(options, name, value)
+
+
 def main() -> None:
     """Trains what is missing, and prints the table."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
@@ -252,10 +266,10 @@ def main() -> None:
     )
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--steps", type=int, default=250_000, help="true steps of what tries")
-    parser.add_argument("--limit", type=float, default=400.0, help="of each training, s")
+    parser.add_argument("--steps", type=int, help="true steps of what tries")
+    parser.add_argument("--limit", type=float, help="of each training, s")
     parser.add_argument("--worlds", type=int, default=512, help="of analytic gradients")
-    parser.add_argument("--demonstrations", type=int, default=1000, help="that are imitated")
+    parser.add_argument("--demonstrations", type=int, help="that are imitated")
     parser.add_argument("--cloning", type=int, default=4000, help="steps before bc_apg's own")
     parser.add_argument("--length", type=int, help="control steps of an episode")
     parser.add_argument("--episodes", type=int, default=200, help="of each evaluation")
@@ -268,6 +282,7 @@ def main() -> None:
     parser.add_argument("--time-limit", type=float, help="s, after which no training is begun")
     parser.add_argument("--figure", type=Path, help="curves and success of all rows")
     options = parser.parse_args()
+    budget(options)
     register()
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the processes that are begun
     tasks = [

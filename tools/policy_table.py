@@ -120,12 +120,12 @@ def _suite(rows: Rows) -> str:
 
 
 def _searched(rows: Rows) -> str:
-    """Reward and success of every configuration."""
+    """Reward and success of every configuration, and what it has used."""
     mine = [row for row in rows if row["kind"] == "search"]
     if not mine:
         return ""
-    lines = ["| task | method | configuration | reward | success, % | training, s |"]
-    lines.append("| --- | --- | --- | --- | --- | --- |")
+    head = "task | method | configuration | reward | success, % | true steps | training, s"
+    lines = [f"| {head} |", "| --- | --- | --- | --- | --- | --- | --- |"]
     for task in order(mine, "task"):
         for method in order(mine, "method"):
             for row in chosen(mine, task, method, "search"):
@@ -133,7 +133,8 @@ def _searched(rows: Rows) -> str:
                 share = next(iter(row["mujoco"]["success"].values()))["share"]
                 what = ", ".join(f"{k} {v:g}" for k, v in row["settings"].items()) or "defaults"
                 cells = [task, method, what, f"{total:.3f}", f"{100 * share:.0f}"]
-                lines.append("| " + " | ".join([*cells, f"{row['trained_s']:.0f}"]) + " |")
+                cells += [f"{row['true_steps']:,}", f"{row['trained_s']:.0f}"]
+                lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import concurrent.futures
 import functools
 import multiprocessing
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -162,55 +162,74 @@ def numbered(scene: Scene, camera: str) -> int:
 
 
 def play(
-    problem: Problem, policy: Any, seed: int, camera: str, how: str, device: str = "cpu"
-) -> Played:
-    """One episode of a policy that sees `camera`'s frames, and of the scene what no frame shows.
+    problem: Problem,
+    policy: Any,
+    seeds: Sequence[int],
+    camera: str,
+    how: str,
+    device: str = "cpu",
+) -> list[Played]:
+    """Episodes of a policy that sees `camera`'s frames, and of the scene what no frame shows.
+
+    They are played in lockstep: the network reads the frames of all of them at once.
 
     Args:
-      problem: on the CPU. policy: from observations to actions. seed: of the episode.
+      problem: on the CPU. policy: from observations to actions. seeds: of the episodes.
       camera: name or number; the first if empty. how, device: see `Sight`.
     """
-    scene, starts = problem.trials(1, seed)
-    number = numbered(scene, camera)
-    sight = Sight(scene, number, problem.timestep, how, device)
-    joints = sight.refiner.scalar.qpos
-    worlds = TrueWorlds(problem, 1, 1)
-    worlds.begin(np.arange(1), starts)
-    renderer = make_renderer("mujoco", scene)
-    command, act = as_float(starts.command), begun(policy, 1)
+    count = len(seeds)
+    scenes, drawn = zip(*(problem.trials(1, seed) for seed in seeds), strict=True)
+    number, starts = numbered(scenes[0], camera), joined(drawn)
+    sights = [Sight(scene, number, problem.timestep, how, device) for scene in scenes]
+    sight, size = sights[0], sights[0].size
+    joints, bodies = sight.refiner.scalar.qpos, [body.qpos for body in sight.refiner.bodies]
+    worlds = TrueWorlds(problem, count, 1)
+    worlds.begin(np.arange(count), starts)
+    renderers = [make_renderer("mujoco", scene) for scene in scenes]
+    command, act = as_float(starts.command), begun(policy, count)
     params = problem.unseen(as_float(starts.params))
-    control, score = as_float(starts.ctrl), None
-    rows, lost = [], False
-    bodies = [body.qpos for body in sight.refiner.bodies]
+    control, score, going = as_float(starts.ctrl), None, np.arange(count)
+    qpos, qvel = np.array(starts.qpos), np.array(starts.qvel)
+    rows: list[list[Any]] = [[] for _ in seeds]
     try:
         for step in range(problem.steps):
             true, speed = worlds.coordinates
-            state = State(np.zeros(1), true, speed, np.zeros((1, scene.model.na)))
-            size = sight.size
-            image = renderer.render(state, camera=number, height=size, width=size)
-            qpos, qvel, seen = sight.see(np.asarray(image).reshape(size, size, 3), true[0, joints])
-            q, v = as_float(qpos[None]), as_float(qvel[None])
-            time = torch.full((1,), step / problem.steps)
+            state = State(np.zeros(count), true, speed, np.zeros((count, scenes[0].model.na)))
+            images = [
+                renderers[i].render(state, world=i, camera=number, height=size, width=size)
+                for i in map(int, going)
+            ]
+            frames = np.stack(images).reshape(len(going), size, size, 3)
+            read = sight.read(frames)
+            for row, i in enumerate(map(int, going)):
+                qpos[i], qvel[i], seen = sights[i].take(frames[row], read, row, true[i, joints])
+                far = [np.linalg.norm(qpos[i, b : b + 3] - true[i, b : b + 3]) for b in bodies]
+                rows[i].append((far, np.abs(qpos[i, joints] - true[i, joints]).mean(), seen))
+            q, v = as_float(qpos), as_float(qvel)
             if score is None:
                 score = problem.begin(q, v, command)
             else:
                 score = problem.count(score, q, v, control)
+            time = torch.full((count,), step / problem.steps)
             with torch.no_grad():
                 action = act(problem.observe(Moment(q, v, command, params, score, time)))
             control, command = problem.control(command, action)
-            off = [np.linalg.norm(qpos[b : b + 3] - true[0, b : b + 3]) for b in bodies]
-            rows.append((off, np.abs(qpos[joints] - true[0, joints]).mean(), seen))
-            if lost := bool(worlds.step(action)[0]):
+            going = going[~worlds.step(action, going)[going]]
+            if not len(going):
                 break
-        end, value = worlds.coordinates[0][0], worlds.measure()[0].double().numpy()
+        end, value = worlds.coordinates[0], worlds.measure().double().numpy()
     finally:
-        renderer.close()
+        for renderer in renderers:
+            renderer.close()
         worlds.close()
-    lost |= not np.isfinite(value).all()
-    if lost:
-        end, value = starts.qpos[0], np.zeros(len(problem.parts))
-    offs, turned, seens = zip(*rows, strict=True)
-    return Played(end, value, lost, np.array(offs), np.array(turned), np.array(seens))
+    well = going[np.isfinite(value[going]).all(axis=1)]
+    lost = ~np.isin(np.arange(count), well)
+    end[lost], value[lost] = starts.qpos[lost], 0.0
+    played = []
+    for i in range(count):
+        off, turned, seen = (np.array(values) for values in zip(*rows[i], strict=True))
+        played.append(Played(end[i], value[i], bool(lost[i]), off, turned, seen))
+    return played
 
 
 def evaluate_pixels(
@@ -237,14 +256,17 @@ def evaluate_pixels(
       InputError: the folder has episodes of another policy, task or camera.
     """
     label = f"{label} {problem.name} {how} {camera}".strip()
-    jobs = [(problem, policy, seed, camera, how, device, kept, label) for seed in seeds]
-    if workers == 1:
-        played = [_once(*job) for job in track(jobs, "episodes from pixels", len(jobs))]
+    number = processes(workers, device)
+    groups = _groups(seeds, number, how, device)
+    jobs = [(problem, policy, group, camera, how, device, kept, label) for group in groups]
+    if number == 1:
+        every = [_once(*job) for job in track(jobs, "episodes from pixels", len(jobs))]
     else:
         context = multiprocessing.get_context("spawn")  # a fork would copy a GL context
-        with concurrent.futures.ProcessPoolExecutor(workers, context, alone) as pool:
-            every = pool.map(_once, *zip(*jobs, strict=True))
-            played = list(track(every, "episodes from pixels", len(jobs)))
+        with concurrent.futures.ProcessPoolExecutor(number, context, alone) as pool:
+            asked = pool.map(_once, *zip(*jobs, strict=True))
+            every = list(track(asked, "episodes from pixels", len(jobs)))
+    played = [one for group in every for one in group]
     starts = joined([problem.trials(1, seed)[1] for seed in seeds])
     qpos, value = (np.stack([getattr(one, n) for one in played]) for n in ("qpos", "value"))
     found = summary(problem, starts, qpos, value)
@@ -259,32 +281,78 @@ def evaluate_pixels(
     return found | {"diverged": sum(bool(one.lost) for one in played)}
 
 
+def processes(workers: int, device: str) -> int:
+    """How many processes draw and read frames: on a GPU a few at most.
+
+    One process alone draws more there than many that take turns (docs/benchmarks.md: 1,313 to
+    1,435 images/s by one, 640 by 14 together with their physics); a few hide what is computed on
+    the CPU between two frames.
+    """
+    return workers if torch.device(device).type == "cpu" else min(workers, _ON_A_GPU)
+
+
+_ON_A_GPU = 4
+"""Processes: see `processes`."""
+_TOGETHER = 32
+"""Episodes in lockstep, each with an OpenGL context of its own."""
+
+
+def _groups(seeds: Sequence[int], number: int, how: str, device: str) -> list[Sequence[int]]:
+    """Which episodes are played in lockstep: on a GPU, whose time goes with calls and not with
+    images, as many as there are for a process; one where each frame is fitted or read on the
+    CPU, which gains nothing by waiting for others."""
+    size = 1
+    if how == "stainf" and torch.device(device).type != "cpu":
+        size = max(1, min(_TOGETHER, -(-len(seeds) // number)))
+    return [seeds[i : i + size] for i in range(0, len(seeds), size)]
+
+
 def _once(
     problem: Problem,
     policy: Any,
-    seed: int,
+    seeds: Sequence[int],
     camera: str,
     how: str,
     device: str,
     kept: Path | None,
     label: str,
-) -> Played:
+) -> list[Played]:
     """`play`, or what an earlier run has kept of it."""
-    if kept is None:
-        return play(problem, policy, seed, camera, how, device)
-    path = kept / f"{how}_{seed}.npz"
-    if path.exists():
-        with np.load(path) as file:
-            if str(file["label"]) != label:
-                raise InputError(
-                    f"{path}: is of {str(file['label'])!r}, not of {label!r}; use another folder"
-                )
-            return Played(*(file[name] for name in Played._fields))
-    played = play(problem, policy, seed, camera, how, device)
-    part = path.with_name(f"part_{path.name}")  # a run that is ended leaves no half of a file
-    np.savez(part, label=np.array(label), **played._asdict())
-    part.replace(path)
-    return played
+    found = {}
+    for seed in seeds if kept is not None else ():
+        if arrays := kept_of(kept, f"{how}_{seed}", label):
+            found[seed] = Played(**arrays)
+    rest = [seed for seed in seeds if seed not in found]
+    if rest:
+        fresh = play(problem, policy, rest, camera, how, device)
+        found |= dict(zip(rest, fresh, strict=True))
+    if kept is not None:
+        for seed in rest:
+            keep(kept, f"{how}_{seed}", label, found[seed]._asdict())
+    return [found[seed] for seed in seeds]
+
+
+def keep(folder: Path, name: str, label: str, arrays: Mapping[str, Any]) -> None:
+    """Writes arrays to a file of this name; a run that is ended leaves no half of one."""
+    part = folder / f"part_{name}.npz"
+    np.savez(part, label=np.array(label), **arrays)
+    part.replace(folder / f"{name}.npz")
+
+
+def kept_of(folder: Path | None, name: str, label: str) -> dict[str, Any] | None:
+    """What `keep` has written, without the label; None if there is nothing.
+
+    Raises:
+      InputError: it has another label.
+    """
+    if folder is None or not (path := folder / f"{name}.npz").exists():
+        return None
+    with np.load(path) as file:
+        if str(file["label"]) != label:
+            raise InputError(
+                f"{path}: is of {str(file['label'])!r}, not of {label!r}; use another folder"
+            )
+        return {key: file[key] for key in file.files if key != "label"}
 
 
 _QUANTILES = {"median": 0.5, "p90": 0.9, "worst": 1.0}

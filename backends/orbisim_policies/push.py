@@ -100,6 +100,7 @@ class PushProblem(Problem):
         self._low, self._high = (torch.tensor(v, device=device) for v in (_LOW, _HIGH))
         self._middle = torch.tensor((0.5, 0.0, 0.1), device=device)
         self._turns = tuple(torch.tensor(v, device=device) for v in (-_YAW, _YAW))
+        self._hidden = torch.tensor([*_NOMINAL[:1] * 2, *_NOMINAL[1:] * 3], device=device)
 
     # -- episodes ------------------------------------------------------------------------------
 
@@ -214,8 +215,8 @@ class PushProblem(Problem):
 
     def unseen(self, params: Tensor) -> Tensor:
         """See `Problem.unseen`: sizes are declared; densities and friction are the nominal ones."""
-        nominal = torch.tensor([*_NOMINAL[:1] * 2, *_NOMINAL[1:] * 3]).to(params)
-        return torch.cat([params[:, :2], nominal.expand(len(params), -1)], 1)
+        nominal = self._hidden.to(params).expand(len(params), -1)
+        return torch.cat([params[:, :2], nominal], 1)
 
     def control(self, command: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """Joint targets by damped least squares, and the gripper closed."""

@@ -134,19 +134,20 @@ def _cheetah(model: mujoco.MjModel) -> tuple[Reward, Reward]:
 def _forward_speed(model: mujoco.MjModel) -> Callable[[Tensor, Tensor], Tensor]:
     """x velocity of the centre of mass of a planar tree: slides along x and z and a hinge about y
     at its root, one hinge about y at every other body."""
-    mass, total = model.body_mass, float(model.body_mass.sum())
-    place, centre = model.body_pos, model.body_ipos
-    parents, dofs = model.body_parentid, [2, *map(int, model.body_dofadr[2:])]
+    # numbers of Python: torch's compiler takes those of an array for what it cannot know
+    share = (model.body_mass / model.body_mass.sum()).tolist()
+    place, centre = model.body_pos.tolist(), model.body_ipos.tolist()
+    parents, dofs = model.body_parentid.tolist(), [2, *model.body_dofadr[2:].tolist()]
 
-    def sideways(angle: Tensor, rate: Tensor, point: Floats) -> Tensor:
+    def sideways(angle: Tensor, rate: Tensor, point: Sequence[float]) -> Tensor:
         """x velocity of a point of a body that turns about y."""
-        return rate * (float(point[2]) * angle.cos() - float(point[0]) * angle.sin())
+        return rate * (point[2] * angle.cos() - point[0] * angle.sin())
 
     def speed(qpos: Tensor, qvel: Tensor) -> Tensor:
         angle, rate, along = {}, {}, {}
         found = torch.zeros_like(qvel[:, 0])
         for body, dof in enumerate(dofs, start=1):
-            before = int(parents[body])
+            before = parents[body]
             angle[body], rate[body], along[body] = qpos[:, dof], qvel[:, dof], qvel[:, 0]
             if before:
                 turned = sideways(angle[before], rate[before], place[body])
@@ -154,7 +155,7 @@ def _forward_speed(model: mujoco.MjModel) -> Callable[[Tensor, Tensor], Tensor]:
                 rate[body] = rate[body] + rate[before]
                 along[body] = along[before] + turned
             own = along[body] + sideways(angle[body], rate[body], centre[body])
-            found = found + float(mass[body]) / total * own
+            found = found + share[body] * own
         return found
 
     return speed

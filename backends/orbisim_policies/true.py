@@ -95,6 +95,16 @@ class TrueWorlds:
         """qpos [nworld, nq] and qvel [nworld, nv], copies."""
         return np.array(self._threads.field("qpos")), np.array(self._threads.field("qvel"))
 
+    @property
+    def command(self) -> Tensor:
+        """[nworld, C]: where actions have led what they command, a copy."""
+        return torch.clone(self._command)
+
+    @property
+    def control(self) -> Floats:
+        """[nworld, nu] of the last step, a copy."""
+        return np.array(self._threads.ctrl)
+
     def observation(self) -> Tensor:
         """What the policy sees, [nworld, F]."""
         qpos, qvel = map(_float, self.coordinates)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -40,6 +41,8 @@ _RUN = {
 """Options of the command line, and what they are called in `Run`."""
 FILMS = "films.safetensors"
 """What was read off films, in the folder of a training."""
+FILMED = "filmed"
+"""Folder beside it, of single films until all are there: what is killed goes on with them."""
 
 
 def train(
@@ -111,7 +114,7 @@ def _films(problem: Problem, run: Run, options: Mapping[str, Any], checkpoint: s
         from orbisim_policies import filming, phyinf
     except ImportError as error:
         raise MissingDependencyError("--observe from frames", "vision", str(error)) from error
-    make_folder(run.out)
+    kept = make_folder(make_folder(run.out) / FILMED)
     seeds = training_seeds(problem, run)[: options["episodes"]]
     films = filming.film(
         problem,
@@ -120,9 +123,12 @@ def _films(problem: Problem, run: Run, options: Mapping[str, Any], checkpoint: s
         how=options["observe"],
         workers=run.nthread or usable_cpus(),
         device=run.device,
+        kept=kept,
+        limit=options["film_limit"],
     )
     films = phyinf.inferred(problem, films, checkpoint, run.device)
     films.save(path)
+    shutil.rmtree(kept)
     return films
 
 

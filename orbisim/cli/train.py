@@ -472,6 +472,12 @@ _POLICY = "Example: orbisim train policy push --method apg --out policies/push -
     help="To film, for --observe.",
 )
 @click.option(
+    "--film-limit",
+    type=click.FloatRange(min=0, min_open=True),
+    default=None,
+    help="Seconds, for --observe: the training begins with the films that are ready by then.",
+)
+@click.option(
     "--films",
     type=click.Path(path_type=Path, dir_okay=False),
     default=None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import sys
 from pathlib import Path
@@ -105,3 +106,14 @@ def test_short_horizons_with_a_value_are_a_method_of_their_own(job: Job) -> None
 def test_every_method_is_searched_as_much() -> None:
     assert {len(space) for space in compare_policies.SPACE.values()} == {4}
     assert set(compare_policies.SPACE) == set(compare_policies.METHODS)
+
+
+def test_configurations_have_the_same_true_steps_and_seconds_unless_told_otherwise() -> None:
+    names = ("steps", "demonstrations", "limit")
+    searched = argparse.Namespace(search=True, **dict.fromkeys(names))
+    compare_policies.budget(searched)
+    assert searched.demonstrations * make_problem("task:push").steps == searched.steps == 40_000
+    assert searched.limit == 280.0
+    reported = argparse.Namespace(search=False, steps=7, demonstrations=None, limit=None)
+    compare_policies.budget(reported)
+    assert (reported.steps, reported.demonstrations, reported.limit) == (7, 1000, 400.0)

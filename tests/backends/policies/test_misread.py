@@ -4,6 +4,7 @@ import dataclasses
 from typing import Any
 
 import numpy as np
+import pytest
 import torch
 from orbisim_policies.films import Films
 from orbisim_policies.learned import LearnedWorlds
@@ -131,3 +132,27 @@ def test_true_worlds_show_the_same_errors(push: PushProblem, films: Films) -> No
     finally:
         worlds.close()
         plain.close()
+
+
+def test_a_step_makes_no_tensor_of_numbers_of_the_host(
+    push: PushProblem, films: Films, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A CUDA graph cannot record what is copied from the host: iterations would take many times
+    as long."""
+    seen = MisreadProblem(push, films)
+    starts = seen.numbered(push.draw(FILMED), range(COUNT))
+    names = ("qpos", "qvel", "command", "params")
+    given = {name: torch.as_tensor(getattr(starts, name)).float() for name in names}
+    action = torch.zeros((COUNT, push.actions))
+
+    def refused(*_: Any, **__: Any) -> Any:
+        raise AssertionError("a tensor of numbers of the host")
+
+    for name in ("tensor", "as_tensor", "from_numpy"):
+        monkeypatch.setattr(torch, name, refused)
+    qpos, qvel, command, params = given.values()
+    score = seen.begin(qpos, qvel, command)
+    seen.observe(Moment(qpos, qvel, command, params, score, torch.zeros(COUNT)))
+    control, command = seen.control(command, action)
+    score = seen.count(score, qpos, qvel, control)
+    assert seen.value(score, qpos).isfinite().all()

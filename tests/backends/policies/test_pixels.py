@@ -40,13 +40,53 @@ def test_an_episode_is_mujocos_and_states_are_those_of_the_frames(push: PushProb
         seen.append(view)
         return still(view)
 
-    played = play(push, watched, 5, "side", "stainf")
+    (played,) = play(push, watched, [5], "side", "stainf")
     assert len(seen) == push.steps and played.off.shape == (push.steps, 2)
     _, starts = push.trials(1, 5)
     np.testing.assert_allclose(played.qpos, starts.qpos[0], atol=0.02)  # nothing was done
     assert not played.lost and played.turned.max() < 0.2
     # of densities and friction it sees the middle of what is drawn, of sizes the true ones
     assert not seen[0][:, -3:].any() and seen[0][:, -5:-3].abs().sum() > 0
+
+
+def test_episodes_in_lockstep_are_those_that_are_played_alone(push: PushProblem) -> None:
+    def towards(view: torch.Tensor) -> torch.Tensor:
+        return -view[:, 9:13].clamp(-1, 1)  # depends on what was read, and on nothing else
+
+    together = play(push, towards, [5, 6], "side", "stainf")
+    for one, seed in zip(together, [5, 6], strict=True):
+        (alone,) = play(push, towards, [seed], "side", "stainf")
+        assert one.off.shape == alone.off.shape == (push.steps, 2)
+        np.testing.assert_allclose(one.off, alone.off, atol=1e-4)  # m
+        np.testing.assert_allclose(one.qpos, alone.qpos, atol=1e-4)
+        np.testing.assert_allclose(one.value, alone.value, atol=1e-3)
+    assert np.abs(together[0].qpos - together[1].qpos).max() > 0.01
+
+
+def test_an_episode_that_diverges_ends_alone(push: PushProblem) -> None:
+    def odd(view: torch.Tensor) -> torch.Tensor:
+        action = still(view)
+        action[0] = torch.nan
+        return action
+
+    first, second = play(push, odd, [5, 6], "side", "stainf")
+    _, starts = push.trials(1, 5)
+    assert first.lost and len(first.off) == 1 and not first.value.any()
+    np.testing.assert_array_equal(first.qpos, starts.qpos[0])
+    assert not second.lost and len(second.off) == push.steps and second.value.any()
+
+
+@pytest.mark.parametrize(
+    ("how", "device", "sizes"),
+    [("stainf", "cuda", [32, 18]), ("objects", "cuda", [1] * 50), ("stainf", "cpu", [1] * 50)],
+)
+def test_frames_are_read_together_where_a_gpu_reads_them(
+    how: str, device: str, sizes: list[int]
+) -> None:
+    groups = pixels._groups(range(50), 1, how, device)
+    assert [len(group) for group in groups] == sizes
+    assert [seed for group in groups for seed in group] == list(range(50))
+    assert pixels.processes(14, device) == (14 if device == "cpu" else 4)
 
 
 def test_a_report_says_how_far_off_states_were(push: PushProblem) -> None:
@@ -62,12 +102,13 @@ def test_episodes_that_are_kept_are_not_played_again(
 ) -> None:
     calls = []
 
-    def played(problem: PushProblem, policy: object, seed: int, *_: object) -> Played:
+    def played(problem: PushProblem, policy: object, seeds: list[int], *_: object) -> list[Played]:
+        (seed,) = seeds
         calls.append(seed)
         qpos = problem.trials(1, seed)[1].qpos[0]
         off = np.full((2, 2), 1e-3 * seed)
         value = np.zeros(len(problem.parts))
-        return Played(qpos, value, seed == 6, off, np.zeros(2), np.ones((2, 2), bool))
+        return [Played(qpos, value, seed == 6, off, np.zeros(2), np.ones((2, 2), bool))]
 
     monkeypatch.setattr(pixels, "play", played)
     how: Any = {"how": "stainf", "kept": tmp_path, "label": "push"}

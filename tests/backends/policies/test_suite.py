@@ -61,3 +61,17 @@ def test_a_goal_stands_in_the_scene_that_is_shown() -> None:
         torch.zeros(2),
     )
     assert problem.observe(moment).shape == (2, problem.observations)
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_an_episodes_count_is_one_graph_for_a_compiler(task: str) -> None:
+    """An environment on the device is compiled whole, or not at all."""
+    problem = SuiteProblem(task, steps=4)
+    starts = problem.draw([1, 2])
+    names = ("qpos", "qvel", "command", "ctrl")
+    given = [torch.as_tensor(getattr(starts, name)).float() for name in names]
+    score = problem.begin(*given[:3])
+    # traced as it would be, and run as it is: no kernel is made
+    traced = torch.compile(problem.count, fullgraph=True, dynamic=False, backend="eager")
+    found = traced(score, given[0], given[1], given[3])
+    torch.testing.assert_close(found, problem.count(score, given[0], given[1], given[3]))
