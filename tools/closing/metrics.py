@@ -16,6 +16,7 @@ from scipy.signal import butter, sosfiltfilt
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.measured import correct
 from orbisim.motion.force import Hooked
+from orbisim.motion.hidden import Layout
 from orbisim.recording import Recording
 from orbisim.recording.initial import Velocities
 from orbisim.replay import Replay, replay
@@ -135,7 +136,7 @@ def torque_residual(
         names = [model.joint(i).name for i in range(model.njnt)]
         axes = [i for i, name in enumerate(names) if not only or name in only]
         motions = [_filtered(one, names, model, cutoff) for one in recordings]
-        missing = [_missing(scene, one) for one in motions]
+        missing = [_missing(scene, one, model) for one in motions]
         rms = np.sqrt(np.mean(np.concatenate(missing) ** 2, axis=0))
         figures = {"all axes": float(np.sqrt(np.sum(rms[axes] ** 2)))}
         figures |= {names[i]: float(rms[i]) for i in axes}
@@ -186,18 +187,21 @@ def _filtered(
     return _Motion(time[edge], qpos[edge], qvel[edge], qacc[edge], ctrl[edge])
 
 
-def _missing(scene: Scene, motion: _Motion) -> Floats:
-    """[T, nv]: the force that a scene, with the effects that it carries, lacks along a motion."""
+def _missing(scene: Scene, motion: _Motion, declared: mujoco.MjModel) -> Floats:
+    """[T, nv]: the force that a scene, with the effects that it carries, lacks along a motion, at
+    the declared joints. What an effect adds as a joint (play, an elastic transmission) no recording
+    shows: it stays where it is declared."""
     model = copy.copy(scene.model)
-    data, hooked = mujoco.MjData(model), Hooked(model)
+    data, hooked, place = mujoco.MjData(model), Hooked(model), Layout(declared, model)
     found = np.zeros_like(motion.qpos)
     for row in range(len(found)):
-        data.qpos[:], data.qvel[:] = motion.qpos[row], motion.qvel[row]
-        data.qacc[:], data.ctrl[:] = motion.qacc[row], motion.ctrl[row]
+        data.qpos[:], data.qvel[:], data.qacc[:] = model.qpos0, 0.0, 0.0
+        data.qpos[place.q], data.qvel[place.v] = motion.qpos[row], motion.qvel[row]
+        data.qacc[place.v], data.ctrl[:] = motion.qacc[row], motion.ctrl[row]
         added = hooked.force(data)
         mujoco.mj_inverse(model, data)
         mujoco.mj_fwdActuation(model, data)
-        found[row] = data.qfrc_inverse - data.qfrc_actuator - added
+        found[row] = (data.qfrc_inverse - data.qfrc_actuator - added)[place.v]
     return found
 
 

@@ -53,6 +53,18 @@ def test_the_force_that_drives_the_motion_is_not_missing() -> None:
     assert found.figures["all axes"] == pytest.approx(0.5, rel=0.02)
 
 
+def test_forces_are_missing_at_the_declared_joints_alone() -> None:
+    """An elastic transmission adds a joint, which no recording shows."""
+    time = np.arange(0, 4, 0.01)
+    motion, second = 0.2 * np.sin(3 * time), -1.8 * np.sin(3 * time)
+    run = Recording(time=time, signals={"qpos/x": motion, "ctrl/push": second + 40 * motion})
+    spring = EffectInstance("joint_flexibility", "x", {"stiffness": 1e6, "damping": 1.0})
+    elastic = add_effects(scene(), [spring])
+    assert elastic.model.nv == 2
+    found = metrics().torque_residual(scene, 10.0).measure(elastic, [run], ())
+    assert set(found.figures) == {"all axes", "x"} and found.figures["all axes"] < 0.05
+
+
 def test_every_set_is_in_one_half_and_has_recordings() -> None:
     plans = importlib.import_module("closing.plans").PLANS
     sets = {one.name for one in importlib.import_module("import_measured").DATA_SETS}
