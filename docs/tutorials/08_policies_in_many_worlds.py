@@ -93,7 +93,7 @@ print(vectorised.single_action_space)
 # %% [markdown]
 # ## A policy that ships
 #
-# Four trained policies ship: `push`, `push_ppo`, `pendulum` and `cartpole`. `orbisim eval policy` says
+# Five trained policies ship: `push`, `push_ppo`, `push_pixels`, `pendulum` and `cartpole`. `orbisim eval policy` says
 # how good one is: in C MuJoCo, in episodes that it has not seen, with 95 % intervals. Beside it stand
 # the same episodes inside the learned model that it was trained in: where the model promises more than
 # MuJoCo keeps, the policy exploits it.
