@@ -13,6 +13,7 @@ import pytest
 
 import orbisim
 from orbisim import Recording
+from orbisim.effects import EffectInstance, add_effects
 
 TOOLS = Path(__file__).resolve().parents[3] / "tools"
 SLIDE = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>
