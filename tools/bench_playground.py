@@ -22,9 +22,15 @@ import time
 from pathlib import Path
 from typing import Any
 
-import jax
 import mujoco
-from mujoco_playground import registry, wrapper
+
+try:
+    import jax
+    from mujoco_playground import registry, wrapper
+except ImportError as error:  # --help needs neither
+    MISSING = f"{error}; run it in an environment with `pip install playground`"
+else:
+    MISSING = ""
 
 
 def load(task: str, worlds: int, options: Any) -> Any:
@@ -98,6 +104,8 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--out", type=Path, help="written after each measurement")
     options = parser.parse_args()
+    if MISSING:
+        parser.error(MISSING)
     versions = {"jax": jax.__version__, "mujoco": mujoco.__version__}
     said: dict[str, Any] = {"impl": options.impl, "device": str(jax.devices()[0]), **versions}
     found: dict[str, Any] = {}
