@@ -307,6 +307,10 @@ class HardStop(JointEffect):
     def free_parameters(self, model: mujoco.MjModel, target: str) -> tuple[str, ...]:
         return ("position", *_SOLREF_NAMES)
 
+    def encode(self, model: mujoco.MjModel, target: str, values: Values) -> Values:
+        """Where nothing is said of stiffness and damping, they are the declared limit's."""
+        return super().encode(model, target, {**_solref(model, target), **values})
+
     def complete(self, model: mujoco.MjModel, target: str, values: Values) -> Values:
         """No stiffer than the timestep resolves: below two timesteps MuJoCo takes these."""
         return {**values, "timeconst": max(values["timeconst"], 2 * model.opt.timestep)}

@@ -51,6 +51,8 @@ def test_a_stop_is_as_stiff_and_as_damped_as_said(scene: Scene) -> None:
         return float(depth), float(back)
 
     assert fall(stiff)[0] < fall(soft)[0] and fall(stiff)[1] < 2 * fall(soft)[1] < 0
+    free = find("hard_stop").encode(scene.model, "shoulder", soft.values)
+    assert free == {"position": 0.6, "timeconst": 0.02, "dampratio": 1.0}
     assert find("hard_stop").complete(scene.model, "shoulder", {**stiff.values, "timeconst": 1e-4})[
         "timeconst"
     ] == pytest.approx(2 * scene.model.opt.timestep)

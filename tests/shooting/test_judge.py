@@ -94,6 +94,15 @@ def test_a_glance_tells_how_large_an_effect_should_be(pushed: tuple[Judge, Judge
     assert judge.glance(right, begin) < judge.glance(wrong, begin)
 
 
+def test_a_glance_at_an_event_is_not_ruled_by_one_window(pushed: tuple[Judge, Judged]) -> None:
+    """Over every window it is a mean of logarithms, which is less than the logarithm of a mean."""
+    judge, nothing = pushed
+    begin = judge.begin(nothing)
+    wrong = Hypothesis((BIAS.replace(offset=-0.6),))
+    event, mean = judge.glance(wrong, begin, every=True), judge.glance(wrong, begin)
+    assert 1 < event < np.log1p(mean) < mean < np.inf
+
+
 def test_a_glance_lets_retuned_parameters_move(hammer: orbisim.Scene) -> None:
     """Seen from parameters that made up for an effect, its true size leaves nothing."""
     _, judge, nothing = struck(hammer, retuned(hammer, {GAIN: 1.03}), [BIAS])
