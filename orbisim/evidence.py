@@ -53,7 +53,7 @@ def like_parts(found: int, parts: int) -> float:
     Each part has it with the same unknown probability, of which a Beta(a, 1) density is known
     beforehand. The next one then has it with odds (a + those that have it) / (those that do not),
     by Laplace's rule of succession; a is such that the first has the odds of any effect. One maker
-    made the joints of a machine: where three of four have dry friction, the fourth's is no surprise.
+    made the joints of a machine: where three of four have friction, the fourth's is no surprise.
 
     Args:
       found: parts that have it. parts: of the machine; where they are fewer than found, nothing is

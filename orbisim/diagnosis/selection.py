@@ -115,7 +115,9 @@ def _group(
     odds, simpler = effect.odds(model, candidate.target), effect.refines
     refines = (simpler, candidate.target) if simpler else ()
     parts = effect.like_parts(model)
-    return Group(index, key, instance, candidate.fixed, candidate.shape, odds, prior, refines, parts)
+    return Group(
+        index, key, instance, candidate.fixed, candidate.shape, odds, prior, refines, parts
+    )
 
 
 _FELT = 1e-12
