@@ -11,17 +11,15 @@ import numpy as np
 from orbisim.backend import Backend
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.explanations import enough
-from orbisim.diagnosis.found import (
-    Retuned,
-    Verdict,
-)
-from orbisim.diagnosis.scoring import Score, score
+from orbisim.diagnosis.found import Retuned, Verdict
+from orbisim.diagnosis.scoring import score
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import find
 from orbisim.effects.estimate import Estimate, FoundEffect
 from orbisim.evidence import NEAR
 from orbisim.recording import Recording
 from orbisim.recording.joints import joints
+from orbisim.replay import Replay
 from orbisim.scene import Scene
 from orbisim.sensing.faults import Sensed
 from orbisim.shooting.bench import Bench, Noise
@@ -147,7 +145,7 @@ def noise_of(scene: Scene, noise: Noise) -> dict[str, float]:
 
 
 def errors_of(
-    before: dict[str, Score], after: dict[str, Score], bench: Bench, window: float
+    before: dict[str, Replay], after: dict[str, Replay], bench: Bench, window: float
 ) -> dict[str, Any]:
     """Free-running error before and after, and what the noise alone would give."""
     model = bench.scene.model
@@ -167,7 +165,7 @@ def errors_of(
         "fit": {"before": before["fit"].rms, "after": after["fit"].rms},
         "held_out": {"before": before["held_out"].rms, "after": after["held_out"].rms},
         "noise_floor": float(np.sqrt(floor)),
-        "windows": {"fit": before["fit"].windows, "held_out": before["held_out"].windows},
+        "windows": {kind: len(found.windows) for kind, found in before.items()},
     }
 
 
