@@ -16,7 +16,6 @@ from orbisim import plugins
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.force_search import ForceAttribution
 from orbisim.diagnosis.found import Alternative, Candidate, Combination, Retuned, Verdict
-from orbisim.diagnosis.history import HistoryDependent
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.wording import sentence
 from orbisim.effects.carry import save_with_effects
@@ -31,6 +30,7 @@ from orbisim.scene import Scene
 from orbisim.scene.patch import Patch, patch_of
 from orbisim.scene.query import without_options
 from orbisim.sensing.faults import Sensed
+from orbisim.shooting.history import HistoryDependent
 from orbisim.version import VERSION
 
 SCHEMA = "orbisim.diagnosis/1"

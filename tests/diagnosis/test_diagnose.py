@@ -11,10 +11,10 @@ import pytest
 
 import orbisim
 from orbisim.diagnosis import Diagnosis
-from orbisim.diagnosis.history import HistoryDependent
 from orbisim.effects import EffectInstance
 from orbisim.errors import RecordingError
 from orbisim.recording import Recording
+from orbisim.shooting.history import HistoryDependent
 from orbisim.testing import inject_effect
 
 ARM = Path(__file__).parents[2] / "mjcf_assets" / "arm2"
