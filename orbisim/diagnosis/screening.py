@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.nuisance import Apart, levelled, own_columns
-from orbisim.diagnosis.suspects import Screening, Suspect, in_turns, key_of
+from orbisim.diagnosis.suspects import Screening, Suspect, merged
 from orbisim.effects import EffectInstance, add_effects, effect_names, find
 from orbisim.effects.screening import Candidate, Column, Solve
 from orbisim.errors import OrbiSimError
@@ -67,23 +67,18 @@ def screen(
     index = list(range(len(columns), len(columns) + len(nuisance)))
     after = list(range(len(columns) + len(nuisance), len(both)))
 
-    def ranked(normal: Normal) -> tuple[list[Suspect], list[Suspect]]:
+    def ranked(normal: Normal) -> Screening:
         """Suspects, and those when declared parameters may be retuned too."""
         apart = own.apart(normal, after)
         tuned = profiled(apart.normal, index, np.full(len(index), 1 / SPREAD**2))
-        return _rank(found, apart.normal, bench, apart), _rank(found, tuned, bench) if index else []
+        return Screening(
+            suspects=tuple(_rank(found, apart.normal, bench, apart)),
+            shares=_shares(normal, first, len(columns) - first),
+            tuned=tuple(_rank(found, tuned, bench)) if index else (),
+        )
 
-    normal = total(normals)
-    suspects, tuned = ranked(normal)
-    if hypothesis.effects:
-        steady = ranked(total(levelled(normals)))
-        suspects = list(in_turns(suspects, steady[0], lambda s: key_of(s.instance)))
-        tuned = list(in_turns(tuned, steady[1], lambda s: key_of(s.instance)))
-    return Screening(
-        suspects=tuple(suspects),
-        shares=_shares(normal, first, len(columns) - first),
-        tuned=tuple(tuned),
-    )
+    every = ranked(total(normals))
+    return merged(every, ranked(total(levelled(normals)))) if hypothesis.effects else every
 
 
 def candidates_of(
