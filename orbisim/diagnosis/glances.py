@@ -11,12 +11,11 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from orbisim.diagnosis.context import Context
-from orbisim.diagnosis.screening import bounded_instance
 from orbisim.diagnosis.suspects import Suspect, in_turns
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.host.deadline import Deadline
 from orbisim.scene import Scene
-from orbisim.shooting.hypothesis import clean
+from orbisim.shooting.hypothesis import bounded_instance, clean
 from orbisim.shooting.judge import Judged, is_structural
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.nuisance import Apart, levelled, own_columns
+from orbisim.diagnosis.nuisance import Apart, own_columns
 from orbisim.diagnosis.suspects import Screening, Suspect, merged
 from orbisim.effects import EffectInstance, add_effects, effect_names, find
 from orbisim.effects.screening import Candidate, Column, Solve
@@ -19,11 +19,12 @@ from orbisim.motion.linear import IntervalMap, Intervals, missing_force, smoothe
 from orbisim.motion.regressors import MotionView
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
-from orbisim.shooting.hypothesis import Hypothesis, clean, completed
+from orbisim.shooting.hypothesis import Hypothesis, bounded_instance
 from orbisim.shooting.regress import (
     Normal,
     fit,
     force_columns,
+    levelled,
     normal_equations,
     profiled,
     total,
@@ -237,19 +238,3 @@ def _sized(
 ) -> EffectInstance | None:
     """A candidate's effect where its coefficients are so many times as large."""
     return _instance(scene, candidate, size * coefficients)
-
-
-def bounded_instance(scene: Scene, instance: EffectInstance) -> EffectInstance | None:
-    """An effect with all parameters, within their bounds; None if it is not possible."""
-    effect = find(instance.effect)
-    names = effect.free_parameters(scene.model, instance.target)
-    try:
-        if all(name in instance.values for name in names):
-            free = {name: instance.values[name] for name in names}
-            instance = completed(scene, instance, free)
-        else:
-            instance = clean(scene, instance)
-        effect.check(scene.model, instance)
-    except (OrbiSimError, KeyError):
-        return None
-    return instance
