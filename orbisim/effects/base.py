@@ -474,6 +474,22 @@ def joints_above(model: mujoco.MjModel, body: int) -> Iterator[int]:
         body = int(model.body_parentid[body])
 
 
+def joints_of(model: mujoco.MjModel, kind: str, name: str) -> tuple[str, ...]:
+    """Names of the joints at which what has an effect is: itself, its actuator's, its body's."""
+    names = names_of_kind(model, "joint")
+    if kind in ("joint", "sensor"):
+        return (name,) if name in names else ()
+    if kind == "actuator":
+        actuator = index_of(model, "actuator", name)
+        if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT:
+            return (names[model.actuator_trnid[actuator, 0]],)
+    if kind == "body":
+        body = index_of(model, "body", name)
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        return tuple(names[first : first + count]) if count else ()
+    return ()
+
+
 def leverage(model: mujoco.MjModel, data: mujoco.MjData, joint: int, place: Floats) -> float:
     """Inertia at a hinge or slide of 1 kg at a place in the world: the square of its distance from
     the axis, m^2, or 1."""
