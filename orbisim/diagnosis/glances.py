@@ -146,7 +146,7 @@ def generalizations(context: Context, special: EffectInstance) -> list[EffectIns
 def _scaled(scene: Scene, one: EffectInstance, size: float) -> EffectInstance | None:
     """An effect that changes so many times as much; None if that cannot be."""
     effect = find(one.effect)
-    neutral = {p.name: p.neutral for p in effect.parameters(scene.model, one.target)}
+    neutral = effect.neutral(scene.model, one.target)
     away = {name: value - neutral.get(name, 0.0) for name, value in one.values.items()}
     further = effect.scaled(away, size)
     values = {name: value + neutral.get(name, 0.0) for name, value in further.items()}

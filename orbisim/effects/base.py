@@ -203,6 +203,10 @@ class Effect(abc.ABC):
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         """The effect's parameters at a target; the first is the one that reports quote."""
 
+    def neutral(self, model: mujoco.MjModel, target: str) -> Mapping[str, float]:
+        """Value of each parameter at which it changes nothing."""
+        return {p.name: p.neutral for p in self.parameters(model, target)}
+
     def units(self, model: mujoco.MjModel, instance: EffectInstance) -> Mapping[str, str]:
         """Unit of each parameter, where it depends on the options too."""
         return {p.name: p.unit for p in self.parameters(model, instance.target)}

@@ -107,7 +107,7 @@ class Hypothesis:
             return [], []
         names = effect.sizes(model, instance.target)
         own = [k for k, (i, name) in enumerate(free) if i == number and name in names]
-        neutral = {p.name: p.neutral for p in effect.parameters(model, instance.target)}
+        neutral = effect.neutral(model, instance.target)
         return own, [neutral.get(free[k][1], 0.0) for k in own]
 
     def values(self, declared: Scene) -> Floats:
