@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -235,8 +236,12 @@ def _propagated(
     intervals: dict[str, tuple[float, float]],
 ) -> tuple[float, float]:
     """The interval of a parameter that follows from the free ones, to first order; not a number
-    where it follows from none: what was not fitted has no interval."""
+    where it follows from none: what was not fitted has no interval. So it is where it follows from
+    one, too, that the data do not determine: the size of a force in the plane of an arm says
+    nothing of the whole force's."""
     value = float(hypothesis.effects[number].values[name])
+    if _undetermined(scene, hypothesis, number, name):
+        return np.nan, np.nan
     values, variance = hypothesis.values(scene), 0.0
     for index, (i, free) in enumerate(hypothesis.free(scene)):
         if i != number:
@@ -249,6 +254,24 @@ def _propagated(
         variance += (float(other) - value) ** 2
     half = float(np.sqrt(variance)) or np.nan
     return value - half, value + half
+
+
+def _undetermined(scene: Scene, hypothesis: Hypothesis, number: int, name: str) -> bool:
+    """Whether a parameter of an effect changes with one that the data do not determine."""
+    value = hypothesis.effects[number].values[name]
+    every = dataclasses.replace(hypothesis, frozen=frozenset())
+    values, unknowns = every.values(scene), every.unknowns(scene)
+    for k, one in enumerate(every.free(scene)):
+        if one[0] == number and one in hypothesis.frozen:
+            moved = values.copy()
+            moved[k] += _FAR * unknowns[k].step_from(float(values[k]))
+            if every.at(scene, moved).effects[number].values[name] != value:
+                return True
+    return False
+
+
+_FAR = 1e4
+"""Difference steps: to first order, a component that is 0 does not change the size of a vector."""
 
 
 def retuned_of(scene: Scene, found: Attribution) -> tuple[Retuned, ...]:
