@@ -29,12 +29,12 @@ import numpy.typing as npt
 from processes import read_lines
 
 from orbisim import Recording, Scene, load_scene, make_backend, replay
-from orbisim.diagnosis.history import history_dependent
 from orbisim.effects import EffectInstance
 from orbisim.effects.carry import write_carried
 from orbisim.files.temporary import temporary_folder
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import make_bench
+from orbisim.shooting.history import history_dependent
 from orbisim.tasks.mechanisms.catalogue import FAMILIES, INSTANCES, make
 from orbisim.tasks.mechanisms.model import Joint, Mechanism
 from orbisim.tasks.mechanisms.urdf import write_urdf

@@ -47,7 +47,9 @@ def inconsistency(
     chosen = np.flatnonzero(evenly(bench.fit, windows))
     if len(chosen) != windows:
         return None
-    value = fit.values[index] - _neutral(bench, judged, number)
+    effect = judged.hypothesis.effects[number]
+    neutral = find(effect.effect).neutral(bench.scene.model, effect.target)
+    value = fit.values[index] - np.array([neutral.get(free[k][1], 0.0) for k in index])
     weight = fit.information.sum(axis=0)[np.ix_(index, index)]
     whole = float(np.sqrt(max(value @ weight @ value, 1e-300)))
     for name, measure in _regimes(bench, chosen, _dof(bench, judged, number)).items():
@@ -64,15 +66,6 @@ def inconsistency(
                 f"{name}: something else is at work"
             )
     return None
-
-
-def _neutral(bench: Bench, judged: Judged, number: int) -> Floats:
-    """The values of an effect's free parameters that change nothing."""
-    effect = judged.hypothesis.effects[number]
-    parameters = find(effect.effect).parameters(bench.scene.model, effect.target)
-    known = {p.name: p.neutral for p in parameters}
-    names = (n for i, n in judged.hypothesis.free(bench.scene) if i == number)
-    return np.array([known.get(name, 0.0) for name in names])
 
 
 def _prefers(

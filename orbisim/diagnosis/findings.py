@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -11,17 +12,15 @@ import numpy as np
 from orbisim.backend import Backend
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.explanations import enough
-from orbisim.diagnosis.found import (
-    Retuned,
-    Verdict,
-)
-from orbisim.diagnosis.scoring import Score, score
+from orbisim.diagnosis.found import Retuned, Verdict
+from orbisim.diagnosis.scoring import score
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import find
 from orbisim.effects.estimate import Estimate, FoundEffect
 from orbisim.evidence import NEAR
 from orbisim.recording import Recording
 from orbisim.recording.joints import joints
+from orbisim.replay import Replay
 from orbisim.scene import Scene
 from orbisim.sensing.faults import Sensed
 from orbisim.shooting.bench import Bench, Noise
@@ -147,7 +146,7 @@ def noise_of(scene: Scene, noise: Noise) -> dict[str, float]:
 
 
 def errors_of(
-    before: dict[str, Score], after: dict[str, Score], bench: Bench, window: float
+    before: dict[str, Replay], after: dict[str, Replay], bench: Bench, window: float
 ) -> dict[str, Any]:
     """Free-running error before and after, and what the noise alone would give."""
     model = bench.scene.model
@@ -167,7 +166,7 @@ def errors_of(
         "fit": {"before": before["fit"].rms, "after": after["fit"].rms},
         "held_out": {"before": before["held_out"].rms, "after": after["held_out"].rms},
         "noise_floor": float(np.sqrt(floor)),
-        "windows": {"fit": before["fit"].windows, "held_out": before["held_out"].windows},
+        "windows": {kind: len(found.windows) for kind, found in before.items()},
     }
 
 
@@ -237,8 +236,12 @@ def _propagated(
     intervals: dict[str, tuple[float, float]],
 ) -> tuple[float, float]:
     """The interval of a parameter that follows from the free ones, to first order; not a number
-    where it follows from none: what was not fitted has no interval."""
+    where it follows from none: what was not fitted has no interval. So it is where it follows from
+    one, too, that the data do not determine: the size of a force in the plane of an arm says
+    nothing of the whole force's."""
     value = float(hypothesis.effects[number].values[name])
+    if _undetermined(scene, hypothesis, number, name):
+        return np.nan, np.nan
     values, variance = hypothesis.values(scene), 0.0
     for index, (i, free) in enumerate(hypothesis.free(scene)):
         if i != number:
@@ -251,6 +254,24 @@ def _propagated(
         variance += (float(other) - value) ** 2
     half = float(np.sqrt(variance)) or np.nan
     return value - half, value + half
+
+
+def _undetermined(scene: Scene, hypothesis: Hypothesis, number: int, name: str) -> bool:
+    """Whether a parameter of an effect changes with one that the data do not determine."""
+    value = hypothesis.effects[number].values[name]
+    every = dataclasses.replace(hypothesis, frozen=frozenset())
+    values, unknowns = every.values(scene), every.unknowns(scene)
+    for k, one in enumerate(every.free(scene)):
+        if one[0] == number and one in hypothesis.frozen:
+            moved = values.copy()
+            moved[k] += _FAR * unknowns[k].step_from(float(values[k]))
+            if every.at(scene, moved).effects[number].values[name] != value:
+                return True
+    return False
+
+
+_FAR = 1e4
+"""Difference steps: to first order, a component that is 0 does not change the size of a vector."""
 
 
 def retuned_of(scene: Scene, found: Attribution) -> tuple[Retuned, ...]:

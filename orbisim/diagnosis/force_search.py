@@ -25,7 +25,6 @@ from orbisim.diagnosis.force_data import (
     normals,
     spread,
 )
-from orbisim.diagnosis.screening import bounded_instance
 from orbisim.diagnosis.selection import BEGINNINGS, Group, Selected
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.together import instances, left_of, select_in_rounds
@@ -39,7 +38,7 @@ from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.samples import Samples, extent
 from orbisim.scene import Scene
 from orbisim.shooting.fits import WEAK, Fit
-from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.hypothesis import Hypothesis, bounded_instance
 from orbisim.shooting.regress import Normal
 
 Floats = npt.NDArray[np.float64]

@@ -11,12 +11,11 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from orbisim.diagnosis.context import Context
-from orbisim.diagnosis.screening import bounded_instance
 from orbisim.diagnosis.suspects import Suspect, in_turns
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.host.deadline import Deadline
 from orbisim.scene import Scene
-from orbisim.shooting.hypothesis import clean
+from orbisim.shooting.hypothesis import bounded_instance, clean
 from orbisim.shooting.judge import Judged, is_structural
 
 
@@ -147,7 +146,7 @@ def generalizations(context: Context, special: EffectInstance) -> list[EffectIns
 def _scaled(scene: Scene, one: EffectInstance, size: float) -> EffectInstance | None:
     """An effect that changes so many times as much; None if that cannot be."""
     effect = find(one.effect)
-    neutral = {p.name: p.neutral for p in effect.parameters(scene.model, one.target)}
+    neutral = effect.neutral(scene.model, one.target)
     away = {name: value - neutral.get(name, 0.0) for name, value in one.values.items()}
     further = effect.scaled(away, size)
     values = {name: value + neutral.get(name, 0.0) for name, value in further.items()}

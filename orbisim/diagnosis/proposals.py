@@ -11,7 +11,6 @@ import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
 
@@ -19,7 +18,7 @@ from orbisim.diagnosis.context import Context
 from orbisim.diagnosis.glances import generalizations, shortlist
 from orbisim.diagnosis.suspects import Screening, Suspect
 from orbisim.effects import EffectInstance, effect_names, find
-from orbisim.effects.base import index_of, names_of_kind
+from orbisim.effects.base import index_of, joints_of
 from orbisim.effects.unnamed import UNNAMED
 from orbisim.errors import OrbiSimError
 from orbisim.scene import Scene
@@ -190,7 +189,8 @@ def laws(context: Context, current: Judged) -> Iterator[Hypothesis]:
     as well as several named effects, or better than one, is not to be called by their names."""
     scene, hypothesis = context.bench.scene, current.hypothesis
     model = scene.model
-    for joint in dict.fromkeys(j for one in hypothesis.effects for j in _joints(model, one)):
+    places = [joints_of(model, find(e.effect).kind, e.target) for e in hypothesis.effects]
+    for joint in dict.fromkeys(itertools.chain.from_iterable(places)):
         for law in UNNAMED:
             effect = law()
             if not effect.possible(model, joint):
@@ -209,22 +209,6 @@ def laws(context: Context, current: Judged) -> Iterator[Hypothesis]:
             many = len(begun) > 1
             left = [context.judge.glance(one, start) if many else 0.0 for one in begun]
             yield begun[int(np.argmin(left))]
-
-
-def _joints(model: mujoco.MjModel, instance: EffectInstance) -> tuple[str, ...]:
-    """The joints at which an effect acts: its own, its actuator's, its body's."""
-    kind, names = find(instance.effect).kind, names_of_kind(model, "joint")
-    if kind in ("joint", "sensor"):
-        return (instance.target,) if instance.target in names else ()
-    if kind == "actuator":
-        actuator = index_of(model, "actuator", instance.target)
-        if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT:
-            return (names[model.actuator_trnid[actuator, 0]],)
-    if kind == "body":
-        body = index_of(model, "body", instance.target)
-        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-        return tuple(names[first : first + count]) if count else ()
-    return ()
 
 
 _FEW = 3

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import hashlib
 import platform
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +16,6 @@ from orbisim import plugins
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.force_search import ForceAttribution
 from orbisim.diagnosis.found import Alternative, Candidate, Combination, Retuned, Verdict
-from orbisim.diagnosis.history import HistoryDependent
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.wording import sentence
 from orbisim.effects.carry import save_with_effects
@@ -27,11 +24,13 @@ from orbisim.files.writing import make_folder, write_json, write_text
 from orbisim.learned_rest.result import Rest
 from orbisim.recording import Recording
 from orbisim.recording.joints import Kind, joints
+from orbisim.recording.origin import digest_of_source, files_of
 from orbisim.recording.sensors import sensors
 from orbisim.scene import Scene
 from orbisim.scene.patch import Patch, patch_of
 from orbisim.scene.query import without_options
 from orbisim.sensing.faults import Sensed
+from orbisim.shooting.history import HistoryDependent
 from orbisim.version import VERSION
 
 SCHEMA = "orbisim.diagnosis/1"
@@ -156,7 +155,7 @@ class Diagnosis:
         """What the result was made from: versions, and SHA-256 of the files of recordings, of the
         scene's file, and of the model that it compiles to (which holds what the file includes)."""
         names = [one.source for one in (*self.fit, *self.held_out)]
-        files = dict.fromkeys(_STRETCH.sub("", name) for name in names)
+        digests = {name: digest_of_source(name) for name in files_of(names)}
         return {
             "versions": {
                 "orbisim": VERSION,
@@ -165,10 +164,10 @@ class Diagnosis:
                 "python": platform.python_version(),
             },
             "scene": {
-                "sha256": _digest(without_options(self.source)[0]),
+                "sha256": digest_of_source(without_options(self.source)[0]),
                 "model_sha256": self.scene.fingerprint,
             },
-            "sha256": {name: digest for name in files if (digest := _digest(name)) is not None},
+            "sha256": {name: one for name, one in digests.items() if one is not None},
         }
 
     def report(self, path: str | Path) -> Path:
@@ -189,35 +188,6 @@ class Diagnosis:
         write_json(out / "report.json", self.to_json())
         self.report(out / "report.html")
         return out
-
-
-_STRETCH = re.compile(r"\[\S+ s to \S+ s\]$")
-
-
-def _digest(name: str) -> str | None:
-    """SHA-256 of a file, also where an episode of it is named (`log.h5#3`); of a folder that of the
-    lines `sha256sum` writes of its files but films; None of what is neither."""
-    try:
-        place = Path(name)
-        if not place.exists():
-            place = Path(name.rpartition("#")[0] or name)
-        if not place.is_dir():
-            return _of_file(place)
-        within = (path.relative_to(place).as_posix() for path in place.rglob("*") if path.is_file())
-        kept = sorted(one for one in within if not one.endswith(_FILMS))
-        lines = (f"{_of_file(place / one)}  ./{one}\n" for one in kept)
-        return hashlib.sha256("".join(lines).encode()).hexdigest()
-    except (OSError, ValueError):
-        return None
-
-
-_FILMS = (".mp4", ".avi", ".mkv")
-"""Of a folder of recordings: nothing that is diagnosed is in them, and they are large."""
-
-
-def _of_file(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _strict(value: Any) -> Any:

@@ -35,7 +35,6 @@ from orbisim.diagnosis.findings import (
 )
 from orbisim.diagnosis.force_result import diagnose_forces
 from orbisim.diagnosis.force_search import ForceAttribution
-from orbisim.diagnosis.history import history_dependent
 from orbisim.diagnosis.rest import learn_rest as learn
 from orbisim.diagnosis.result import Diagnosis
 from orbisim.diagnosis.scoring import score
@@ -60,6 +59,7 @@ from orbisim.scene import Scene, load_scene
 from orbisim.sensing.faults import Sensed
 from orbisim.shooting.bench import Bench, Noise, make_bench
 from orbisim.shooting.cutting import touches, windows_enough
+from orbisim.shooting.history import history_dependent
 from orbisim.shooting.horizon import telling_window
 from orbisim.shooting.timestep import stepping, with_stepping
 

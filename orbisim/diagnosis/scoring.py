@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 
 from orbisim.backend import Backend
@@ -13,31 +12,15 @@ from orbisim.replay import Replay, replay
 from orbisim.scene import Scene
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Score:
-    """Result of a free run.
-
-    Attributes:
-      rms: root mean squared norm of the error over joint positions. windows: their number.
-      notes: what was ignored or assumed. replay: everything.
-    """
-
-    rms: float
-    windows: int
-    notes: tuple[str, ...]
-    replay: Replay
-
-
 def score(
     scene: Scene,
     recordings: Sequence[Recording],
     window: float,
     effects: Sequence[EffectInstance] = (),
     backend: str | Backend = "mujoco",
-) -> Score:
+) -> Replay:
     """Replays recordings; effects on the measurement are taken out of them first."""
     distorting = [e for e in effects if find(e.effect).measurement]
     if distorting:
         recordings = [correct(one, distorting, scene) for one in recordings]
-    found = replay(scene, list(recordings), backend=backend, window=window)
-    return Score(found.rms, len(found.windows), found.notes, found)
+    return replay(scene, list(recordings), backend=backend, window=window)

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.nuisance import Apart, levelled, own_columns
-from orbisim.diagnosis.suspects import Screening, Suspect, in_turns, key_of
+from orbisim.diagnosis.nuisance import Apart, own_columns
+from orbisim.diagnosis.suspects import Screening, Suspect, merged
 from orbisim.effects import EffectInstance, add_effects, effect_names, find
 from orbisim.effects.screening import Candidate, Column, Solve
 from orbisim.errors import OrbiSimError
@@ -19,11 +19,12 @@ from orbisim.motion.linear import IntervalMap, Intervals, missing_force, smoothe
 from orbisim.motion.regressors import MotionView
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
-from orbisim.shooting.hypothesis import Hypothesis, clean, completed
+from orbisim.shooting.hypothesis import Hypothesis, bounded_instance
 from orbisim.shooting.regress import (
     Normal,
     fit,
     force_columns,
+    levelled,
     normal_equations,
     profiled,
     total,
@@ -67,23 +68,18 @@ def screen(
     index = list(range(len(columns), len(columns) + len(nuisance)))
     after = list(range(len(columns) + len(nuisance), len(both)))
 
-    def ranked(normal: Normal) -> tuple[list[Suspect], list[Suspect]]:
+    def ranked(normal: Normal) -> Screening:
         """Suspects, and those when declared parameters may be retuned too."""
         apart = own.apart(normal, after)
         tuned = profiled(apart.normal, index, np.full(len(index), 1 / SPREAD**2))
-        return _rank(found, apart.normal, bench, apart), _rank(found, tuned, bench) if index else []
+        return Screening(
+            suspects=tuple(_rank(found, apart.normal, bench, apart)),
+            shares=_shares(normal, first, len(columns) - first),
+            tuned=tuple(_rank(found, tuned, bench)) if index else (),
+        )
 
-    normal = total(normals)
-    suspects, tuned = ranked(normal)
-    if hypothesis.effects:
-        steady = ranked(total(levelled(normals)))
-        suspects = list(in_turns(suspects, steady[0], lambda s: key_of(s.instance)))
-        tuned = list(in_turns(tuned, steady[1], lambda s: key_of(s.instance)))
-    return Screening(
-        suspects=tuple(suspects),
-        shares=_shares(normal, first, len(columns) - first),
-        tuned=tuple(tuned),
-    )
+    every = ranked(total(normals))
+    return merged(every, ranked(total(levelled(normals)))) if hypothesis.effects else every
 
 
 def candidates_of(
@@ -242,19 +238,3 @@ def _sized(
 ) -> EffectInstance | None:
     """A candidate's effect where its coefficients are so many times as large."""
     return _instance(scene, candidate, size * coefficients)
-
-
-def bounded_instance(scene: Scene, instance: EffectInstance) -> EffectInstance | None:
-    """An effect with all parameters, within their bounds; None if it is not possible."""
-    effect = find(instance.effect)
-    names = effect.free_parameters(scene.model, instance.target)
-    try:
-        if all(name in instance.values for name in names):
-            free = {name: instance.values[name] for name in names}
-            instance = completed(scene, instance, free)
-        else:
-            instance = clean(scene, instance)
-        effect.check(scene.model, instance)
-    except (OrbiSimError, KeyError):
-        return None
-    return instance

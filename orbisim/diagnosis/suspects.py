@@ -56,7 +56,8 @@ class Screening:
 
 
 def merged(one: Screening, other: Screening) -> Screening:
-    """Two screenings of the same data along different motions: suspects of both, in turns."""
+    """Two screenings of the same data, along different motions or with windows weighed otherwise:
+    suspects of both, in turns."""
     return dataclasses.replace(
         one,
         suspects=in_turns(one.suspects, other.suspects, lambda s: key_of(s.instance)),

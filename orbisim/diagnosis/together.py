@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.diagnosis.screening import bounded_instance, candidates_of
+from orbisim.diagnosis.screening import candidates_of
 from orbisim.diagnosis.selection import Selected, data_of, groups_of, select
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.effects.screening import Candidate
@@ -22,7 +22,7 @@ from orbisim.scene import Scene
 from orbisim.shooting.along import along
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.holding import holding
-from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.hypothesis import Hypothesis, bounded_instance
 from orbisim.shooting.judge import Judged, is_structural
 from orbisim.shooting.regress import Normal
 from orbisim.shooting.windows import evenly

@@ -203,6 +203,10 @@ class Effect(abc.ABC):
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         """The effect's parameters at a target; the first is the one that reports quote."""
 
+    def neutral(self, model: mujoco.MjModel, target: str) -> Mapping[str, float]:
+        """Value of each parameter at which it changes nothing."""
+        return {p.name: p.neutral for p in self.parameters(model, target)}
+
     def units(self, model: mujoco.MjModel, instance: EffectInstance) -> Mapping[str, str]:
         """Unit of each parameter, where it depends on the options too."""
         return {p.name: p.unit for p in self.parameters(model, instance.target)}
@@ -477,6 +481,22 @@ def joints_above(model: mujoco.MjModel, body: int) -> Iterator[int]:
         first = int(model.body_jntadr[body])
         yield from range(first, first + int(model.body_jntnum[body]))
         body = int(model.body_parentid[body])
+
+
+def joints_of(model: mujoco.MjModel, kind: str, name: str) -> tuple[str, ...]:
+    """Names of the joints at which what has an effect is: itself, its actuator's, its body's."""
+    names = names_of_kind(model, "joint")
+    if kind in ("joint", "sensor"):
+        return (name,) if name in names else ()
+    if kind == "actuator":
+        actuator = index_of(model, "actuator", name)
+        if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT:
+            return (names[model.actuator_trnid[actuator, 0]],)
+    if kind == "body":
+        body = index_of(model, "body", name)
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        return tuple(names[first : first + count]) if count else ()
+    return ()
 
 
 def leverage(model: mujoco.MjModel, data: mujoco.MjData, joint: int, place: Floats) -> float:

@@ -133,7 +133,7 @@ def _row(
 ) -> Row:
     effect, target = key
     parameter, first = next(iter(example["parameters"].items()))
-    neutral = {p.name: p.neutral for p in find(effect).parameters(model, target)}.get(parameter, 0)
+    neutral = find(effect).neutral(model, target).get(parameter, 0)
     estimates = {}
     for one in robots:
         mine = [e for e in _effects(one) if (e["effect"], e["target"]) == key]

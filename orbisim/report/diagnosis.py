@@ -280,9 +280,9 @@ def _sides(diagnosis: Diagnosis) -> list[held_out.Side]:
     effects = diagnosis.attribution.hypothesis.effects
     held = list(diagnosis.held_out)
     scene, augmented = diagnosis.scene, diagnosis.augmented_scene
-    found = [("as declared", BEFORE, score(scene, held, window).replay, scene)]
+    found = [("as declared", BEFORE, score(scene, held, window), scene)]
     if _changed(diagnosis):
-        after = score(augmented, held, window, effects).replay
+        after = score(augmented, held, window, effects)
         found.append(("after", AFTER, after, augmented))
     if diagnosis.rest is not None and diagnosis.rest.scene is not None:
         learned = diagnosis.rest.scene
@@ -290,7 +290,7 @@ def _sides(diagnosis: Diagnosis) -> list[held_out.Side]:
             (
                 "with the learned force",
                 LEARNED,
-                score(learned, held, window, effects).replay,
+                score(learned, held, window, effects),
                 learned,
             )
         )

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from orbisim.effects import EffectInstance, add_effects, find
 from orbisim.effects.measurement import Measurement, measurement_of
+from orbisim.errors import OrbiSimError
 from orbisim.scene import Scene
 from orbisim.shooting.fits import Unknown
 from orbisim.shooting.retune import REACH, SPREAD, Tunable, retuned
@@ -106,7 +107,7 @@ class Hypothesis:
             return [], []
         names = effect.sizes(model, instance.target)
         own = [k for k, (i, name) in enumerate(free) if i == number and name in names]
-        neutral = {p.name: p.neutral for p in effect.parameters(model, instance.target)}
+        neutral = effect.neutral(model, instance.target)
         return own, [neutral.get(free[k][1], 0.0) for k in own]
 
     def values(self, declared: Scene) -> Floats:
@@ -190,3 +191,19 @@ def clean(declared: Scene, instance: EffectInstance) -> EffectInstance:
     for p in find(instance.effect).parameters(declared.model, instance.target):
         values[p.name] = float(np.clip(instance.values[p.name], p.low, p.high))
     return dataclasses.replace(instance, values=values)
+
+
+def bounded_instance(scene: Scene, instance: EffectInstance) -> EffectInstance | None:
+    """An effect with all parameters, within their bounds; None if it is not possible."""
+    effect = find(instance.effect)
+    names = effect.free_parameters(scene.model, instance.target)
+    try:
+        if all(name in instance.values for name in names):
+            free = {name: instance.values[name] for name in names}
+            instance = completed(scene, instance, free)
+        else:
+            instance = clean(scene, instance)
+        effect.check(scene.model, instance)
+    except (OrbiSimError, KeyError):
+        return None
+    return instance

@@ -242,6 +242,19 @@ def total(normals: Sequence[Normal]) -> Normal:
     return result
 
 
+def levelled(normals: Sequence[Normal]) -> list[Normal]:
+    """Windows with those that leave much more than most weighed less, as Huber's loss would."""
+    left = np.sqrt([max(one.square, 0.0) / max(one.count, 1) for one in normals])
+    usual = float(np.median(left))
+    if not usual > 0:
+        return list(normals)
+    weights = np.minimum(1.0, usual / np.maximum(left, 1e-300))
+    return [
+        Normal(w * one.gram, w * one.moment, w * one.square, one.count)
+        for w, one in zip(weights, normals, strict=True)
+    ]
+
+
 def fit(
     normal: Normal, columns: Sequence[int], ridge: Floats | None = None
 ) -> tuple[Floats, float]:

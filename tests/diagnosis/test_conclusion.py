@@ -58,3 +58,19 @@ def test_a_number_that_was_not_fitted_has_no_interval(arm: orbisim.Scene) -> Non
     assert interval(*height.ci95) == "not determined"
     only = dataclasses.replace(found, parameters={"com_z": height})
     assert "com_z -0.05 m" in described(only) and "nan" not in described(only)
+
+
+def test_the_size_of_a_vector_has_no_interval_where_a_component_has_none(
+    arm: orbisim.Scene,
+) -> None:
+    """An arm in a plane does not feel a force across it."""
+    push = EffectInstance("constant_force", "forearm", {"magnitude": 5.0, "x": 3.0, "y": 0, "z": 4})
+    runs = inject_effect(arm, [push], duration=2.0, episodes=2, noise=2e-4, seed=3)
+    bench = make_bench(arm, prepare_all(runs, arm), 0.5)
+    for frozen in (frozenset({(0, "y")}), frozenset[tuple[int, str]]()):
+        judged = Judge(bench, bench.intervals).judge(Hypothesis((push,), frozen=frozen))
+        assert judged is not None
+        (found,) = effects_of(arm, judged.hypothesis, judged.fit, [1.0], lambda _: 0.0, 0)
+        size, one = found.parameters["magnitude"], found.parameters["x"]
+        assert one.ci95[0] < 3.0 < one.ci95[1] and size.value == pytest.approx(5.0, rel=0.05)
+        assert np.isnan(size.ci95).all() == bool(judged.hypothesis.frozen)

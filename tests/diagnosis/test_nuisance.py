@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.nuisance import OwnColumns, levelled, own_columns
+from orbisim.diagnosis.nuisance import OwnColumns, own_columns
 from orbisim.diagnosis.screening import screen
 from orbisim.effects import EffectInstance
 from orbisim.motion.linear import linearize
@@ -14,7 +14,7 @@ from orbisim.motion.regressors import _peaks
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import make_bench
 from orbisim.shooting.hypothesis import Hypothesis
-from orbisim.shooting.regress import Normal, fit, normal_of
+from orbisim.shooting.regress import fit, normal_of
 from orbisim.testing import inject_effect
 
 DAMPING = EffectInstance("viscous_damping", "elbow", {"coefficient": 0.05})
@@ -35,15 +35,6 @@ def test_own_parameters_move_as_in_one_fit_of_all() -> None:
     assert left == pytest.approx(((target - design[:, [0, 1, 3, 4]] @ together) ** 2).sum())
     moved = apart.moved([0, 1], found)
     assert moved[[0, 2]] == pytest.approx(together[2:]) and moved[1] == 0
-
-
-def test_windows_that_leave_much_more_than_most_weigh_less() -> None:
-    one = Normal(np.eye(2), np.ones(2), 10.0, 10)
-    many = [one, one, one, Normal(np.eye(2), np.ones(2), 4000.0, 10)]
-    weights = [float(n.gram[0, 0]) for n in levelled(many)]
-    assert weights == pytest.approx([1, 1, 1, 0.05])
-    clean = Normal(np.eye(2), np.ones(2), 0.0, 10)
-    assert all(n.gram[0, 0] == 1 for n in levelled([clean, clean, one]))
 
 
 def test_a_second_effect_is_seen_although_the_first_has_taken_part_of_it(

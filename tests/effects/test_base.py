@@ -16,6 +16,7 @@ from orbisim.effects.base import (
     index_of,
     is_scalar_joint,
     joint_unit,
+    joints_of,
     names_of_kind,
     spec_element,
 )
@@ -128,3 +129,21 @@ def test_what_an_effect_lacks_is_said(scene: Scene) -> None:
 def test_a_cross_product_is_numpys() -> None:
     one, other = np.random.default_rng(0).standard_normal((2, 5, 3))
     np.testing.assert_array_equal(cross(one, other), np.cross(one, other))
+
+
+def test_joints_at_which_something_is() -> None:
+    model = load_scene(
+        """<mujoco><worldbody>
+          <body name="sled"><joint name="x" type="slide"/><joint name="turn"/><geom size="1"/>
+            <body name="arm"><joint name="elbow" pos="0 0 1"/><geom size="1"/></body>
+            <body name="lamp"><geom size="1"/></body></body></worldbody>
+        <tendon><fixed name="rope"><joint joint="x" coef="1"/></fixed></tendon>
+        <actuator><motor name="motor" joint="elbow"/><motor name="winch" tendon="rope"/></actuator>
+        </mujoco>"""
+    ).model
+    assert joints_of(model, "joint", "turn") == joints_of(model, "sensor", "turn") == ("turn",)
+    assert joints_of(model, "sensor", "an accelerometer") == ()
+    assert joints_of(model, "actuator", "motor") == ("elbow",)
+    assert joints_of(model, "actuator", "winch") == ()
+    assert joints_of(model, "body", "sled") == ("x", "turn")
+    assert joints_of(model, "body", "lamp") == joints_of(model, "world", "world") == ()

@@ -8,6 +8,7 @@ import pytest
 from orbisim.shooting.regress import (
     Normal,
     fit,
+    levelled,
     normal_of,
     profiled,
     scaled_gram,
@@ -85,3 +86,12 @@ def test_a_column_that_overflows_or_is_none_has_no_coefficient(strength: float) 
     scaled, scale = scaled_gram(np.stack([gram, np.eye(3)]))
     assert np.isfinite(scaled).all() and np.isinf(scale[0, 2])
     np.testing.assert_array_equal(scaled[1], np.eye(3))
+
+
+def test_windows_that_leave_much_more_than_most_weigh_less() -> None:
+    one = Normal(np.eye(2), np.ones(2), 10.0, 10)
+    many = [one, one, one, Normal(np.eye(2), np.ones(2), 4000.0, 10)]
+    weights = [float(n.gram[0, 0]) for n in levelled(many)]
+    assert weights == pytest.approx([1, 1, 1, 0.05])
+    clean = Normal(np.eye(2), np.ones(2), 0.0, 10)
+    assert all(n.gram[0, 0] == 1 for n in levelled([clean, clean, one]))

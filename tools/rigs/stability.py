@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from rigs.outcomes import Outcome, outcomes_of
 from rigs.scoring import share
 
@@ -32,7 +34,8 @@ def _diagnoses(trials: Path, results: Path) -> dict[str, Outcome]:
 def table(base: Mapping[str, Outcome], others: Mapping[str, Mapping[str, Outcome]]) -> list[str]:
     """How often the answer is the same, and which trials it is not, as Markdown."""
     lines = [
-        "| changed | same names | same first name | same verdict | right first, before and after |",
+        "| changed | same names | same first name | same verdict | right first, before and after; "
+        "difference in points (95 %) |",
         "| --- | --- | --- | --- | --- |",
     ]
     differ = []
@@ -60,8 +63,26 @@ def table(base: Mapping[str, Outcome], others: Mapping[str, Mapping[str, Outcome
 
 def _right(pairs: Sequence[tuple[Outcome, Outcome]]) -> str:
     some = [(a, b) for a, b in pairs if a.kind in ("single", "pair") and a.visible]
-    before, after = (sum(pair[k].right_first for pair in some) for k in (0, 1))
-    return f"{before} and {after} of {len(some)}"
+    if not some:
+        return "-"
+    before, after = (np.array([pair[k].right_first for pair in some]) for k in (0, 1))
+    low, high = difference(int((~before & after).sum()), int((before & ~after).sum()), len(some))
+    more = (int(after.sum()) - int(before.sum())) / len(some)
+    told = f"{100 * more:+.0f} ({100 * low:+.0f} to {100 * high:+.0f})"
+    return f"{before.sum()} and {after.sum()} of {len(some)}; {told}"
+
+
+def difference(gained: int, lost: int, count: int) -> tuple[float, float]:
+    """95 % bounds of the difference of two shares of the same trials: Wald's interval with half a
+    trial more in each cell of their table (Agresti and Min, Statistics in Medicine 24, 2005).
+
+    Args:
+      gained, lost: trials that are right after and not before, and the other way round.
+      count: of all trials.
+    """
+    more, whole = gained - lost, count + 2.0
+    spread = np.sqrt(gained + lost + 1.0 - more**2 / whole) / whole
+    return float(more / whole - 1.96 * spread), float(more / whole + 1.96 * spread)
 
 
 def _said(o: Outcome) -> str:

@@ -201,8 +201,20 @@ def test_stability_compares_the_same_trials() -> None:
     before = {"r1": outcome([("a", "x")]), "r2": outcome([("a", "x")]), "r3": outcome([])}
     after = {"r1": outcome([("a", "x")]), "r2": outcome([("d", "x")])}
     text = "\n".join(stability.table(before, {"half": after}))
-    assert "| half | 1 of 2, 50 % (9 to 91) |" in text and "| 2 and 1 of 2 |" in text
+    assert "| half | 1 of 2, 50 % (9 to 91) |" in text and "| 2 and 1 of 2; -50 (-" in text
     assert "a(x) -> d(x)" in text
+
+
+def test_bounds_of_a_difference_hold_it_as_often_as_they_say() -> None:
+    """Drawn trials, of which 80 % are right before and 70 % after."""
+    rng, held = np.random.default_rng(0), 0
+    for _ in range(2000):
+        before = rng.random(40) < 0.8
+        after = np.where(rng.random(40) < 0.75, before, rng.random(40) < 0.4)  # 70 %, paired
+        low, high = stability.difference((~before & after).sum(), (before & ~after).sum(), 40)
+        held += low <= -0.1 <= high
+    assert 0.93 < held / 2000 < 0.98
+    assert stability.difference(0, 0, 40)[0] < 0 < stability.difference(0, 0, 40)[1]
 
 
 def test_a_run_goes_on_where_it_was_stopped(tmp_path: Path) -> None:

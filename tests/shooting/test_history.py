@@ -6,10 +6,10 @@ import mujoco
 import numpy as np
 
 from orbisim import Recording, Scene, load_scene, make_backend
-from orbisim.diagnosis.history import HistoryDependent, history_dependent
 from orbisim.effects import EffectInstance, add_effects
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
+from orbisim.shooting.history import HistoryDependent, history_dependent
 
 RATE, NOISE = 100, 3e-4
 LEAF = """
