@@ -256,6 +256,9 @@ def _exchanged(found: Found, number: int) -> Found:
         ranked = [t.last for t in beside if t.last is not None]
         others = _all(context, exchanges(context, best, index, fewer, ranked), best)
         others += list(map(context.judge.closer, best_few(context, best, others)))
+        if context.bench.contacts:
+            known = [best, *others]
+            others += [context.judge.started(o, known) for o in best_few(context, best, others)]
         better = winner(context, best, others)
         if better is not None and worth(context.bench, best, better).total > EVEN:
             gain = worth(context.bench, better, best)
