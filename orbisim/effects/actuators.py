@@ -199,7 +199,8 @@ class ActuatorDelay(ActuatorEffect):
         if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
             delay = _for_stages(delay, spec.option.timestep)
         actuator.delay = delay
-        actuator.nsample = max(2, int(np.ceil(delay / spec.option.timestep)) + 2)
+        # a sampling interval takes a whole number of steps, down to half as long as declared
+        actuator.nsample = max(2, int(np.ceil(2.0 * delay / spec.option.timestep)) + 2)
         actuator.interp = 1
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:

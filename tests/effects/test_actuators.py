@@ -84,6 +84,19 @@ def test_a_delay_is_as_long_through_the_stages_of_rk4(step: float, delay: float)
     np.testing.assert_allclose(seen, expected, atol=0.15 * step)  # of half a step, 0.5
 
 
+def test_a_delay_is_no_shorter_in_shorter_steps() -> None:
+    """As a log is followed that is sampled a little more slowly than the scene is stepped."""
+    sled = load_scene(SLED.format(step=0.01).replace("RK4", "Euler"))
+    late = add_effects(sled, [EffectInstance("actuator_delay", "m", {"delay": 0.1})])
+    late.model.opt.timestep = step = 0.0051
+    data, forces = mujoco.MjData(late.model), []
+    for _ in range(40):
+        data.ctrl[0] = 1.0
+        mujoco.mj_step(late.model, data)
+        forces.append(data.actuator_force[0])
+    assert np.sum(1.0 - np.array(forces)) * step == pytest.approx(0.1, abs=step)
+
+
 FITTED = {"torque_gain": [0.5], "torque_bias": [0.3], "torque_saturation": [1.0], "deadband": [1.0]}
 
 
