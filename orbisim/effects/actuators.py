@@ -175,6 +175,8 @@ class ActuatorDelay(ActuatorEffect):
 
     Between timesteps the control is interpolated (`interp="linear"`): of one that is held between
     samples, that is its mean over a timestep, so that a delay need not be a number of timesteps.
+    RK4 reads it at the stages of a step, of which three are later than the step begins: what MJCF
+    is given is as much more as makes the mean over the stages late by the delay (`_for_stages`).
     """
 
     name = "actuator_delay"
@@ -194,8 +196,11 @@ class ActuatorDelay(ActuatorEffect):
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         actuator = spec_element(spec, "actuator", instance.target)
         delay = instance.values["delay"]
+        if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+            delay = _for_stages(delay, spec.option.timestep)
         actuator.delay = delay
-        actuator.nsample = max(2, int(np.ceil(delay / spec.option.timestep)) + 2)
+        # a sampling interval takes a whole number of steps, down to half as long as declared
+        actuator.nsample = max(2, int(np.ceil(2.0 * delay / spec.option.timestep)) + 2)
         actuator.interp = 1
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
@@ -211,6 +216,19 @@ class ActuatorDelay(ActuatorEffect):
             )
             for delay in _TIMES
         ]
+
+
+def _for_stages(delay: float, step: float) -> float:
+    """The MJCF `delay` by which a control that RK4 reads is late by a delay on average.
+
+    At stages 0, 1/2, 1/2 and 1 of a step, with weights 1, 4 (both) and 1 of six, a delay D is one
+    of D, D - step / 2 and D - step after the step began, but none is less than a step: what was set
+    since then is not in the history yet. The mean of these is D - step / 2 from two steps on, and
+    linear between the delays at which one of them gets longer than a step.
+    """
+    if not step < delay < 1.5 * step:
+        return delay if delay <= step else delay + 0.5 * step
+    return float(np.interp(delay / step, (1.0, 13.0 / 12.0, 1.5), (1.0, 1.5, 2.0)) * step)
 
 
 class Deadband(ActuatorEffect):
