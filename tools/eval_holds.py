@@ -1,12 +1,13 @@
 """Whether a learned step holds: long rollouts of `push` beside C MuJoCo's.
 
     python tools/eval_holds.py --checkpoint CHECKPOINT --data DIR [--episodes 200] [--steps 2000]
-        [--mujoco MM ...] [--keep FILE.npz]
+        [--mujoco MM ...] [--keep FILE.npz] [--file push_test.h5]
 
 Four kinds of episodes, a quarter each: `rest` (nothing moves), `hold` (random motion that ends),
 `roam` (a random policy), `strokes` (a scripted one, push after push). Truth is collected by C
 MuJoCo into DIR, with seeds that no training has, unless it is there already. The rollouts run
-through the backend, open loop from the first state, each world with its own descriptors.
+through the backend, open loop from the first state, each world with its own descriptors. With
+`--file`, the same of that file's episodes instead, as far as the shortest goes.
 
 Printed as JSON, median, 90 % and worst over the episodes of each kind:
   joints_rad: largest error of an arm's joint at any step. fingers_mm: likewise of the fingers.
@@ -54,6 +55,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "backends"), str(ROOT / "tools")]
 
 import eval_push  # noqa: E402  (needs the path above)
 import from_source  # noqa: E402
+from orbisim_world_model.packing import read_data  # noqa: E402
 from orbisim_world_model.spread import WIDER  # noqa: E402
 
 from orbisim import load_scene, make_backend  # noqa: E402
@@ -78,8 +80,8 @@ def main() -> None:
     from_source.register("mujoco", "learned")
     result: dict[str, Any] = {"checkpoint": str(options.checkpoint), "steps": options.steps}
     kept: dict[str, Any] = {}
-    for kind in options.kinds.split(","):
-        pack = _pack(options, kind)
+    for kind in [options.file.stem] if options.file else options.kinds.split(","):
+        pack = read_data([options.file]) if options.file else _pack(options, kind)
         if options.truth_only:
             continue
         runs: dict[str, Callable[[], dict[str, Any]]] = {}
@@ -102,8 +104,6 @@ def main() -> None:
 
 
 def _pack(options: Any, kind: str) -> Any:
-    from orbisim_world_model.packing import read_data
-
     path = options.data / f"holds_{kind}_{options.steps}.h5"
     if not path.exists():
         count = max(1, options.episodes // len(KINDS))
@@ -216,7 +216,9 @@ def figures(run: dict[str, Any]) -> dict[str, Any]:
     errors = errors_of(run)
     arm, place, turn = errors.arm, errors.place, errors.turn
     there, cubes = _cubes(truth), _cubes(found)
-    alone = np.linalg.norm(there[..., :3] - there[:, :1, :, :3], axis=-1).max(1) < STILL  # [B, N]
+    alone: Any = (
+        np.linalg.norm(there[..., :3] - there[:, :1, :, :3], axis=-1).max(1) < STILL
+    )  # [B, N]
     gone = np.linalg.norm(cubes[..., :3] - cubes[:, :1, :, :3], axis=-1).max(1)
     creep = np.where(alone, gone, 0.0).max(1)[alone.any(1)]
     left = on_table(there[..., :3]).all(1) & ~on_table(cubes[..., :3]).all(1)
@@ -336,7 +338,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--checkpoint", type=Path)
     parser.add_argument("--mujoco", type=float, nargs="*", default=[], help="mm")
     parser.add_argument("--keep", type=Path, help="an .npz of errors, widths and warnings")
-    parser.add_argument("--data", type=Path, required=True, help="folder for the truth")
+    parser.add_argument("--data", type=Path, default=Path(), help="folder for the truth")
+    parser.add_argument("--file", type=Path, help="episodes of task:push or push_hold instead")
     parser.add_argument("--episodes", type=int, default=200)
     parser.add_argument("--steps", type=int, default=2000)
     parser.add_argument("--workers", type=int, default=1)
