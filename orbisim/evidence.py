@@ -46,6 +46,25 @@ SURE = 1.0
 """Standard errors that a gain must be worth."""
 
 
+def like_parts(found: int, parts: int) -> float:
+    """Logarithm of the prior odds that so many of some like parts of a machine have an effect,
+    beside none of them.
+
+    Each part has it with the same unknown probability, of which a Beta(a, 1) density is known
+    beforehand. The next one then has it with odds (a + those that have it) / (those that do not),
+    by Laplace's rule of succession; a is such that the first has the odds of any effect. One maker
+    made the joints of a machine: where three of four have friction, the fourth's is no surprise.
+
+    Args:
+      found: parts that have it. parts: of the machine; where they are fewer than found, nothing is
+        known of one by another, as with 1.
+    """
+    if found > parts:
+        return EFFECT * found
+    have = np.arange(found)
+    return float(np.log((np.exp(EFFECT) * parts + have) / (parts - have)).sum())
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Blocks:
     """How the data of the blocks count.

@@ -6,13 +6,16 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_t
+from scipy.special import comb
+from scipy.stats import betabinom, multivariate_t
 
 from orbisim.evidence import (
+    EFFECT,
     FREEDOM,
     Blocks,
     gain,
     independent_share,
+    like_parts,
     probabilities,
     scales,
     scores,
@@ -131,3 +134,19 @@ def test_neighbours_that_are_alike_count_less(memory: float, share: float) -> No
 def test_probabilities_add_up() -> None:
     found = probabilities(np.array([0.0, np.log(3.0), -np.inf]))
     np.testing.assert_allclose(found, [0.25, 0.75, 0.0])
+
+
+@pytest.mark.parametrize("parts", [1, 2, 6])
+def test_of_like_parts_each_that_has_an_effect_makes_it_likelier_of_the_next(parts: int) -> None:
+    """The first has the odds of any effect, and all together are a Beta-binomial distribution's."""
+    found = [like_parts(count, parts) for count in range(parts + 1)]
+    assert found[0] == 0.0 and found[1] == pytest.approx(EFFECT)
+    assert np.all(np.diff(found, 2) > 0)
+    known = betabinom(parts, parts * np.exp(EFFECT), 1.0)
+    ways = np.array([comb(parts, count) for count in range(parts + 1)])
+    expected = known.logpmf(np.arange(parts + 1)) - np.log(ways)
+    assert found == pytest.approx(expected - expected[0])
+
+
+def test_of_parts_that_are_not_alike_one_says_nothing_of_another() -> None:
+    assert like_parts(3, 1) == pytest.approx(3 * EFFECT)

@@ -115,7 +115,7 @@ def floor(pack: Pack, steps: int, off: float) -> dict[str, Any]:
     return compared(found, truth, batch, pack)
 
 
-def simulated(pack: Pack, steps: int, off: float) -> tuple[Tensor, Tensor]:
+def simulated(pack: Pack, steps: int, off: float, burn: int = BURN) -> tuple[Tensor, Tensor]:
     """qpos and qvel of all rows, those after the burn-in by C MuJoCo from a disturbed state."""
     rng = np.random.default_rng(0)
     model = assets.spec("push").compile()
@@ -130,7 +130,7 @@ def simulated(pack: Pack, steps: int, off: float) -> tuple[Tensor, Tensor]:
         density = rows[episode][:, column("mass")] / (8 * halves.prod(-1))
         drawn = list(zip(density, rows[episode][:, column("friction_slide")], strict=True))
         collect_clips.made(model, data, layout.objects, halves, drawn, table[episode])
-        first = int(pack.start[episode]) + BURN
+        first = int(pack.start[episode]) + burn
         data.qpos[:], data.qvel[:] = qpos[first], qvel[first]
         for at in range(collect_clips.CUBES, model.nq, 7):
             data.qpos[at : at + 2] += 1e-3 * off * rng.normal(size=2)

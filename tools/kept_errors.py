@@ -5,7 +5,8 @@
 
 For each training a list of rows, one for each checkpoint in `NAME-kept/` and one for the last:
 steps and seconds of training, and median, 90 % and worst over the episodes of every quantity at the
-horizon, as `orbisim eval dynamics` has them. `tools/plot_curves.py --errors` draws them.
+horizon, as `orbisim eval dynamics` has them. `tools/plot_curves.py --errors` draws them. Rows that
+`errors.json` has are kept, so that it can be called again and again while a training goes on.
 """
 
 from __future__ import annotations
@@ -33,11 +34,22 @@ def main() -> None:
     options = parser.parse_args()
     pack = _read(options.data).to(options.device)
     found: dict[str, list[dict[str, Any]]] = {}
+    if options.out.exists():
+        found = json.loads(options.out.read_text())
     for training in options.trainings:
+        rows = found.setdefault(training.name, [])
         for folder in checkpoints(training):
-            found.setdefault(training.name, []).append(row(folder, pack, options.horizon))
+            if steps(folder) in [known["steps"] for known in rows]:
+                continue
+            one = row(folder, pack, options.horizon)
+            rows[:] = sorted([*rows, one], key=lambda each: each["steps"])
             options.out.write_text(json.dumps(found, indent=1))
-            print(json.dumps({training.name: found[training.name][-1]}), flush=True)
+            print(json.dumps({training.name: one}), flush=True)
+
+
+def steps(folder: Path) -> int:
+    """Of training, of a checkpoint."""
+    return int(json.loads((folder / "manifest.json").read_text())["training"]["steps"])
 
 
 def checkpoints(training: Path) -> list[Path]:

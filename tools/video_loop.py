@@ -14,8 +14,9 @@ is known). `diagnose` takes the recordings alone: `orbisim diagnose` compares al
 with the declared scene and holds two out; `diagnosis.json` has verdict, effects, value found and
 true, errors before and after on what was held out. `film` makes the films alone, for another
 machine to read; `both` diagnoses each episode as soon as it is seen, so that a run that is ended
-has whole episodes. All go on where they were ended; `--again` diagnoses anew. `summary.json` counts
-all that is there.
+has whole episodes. A process reads one film at a time, and whichever reads an episode's last one
+goes on with the episode. All go on where they were ended; `--again` diagnoses anew. `summary.json`
+counts all that is there.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import json
 import math
 import os
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -133,6 +135,8 @@ block's middle, m, standard deviation."""
 _WINDOW = 0.25
 """Of the diagnosis, s: a slide takes 0.2 to 0.8 s."""
 _HELD = 2
+_TAKEN = "taken"
+"""In the folder of an episode that is read wholly: a process goes on with it."""
 
 
 def main() -> None:
@@ -149,46 +153,57 @@ def main() -> None:
         "--patience", type=float, default=Settings.patience, help="of each diagnosis, s"
     )
     parser.add_argument("--again", action="store_true", help="diagnose what was diagnosed before")
-    parser.add_argument("--seconds", type=float, default=1e9, help="no episode is begun after")
+    parser.add_argument("--seconds", type=float, default=1e9, help="no film is begun after")
+    parser.add_argument(
+        "--judge-seconds", type=float, default=1e9, help="no diagnosis is begun after"
+    )
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--out", type=Path, required=True, help="folder for videos and reports")
     arguments = parser.parse_args()
     begun = time.time()
-    end = begun + arguments.seconds
     hidden = HIDDEN[arguments.hidden]
-    asked = arguments.effect, arguments.patience, arguments.again, end
-    work: Any = judge
-    if arguments.stage == "diagnose":
-        found = sorted(arguments.out.glob("*/seen.json"), key=lambda p: p.parent.name.split("_")[1])
-        jobs: list[tuple[Any, ...]] = [(p.parent, hidden, *asked) for p in found]
-    else:
-        # by turns, so that a run that is ended has episodes of both kinds
-        wanted = {True: arguments.with_effect, False: arguments.without}
-        turns = [(i, d) for i in range(max(wanted.values())) for d in wanted if i < wanted[d]]
-        jobs = [(hidden, arguments.first_seed + i, d, arguments.out) for i, d in turns]
-        if arguments.stage == "film":
-            work = film_episode
-        else:
-            jobs, work = [(*job, arguments.pixels, end) for job in jobs], see
-        if arguments.stage == "both":
-            jobs, work = [(asked, *job) for job in jobs], see_and_judge
+    late = begun + arguments.judge_seconds
+    asked = arguments.effect, arguments.patience, arguments.again, late
     with quiet_engine():
-        for _ in pool.run(work, jobs, arguments.workers):
-            print(json.dumps({"seconds": round(time.time() - begun, 1)}), flush=True)
+        for work, jobs in _stages(arguments, hidden, asked, begun + arguments.seconds):
+            for _ in pool.run(work, jobs, arguments.workers):
+                print(json.dumps({"seconds": round(time.time() - begun, 1)}), flush=True)
     line = summary(arguments.out, hidden)
     (arguments.out / "summary.json").write_text(json.dumps(line, indent=1) + "\n")
     print(json.dumps(line))
 
 
-def film_episode(
-    hidden: Hidden, seed: int, different: bool, out: Path
-) -> tuple[float, list[Floats]]:
-    """Films one episode, unless that is done: its truth, and true coordinates [T, 7 n] by film."""
+def _stages(
+    arguments: argparse.Namespace, hidden: Hidden, asked: tuple[Any, ...], end: float
+) -> Iterator[tuple[Any, list[tuple[Any, ...]]]]:
+    """What is to be done one after the other, with the jobs of each."""
+    out = arguments.out
+    if arguments.stage == "diagnose":
+        found = sorted(out.glob("*/seen.json"), key=lambda p: p.parent.name.split("_")[1])
+        yield judge, [(p.parent, hidden, *asked) for p in found]
+        return
+    # by turns, so that a run that is ended has episodes of both kinds
+    wanted = {True: arguments.with_effect, False: arguments.without}
+    turns = [(i, d) for i in range(max(wanted.values())) for d in wanted if i < wanted[d]]
+    episodes = [(hidden, arguments.first_seed + i, d, out) for i, d in turns]
+    yield film_episode, episodes
+    if arguments.stage == "film":
+        return
+    then = asked if arguments.stage == "both" else None
+    films = range(hidden.films)
+    last = "seen.json" if then is None else "diagnosis.json"
+    for folder in (_folder(*one[1:]) for one in episodes):
+        if not (folder / last).exists():  # another run was ended at this episode
+            (folder / _TAKEN).unlink(missing_ok=True)
+    yield see, [(*one, run, arguments.pixels, end, then) for one in episodes for run in films]
+
+
+def film_episode(hidden: Hidden, seed: int, different: bool, out: Path) -> None:
+    """Films one episode, unless that is done; keeps the true coordinates [T, 7 n] of each film."""
     folder = _folder(seed, different, out)
     kept = folder / "truth.json"
     if kept.exists():
-        known = json.loads(kept.read_text())
-        return known[hidden.name], [np.array(run) for run in known["qpos"]]
+        return
     rng = np.random.default_rng([seed, int(different)])
     value = hidden.draw(rng) if different else hidden.declared
     folder.mkdir(parents=True, exist_ok=True)
@@ -198,21 +213,51 @@ def film_episode(
     kept.write_text(
         json.dumps({hidden.name: value, "qpos": [run.round(7).tolist() for run in made]})
     )
-    return value, made
 
 
-def see(hidden: Hidden, seed: int, different: bool, out: Path, pixels: int, end: float) -> None:
-    """Films and infers one episode, unless that is done or the time is over."""
+def see(
+    hidden: Hidden,
+    seed: int,
+    different: bool,
+    out: Path,
+    run: int,
+    pixels: int,
+    end: float,
+    then: tuple[Any, ...] | None,
+) -> None:
+    """Infers one film, unless that is done or the time is over; with the last film of an episode
+    says how far off all are, and diagnoses it.
+
+    Args:
+      then: what `judge` gets besides; None if nothing is diagnosed.
+    """
     folder = _folder(seed, different, out)
-    if (folder / "seen.json").exists() or time.time() > end:
+    path = folder / f"run{run}.npz"
+    if not path.exists():
+        if time.time() > end:
+            return
+        torch.set_num_threads(1)
+        found = inferred(hidden.scene(hidden.declared), folder / f"run{run}.mp4", pixels)
+        part = path.with_suffix(".part.npz")
+        found.save(part)
+        part.replace(path)
+    if not all((folder / f"run{k}.npz").exists() for k in range(hidden.films)):
         return
-    torch.set_num_threads(1)
-    value, truth = film_episode(hidden, seed, different, out)
-    declared = hidden.scene(hidden.declared)
+    try:  # two processes may have read the last two films at once
+        (folder / _TAKEN).touch(exist_ok=False)
+    except FileExistsError:
+        return
+    _compare(folder, hidden, seed, different)
+    if then is not None:
+        judge(folder, hidden, *then)
+
+
+def _compare(folder: Path, hidden: Hidden, seed: int, different: bool) -> None:
+    """Says how far off an episode's recordings are."""
+    known = json.loads((folder / "truth.json").read_text())
     errors, seen, noise = [], [], []
-    for run, qpos in enumerate(truth):
-        found = inferred(declared, folder / f"run{run}.mp4", pixels)
-        found.save(folder / f"run{run}.npz")
+    for run, qpos in enumerate(map(np.array, known["qpos"])):
+        found = Recording.load(folder / f"run{run}.npz")
         for number, body in enumerate(hidden.bodies):
             apart = np.asarray(found.signals[f"xpos/{body}"]) - qpos[:, 7 * number :][:, :3]
             whole = np.isfinite(apart).all(1)
@@ -224,7 +269,7 @@ def see(hidden: Hidden, seed: int, different: bool, out: Path, pixels: int, end:
     line = {
         "seed": seed,
         "different": different,
-        hidden.name: round(value, 4),
+        hidden.name: round(known[hidden.name], 4),
         "declared": hidden.declared,
         "frames": sum(len(e) for e in errors),
         "seen": round(float(np.mean(seen)), 3),
@@ -237,15 +282,6 @@ def see(hidden: Hidden, seed: int, different: bool, out: Path, pixels: int, end:
         },
     }
     (folder / "seen.json").write_text(json.dumps(line) + "\n")
-
-
-def see_and_judge(
-    asked: tuple[Any, ...], hidden: Hidden, seed: int, different: bool, out: Path, *how: Any
-) -> None:
-    """Both for one episode; `asked` and `how` are what `judge` and `see` get besides."""
-    see(hidden, seed, different, out, *how)
-    if (_folder(seed, different, out) / "seen.json").exists():
-        judge(_folder(seed, different, out), hidden, *asked)
 
 
 def judge(

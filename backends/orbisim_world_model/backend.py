@@ -33,6 +33,7 @@ from orbisim_world_model.stepping import MEMORY, Stepping
 from orbisim_world_model.watch import (
     OUTSIDE,
     UNCERTAINTY,
+    UNSURE,
     OutsideTrainingWarning,
     UncertainPredictionWarning,
     Watch,
@@ -425,13 +426,15 @@ class LearnedBackend(Backend):
         """`step` by compiled C; what is within all bounds needs no closer look."""
         watch, engine = self.watch, self.stepping
         for _ in range(nstep):
-            outside = as_kind(watch.began(state), state.qpos)
-            after = engine.native_step(state, control).with_memory(**{OUTSIDE: outside})
+            known = {OUTSIDE: as_kind(watch.began(state), state.qpos)}
+            if engine.spreads:
+                known[UNSURE] = as_kind(watch.unsure(state), state.qpos)
+            after = engine.native_step(state, control).with_memory(**known)
             if not watch.calm(after):
                 verdict = watch.verdict(state, engine.as_steps(after), self.timestep)
                 if verdict.error is not None:
                     raise verdict.error
-                after = after.with_memory(**{OUTSIDE: verdict.memory[OUTSIDE]})
+                after = after.with_memory(**{name: verdict.memory[name] for name in known})
             state = after
         return state
 

@@ -22,6 +22,14 @@ from orbisim_world_model.rotation import conjugate, geodesic_distance, logarithm
 
 LEVEL = 0.9
 """Of the intervals: the share that is to hold the truth."""
+FREEDOM = 3.0
+"""Degrees of freedom of Student's t, as which errors are distributed: those after contacts have
+heavy tails."""
+SURE = 0.99
+"""Of the intervals that warnings go by: one failure in a hundred may come before a warning."""
+WIDER = 2.4819
+"""Times the half-width of an interval of `LEVEL`, one of `SURE` under that distribution: the
+quantiles 5.8409 and 2.3534."""
 WIDTH = 48  # of the hidden layers, unless a checkpoint says otherwise
 UNITS = (1e-3, 0.0174532925)
 """What variances are measured in: 1 mm and 1 degree, in SI units."""

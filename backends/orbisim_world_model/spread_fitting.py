@@ -16,11 +16,17 @@ from orbisim_world_model.network.inputs import Inputs
 from orbisim_world_model.pack import Pack
 from orbisim_world_model.sampling import Windows, generator_of
 from orbisim_world_model.schedule import Clock
-from orbisim_world_model.spread import FLOOR, LEVEL, WIDTH, deviation, propagated, true_errors
+from orbisim_world_model.spread import (
+    FLOOR,
+    FREEDOM,
+    LEVEL,
+    WIDTH,
+    deviation,
+    propagated,
+    true_errors,
+)
 from orbisim_world_model.unroll import open_loop
 
-_FREEDOM = 3.0
-"""Degrees of freedom of Student's t: errors after contacts have heavy tails."""
 _TOGETHER = 4096
 """Rollouts at once: a GPU takes as long for fewer, and more take memory."""
 
@@ -178,8 +184,8 @@ def deviations(model: Dynamics, data: Rollouts, floor: float = FLOOR) -> Tensor:
 
 def spread_loss(sizes: Tensor, data: Rollouts) -> Tensor:
     """Negative log likelihood of the errors' sizes under half a Student's t."""
-    ratio = (data.errors / sizes).square() / _FREEDOM
-    each = sizes.log() + 0.5 * (_FREEDOM + 1.0) * torch.log1p(ratio)
+    ratio = (data.errors / sizes).square() / FREEDOM
+    each = sizes.log() + 0.5 * (FREEDOM + 1.0) * torch.log1p(ratio)
     weight = data.mask[None, ..., None].expand_as(each)
     return (each * weight).sum() / weight.sum()
 

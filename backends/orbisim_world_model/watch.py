@@ -12,6 +12,8 @@ from torch import Tensor
 
 from orbisim.errors import DivergedError
 from orbisim.state import Array, State
+from orbisim_world_model.guard import first_marked
+from orbisim_world_model.spread import SURE, WIDER
 from orbisim_world_model.stepping import MEMORY, Stepping, Steps
 
 OUTSIDE = "world_model_outside"
@@ -19,8 +21,14 @@ OUTSIDE = "world_model_outside"
 UNCERTAINTY = "world_model_uncertainty"
 """Memory of a rollout's last state [nworld, T, K, 2]: half-widths of the 90 % intervals of
 position, m, and rotation, rad, after each step; of a robot, its hand's."""
+UNSURE = "world_model_unsure"
+"""Memory [nworld, K] of a model with a spread: the time, s, from which each entity can no longer be
+said to be predicted; inf for never, and for a robot without a hand, whose intervals are no pose's.
+"""
 FAR, TURNED = 0.05, float(np.deg2rad(20.0))
-"""m and rad: an object whose 90 % interval is wider can no longer be said to be predicted."""
+"""m and rad: an object or a hand that is off by more is not predicted. The warning comes as soon as
+its 99 % interval is wider, not its 90 % one: by that, one in ten would have failed unannounced. And
+what has once been lost is not found again by an interval that shrinks."""
 _ROUNDING = 1e-5
 """Of a variance, relative: what is that near its limit is looked at in full."""
 _MOST_LINES = 20
@@ -62,7 +70,7 @@ class Watch:
         self.engine, self.label = engine, label
         self.names = engine.guard.names
         if engine.spreads:  # variances below which no interval is wider
-            limits = torch.tensor([FAR, TURNED], dtype=torch.float64)
+            limits = torch.tensor([FAR, TURNED], dtype=torch.float64) / WIDER
             self._sure = (1.0 - _ROUNDING) * engine.calibration.variances(limits).numpy()
 
     def began(self, state: State) -> Times:
@@ -76,6 +84,14 @@ class Watch:
         outside = self.engine.guard.outside(x).cpu().numpy()
         return np.where(outside, _host(state.time)[:, None], np.inf)
 
+    def unsure(self, state: State) -> Times:
+        """[B, K]: when entities could no longer be said to be predicted, up to a state."""
+        if UNSURE in state.memory:
+            return _host(state.memory[UNSURE])
+        width = self.engine.interval(self.engine.variance(state))
+        assert width is not None, "of a model with a spread"
+        return np.where(self._wide(width).cpu().numpy(), _host(state.time)[:, None], np.inf)
+
     def verdict(self, state: State, path: Steps, duration: float) -> Verdict:
         """Of a call that led from a state along a path of steps, each so many seconds long."""
         since, start = self.began(state), self.engine.entities(state).detach()
@@ -88,8 +104,7 @@ class Watch:
         memory = {OUTSIDE: as_kind(since, state.qpos)}
         width = self.engine.interval(path.variances)
         if width is not None:
-            before = self.engine.interval(self.engine.variance(state))
-            self._warn_if_unsure(width, before, _host(state.time), duration)
+            memory[UNSURE] = as_kind(self._unsure_since(state, width, duration), state.qpos)
             memory[UNCERTAINTY] = as_kind(width.transpose(0, 1), state.qpos)
         return Verdict(notice.diverged_at, memory, self._error(notice, duration))
 
@@ -109,7 +124,8 @@ class Watch:
             return False
         if not self.engine.spreads:
             return True
-        return bool((state.memory[MEMORY][0, :, -2:] < self._sure).all())
+        sure = (state.memory[MEMORY][0, :, -2:] < self._sure).all(-1)
+        return bool((sure | np.isfinite(state.memory[UNSURE][0])).all())
 
     def warn(self, text: str) -> None:
         """Warns of a state or a scene."""
@@ -126,28 +142,34 @@ class Watch:
         if len(left) > _MOST_LINES:
             self.warn(f"{len(left) - _MOST_LINES} more entities left the training data")
 
-    def _warn_if_unsure(
-        self, width: Tensor, before: Tensor | None, began: Times, duration: float
-    ) -> None:
-        """Once, where an object's interval gets wider than `FAR` or `TURNED` [T, B, K, 2]."""
+    def _unsure_since(self, state: State, width: Tensor, duration: float) -> Times:
+        """[B, K] as `unsure`, after steps with these half-widths [T, B, K, 2]; warns once of new
+        ones."""
+        since, began = self.unsure(state), _host(state.time)
+        first = np.asarray(first_marked(self._wide(width)).cpu().numpy(), np.int64)
+        new = np.isinf(since) & (first >= 0)
+        times = began[:, None] + (first + 1) * duration
+        if new.any():
+            world, entity = np.unravel_index(np.where(new, first, np.inf).argmin(), new.shape)
+            step = int(first[world, entity])
+            far, turned = (width[step, world, entity] * WIDER).tolist()
+            text = (
+                f"world {world}, step {step} (t = {times[world, entity]:.6g} s), "
+                f"{self.names[entity]!r}: its {100 * SURE:.0f} % interval has grown to "
+                f"{far * 1e3:.3g} mm and {np.rad2deg(turned):.3g} degrees (limits "
+                f"{FAR * 1e3:g} mm, 20 degrees), as it has for {int(new.sum())} entities in all"
+            )
+            warnings.warn(f"{self.label}, {text}", UncertainPredictionWarning, stacklevel=5)
+        return np.where(new, times, since)
+
+    def _wide(self, width: Tensor) -> Tensor:
+        """[..., K]: which entities can no longer be said to be predicted, from half-widths."""
         limit = torch.tensor((FAR, TURNED), device=width.device)
-        robot = int(self.engine.layout.has_robot)
-        wide = (width[:, :, robot:] > limit).any(-1)
-        if before is not None:
-            wide &= ~(before[None, :, robot:] > limit).any(-1)
-        count = wide.any(0).sum()
-        if not int(count):
-            return
-        step = int(wide.flatten(1).any(1).int().argmax())
-        world, entity = (int(i[0]) for i in torch.nonzero(wide[step], as_tuple=True))
-        far, turned = width[step, world, robot + entity].tolist()
-        text = (
-            f"world {world}, step {step} (t = {began[world] + (step + 1) * duration:.6g} s), "
-            f"{self.names[robot + entity]!r}: its 90 % interval has grown to {far * 1e3:.3g} mm "
-            f"and {np.rad2deg(turned):.3g} degrees (limits {FAR * 1e3:g} mm, 20 degrees), as it "
-            f"has for {int(count)} objects in all"
-        )
-        warnings.warn(f"{self.label}, {text}", UncertainPredictionWarning, stacklevel=4)
+        wide = (width * WIDER > limit).any(-1)
+        layout = self.engine.layout
+        if layout.has_robot and not layout.hand:
+            wide[..., 0] = False
+        return wide
 
     def _error(self, notice: Any, duration: float) -> DivergedError | None:
         worlds = np.flatnonzero(notice.diverged_at >= 0)

@@ -135,6 +135,7 @@ def concluded(found: Found, deadline: Deadline) -> Attribution:
             after = _resized(context, context.judge.fair(after, [before]))
             after, gains, doubted = _sure(context, before, after)
             rejected += doubted
+            after = context.judge.as_sure(after)
             if after.hypothesis.effects or after.hypothesis.factors:
                 break
     return Attribution(

@@ -49,8 +49,9 @@ class _Glance(NamedTuple):
 
 
 def _resized(context: Context, current: Judged, found: Sequence[Suspect]) -> list[_Glance]:
-    """Best first, and the best as large as simulation wants them: chained through impacts,
-    regressions overshoot."""
+    """Best first, and the best of each effect at a target as large as simulation wants them:
+    chained through impacts, regressions overshoot, and what is much too large or too small leaves
+    more than the wrong effects do."""
 
     begin = context.judge.begin(current)
 
@@ -61,7 +62,9 @@ def _resized(context: Context, current: Judged, found: Sequence[Suspect]) -> lis
     made = _in_time(context, found, glanced)
     for _ in range(_RESIZED):
         made.sort(key=lambda glance: glance.left)
-        again = _in_time(context, made[:_FIRST], lambda one: _again(context, current, one))
+        few = {id(one) for one in varied([glance.one for glance in made], 2)[:_FIRST]}
+        made.sort(key=lambda glance: id(glance.one) not in few)
+        again = _in_time(context, made[: len(few)], lambda one: _again(context, current, one))
         made[: len(again)] = again
     return sorted(made, key=lambda glance: glance.left)
 
@@ -167,7 +170,8 @@ def varied(found: Sequence[Suspect], most: int) -> list[Suspect]:
 _GLANCES = 100
 """Forms of suspects that are simulated once."""
 _FIRST = 40
-"""The best of these, simulated again at the size that the run asked for."""
+"""Two of each effect at a target, the best first, that are simulated again at the size that the run
+asked for."""
 _RESIZED = 2
 """Times that they are."""
 _LIKE = 1.2

@@ -140,7 +140,8 @@ def _added(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judg
 
 def _from_same_starts(context: Context, current: Judged, few: Sequence[Judged]) -> Iterator[Judged]:
     """The others of a few, fitted again from where the best of them has windows start: a start that
-    was not found is no reason against an effect. Then the best of all to the end."""
+    was not found is no reason against an effect. Then the best of all to the end, and each of the
+    best with every window from wherever any of them has found it a good start."""
     ranked = best_few(context, current, few)
     for other in ranked[1:]:
         begin = context.judge.begin(ranked[0])
@@ -151,7 +152,17 @@ def _from_same_starts(context: Context, current: Judged, few: Sequence[Judged]) 
     for best in best_few(context, current, ranked)[:1]:
         closer = context.judge.closer(best, restarts=_TO_THE_END)
         if closer is not best:
+            ranked.append(closer)
             yield closer
+    least: dict[tuple[tuple[str, str], ...], Judged] = {}
+    for one in ranked:
+        places = tuple((e.effect, e.target) for e in one.hypothesis.effects)
+        if places not in least or one.loss < least[places].loss:
+            least[places] = one
+    for one in best_few(context, current, list(least.values())):
+        same = context.judge.started(one, ranked)
+        if same is not one:
+            yield same
 
 
 _TO_THE_END = 2

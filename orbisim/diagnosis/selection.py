@@ -12,6 +12,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import functools
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -21,7 +22,7 @@ import numpy.typing as npt
 
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.screening import Candidate
-from orbisim.evidence import EFFECT, Blocks, Gain, gain, weights
+from orbisim.evidence import EFFECT, Blocks, Gain, gain, like_parts, weights
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.shooting.regress import Normal, fit, profiled, scaled_gram, with_ones
 
@@ -46,6 +47,7 @@ class Group:
       fixed: whether the coefficients are ones instead of fitted.
       shape: number of parameters that were tried at several values.
       prior: logarithm of the odds of the effect beside those of any.
+      parts: of the machine that may have it, see `orbisim.evidence.like_parts`.
       values: the same of what it says for coefficients, beside those of the effect.
       refines: key of the group without which it has the odds of both; empty for none.
     """
@@ -58,6 +60,7 @@ class Group:
     prior: float = 0.0
     values: Prior = lambda _: 0.0
     refines: tuple[str, ...] = ()
+    parts: int = 1
 
 
 def groups_of(
@@ -111,7 +114,10 @@ def _group(
     effect = find(candidate.effect)
     odds, simpler = effect.odds(model, candidate.target), effect.refines
     refines = (simpler, candidate.target) if simpler else ()
-    return Group(index, key, instance, candidate.fixed, candidate.shape, odds, prior, refines)
+    parts = effect.like_parts(model)
+    return Group(
+        index, key, instance, candidate.fixed, candidate.shape, odds, prior, refines, parts
+    )
 
 
 _FELT = 1e-12
@@ -343,7 +349,9 @@ class _Search:
         there = {group.key for group in chosen}
         alone = sum(bool(group.refines) and group.refines not in there for group in chosen)
         values = sum(of(one) for of, one in said if one is not None)
-        return sum(map(_log_prior, chosen)) + EFFECT * alone + values
+        counts = Counter((group.key[0], group.parts) for group in chosen if group.key)
+        odds = sum(like_parts(count, parts) for (_, parts), count in counts.items())
+        return odds + sum(map(_log_prior, chosen)) + EFFECT * alone + values
 
     def worth(self, other: _Search) -> float:
         """What another end of the search is worth more."""
@@ -499,7 +507,7 @@ _NOTHING = Group((), (), lambda _: None)
 
 
 def _log_prior(group: Group) -> float:
-    return EFFECT + group.prior - group.shape * np.log(_SHAPES)
+    return group.prior - group.shape * np.log(_SHAPES)
 
 
 def _less(chosen: Sequence[Group], out: Group) -> list[Group]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbisim.diagnosis.context import Context
-from orbisim.diagnosis.discretization import as_declared, settled
+from orbisim.diagnosis.discretization import as_declared, earlier, settled
 from orbisim.diagnosis.explanations import (
     EVEN,
     FEW,
@@ -37,7 +37,7 @@ def simplified(found: Found, number: int) -> Found:
     where these are better, and timestep and controls as they were where that is worth no less."""
     if not found.best.hypothesis.effects:
         return found
-    for change in (_as_declared, _exchanged, removed):
+    for change in (_as_declared, _timed, _exchanged, removed):
         try:
             found = change(found, number)
         except TimeIsUpError:
@@ -47,6 +47,16 @@ def simplified(found: Found, number: int) -> Found:
 
 def _as_declared(found: Found, number: int) -> Found:
     other = as_declared(found.context, found.best, found.stepping)
+    return found if other is None else in_form(found, other)
+
+
+def _timed(found: Found, number: int) -> Found:
+    """With controls that lead or follow their samples in the place of effects that change when
+    things are seen or done: all sensors late alike are commands that act before they are logged."""
+    if not any(find(one.effect).timing for one in found.best.hypothesis.effects):
+        return found
+    found.context.say("other times of commands")
+    other = earlier(found.context, found.best)
     return found if other is None else in_form(found, other)
 
 
@@ -246,6 +256,9 @@ def _exchanged(found: Found, number: int) -> Found:
         ranked = [t.last for t in beside if t.last is not None]
         others = _all(context, exchanges(context, best, index, fewer, ranked), best)
         others += list(map(context.judge.closer, best_few(context, best, others)))
+        if context.bench.contacts:
+            known = [best, *others]
+            others += [context.judge.started(o, known) for o in best_few(context, best, others)]
         better = winner(context, best, others)
         if better is not None and worth(context.bench, best, better).total > EVEN:
             gain = worth(context.bench, better, best)

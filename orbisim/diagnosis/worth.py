@@ -3,13 +3,14 @@ which a search adds, removes, exchanges, merges and retunes."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from orbisim.effects import find
-from orbisim.evidence import EFFECT, Blocks, Gain, counted, gain, independent_share
+from orbisim.evidence import EFFECT, Blocks, Gain, counted, gain, independent_share, like_parts
 from orbisim.motion.samples import extent
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
@@ -144,7 +145,9 @@ def prior(bench: Bench, hypothesis: Hypothesis) -> float:
     model, known, found = bench.scene.model, extent(bench.samples), 0.0
     for one in hypothesis.effects:
         effect = find(one.effect)
-        found += EFFECT + effect.odds(model, one.target) + effect.log_prior(model, one, known)
+        found += effect.odds(model, one.target) + effect.log_prior(model, one, known)
+    for name, count in Counter(one.effect for one in hypothesis.effects).items():
+        found += like_parts(count, find(name).like_parts(model))
     return found + EFFECT * unrefined([(one.effect, one.target) for one in hypothesis.effects])
 
 

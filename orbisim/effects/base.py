@@ -271,6 +271,11 @@ class Effect(abc.ABC):
         """`rarity` at a target."""
         return self.rarity
 
+    def like_parts(self, model: mujoco.MjModel) -> int:
+        """How many like parts of the machine may have it, for what every joint has, more or less
+        (`common`); 1 for all else, where one that has it says nothing of another."""
+        return max(len(self.targets(model)), 1) if self.common else 1
+
     def log_prior(
         self, model: mujoco.MjModel, instance: EffectInstance, extent: Extent | None = None
     ) -> float:

@@ -29,6 +29,7 @@ from orbisim.effects.base import (
     reach,
     spec_element,
 )
+from orbisim.effects.contacts import pressed
 from orbisim.effects.screening import (
     Candidate,
     Column,
@@ -265,6 +266,11 @@ class Buoyancy(BodyEffect):
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         return (Parameter("displaced_mass", "kg", 0.0, LARGE, 0.1),)
 
+    def equivalents(self, model: mujoco.MjModel, instance: EffectInstance) -> list[EffectInstance]:
+        """Less friction of a free body, on which less weight presses then."""
+        lift = instance.values["displaced_mass"] * float(np.linalg.norm(model.opt.gravity))
+        return pressed(model, instance.target, -lift)
+
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         body = spec_element(spec, "body", instance.target)
         mass = inertial_of(spec, instance.target)[0]
@@ -298,7 +304,14 @@ class ConstantForce(BodyEffect):
     native = False
 
     def equivalents(self, model: mujoco.MjModel, instance: EffectInstance) -> list[EffectInstance]:
-        return same_offsets(model, instance)
+        """Offsets of servos along it, and friction of a free body that it presses down."""
+        force, gravity = np.array([instance.values[axis] for axis in AXES]), model.opt.gravity
+        down = float(force @ gravity) / max(float(np.linalg.norm(gravity)), 1e-300)
+        mostly = down**2 > 0.5 * float(force @ force)
+        return [
+            *same_offsets(model, instance),
+            *(pressed(model, instance.target, down) if mostly else []),
+        ]
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         parts = [Parameter(axis, "N", -LARGE, LARGE, 1.0) for axis in AXES]

@@ -14,6 +14,7 @@ from orbisim.effects.base import (
     Parameter,
     Values,
     index_of,
+    names_of_kind,
     spec_element,
 )
 from orbisim.errors import InputError
@@ -63,6 +64,15 @@ class SlidingFriction(_Coefficient):
     phrase = "another sliding friction"
     family = "slip"
     index, condim, unit, scale = 0, 3, "1", 0.3
+
+    def generalized(
+        self, model: mujoco.MjModel, special: EffectInstance, values: Values | None = None
+    ) -> list[Values]:
+        """The mean of both coefficients of friction that differs by direction."""
+        if special.effect != AnisotropicFriction.name:
+            return []
+        ratio, coefficient = special.values["ratio"], special.values["coefficient"]
+        return [{"coefficient": 0.5 * (1.0 + ratio) * coefficient}]
 
 
 class TorsionalFriction(_Coefficient):
@@ -236,6 +246,28 @@ class Adhesion(ContactEffect):
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         spec_element(spec, "geom", instance.target).adhesion = instance.values["force"]
+
+
+def pressed(model: mujoco.MjModel, body: str, force: float) -> list[EffectInstance]:
+    """Sliding friction that does nearly the same to a free body as one more force along gravity
+    (negative: against it): what slides under its own weight shows friction times load alone.
+
+    Args:
+      body: its name. force: N.
+    """
+    number = index_of(model, "body", body)
+    joint = int(model.body_jntadr[number])
+    weight = float(model.body_subtreemass[number] * np.linalg.norm(model.opt.gravity))
+    if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE or not weight > 0:
+        return []
+    friction, found = SlidingFriction(), []
+    own = np.flatnonzero(model.body_weldid[model.geom_bodyid] == model.body_weldid[number])
+    for geom in map(int, own):
+        name = names_of_kind(model, "geom")[geom]
+        coefficient = _prevailing(model, name, 0, 3) * (1.0 + force / weight)
+        if friction.possible(model, name) and coefficient > 0:
+            found.append(EffectInstance(friction.name, name, {"coefficient": coefficient}))
+    return found
 
 
 def _prevail(spec: mujoco.MjSpec, geom: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -317,6 +318,62 @@ class Judge:
         again = self.judge(judged.hypothesis, _FURTHER, begin=begin)
         return again if again is not None and again.loss < judged.loss else judged
 
+    def started(self, judged: Judged, others: Sequence[Judged]) -> Judged:
+        """Where bodies touch, what `fair` does elsewhere: the same explanation with each window,
+        fitted or checked, started as others start it, too, wherever that is better, and fitted once
+        more from there. Through impacts a fit of all windows ends where the starts of some are
+        poor, and which these are is chance. It is the same if hardly anything is better.
+
+        Args:
+          others: judged on the same windows; those with as many numbers in a start are asked.
+        """
+        hypothesis, fit, checked = judged.hypothesis, judged.fit, judged.check_fit
+        try:
+            for one in (other for other in others if other is not judged):
+                if one.fit.start.shape != judged.fit.start.shape:
+                    continue
+                alone = self._scored(hypothesis, self.fitted, one.fit.start, None)
+                fit = _by_window(fit, alone)
+                if self.check is not self.fitted:
+                    alone = self._scored(hypothesis, self.check, one.check_fit.start, None)
+                    checked = _by_window(checked, alone)
+            before = judged.fit.square + judged.check_fit.square
+            if not fit.square + checked.square < _LITTLE * before:
+                return judged
+            begin = self._beginning(hypothesis, fit.start, checked.start)
+        except (OrbiSimError, np.linalg.LinAlgError):
+            return judged
+        again = self.judge(hypothesis, _FURTHER, begin=begin)
+        return again if again is not None and again.loss < judged.loss else judged
+
+    def as_sure(self, judged: Judged) -> Judged:
+        """Where bodies touch, the same with numbers of effects no surer than the cost rises a tenth
+        beside them, all others and the starts fitted there (profile likelihood): a fit through
+        impacts ends in one of many narrow holes, whose width says nothing of how deep others are.
+        """
+        fit, hypothesis = judged.fit, judged.hypothesis
+        if not self.bench.contacts or is_structural(hypothesis):
+            return judged
+        begin = self.begin(judged)
+        for k, (number, name) in enumerate(hypothesis.free(self.bench.scene)):
+            if _stepwise(hypothesis, number, name) or not fit.values[k]:
+                continue
+            beside = []
+            for share in (-_BESIDE, _BESIDE):
+                values = fit.values.copy()
+                values[k] *= 1 + share
+                with contextlib.suppress(OrbiSimError, np.linalg.LinAlgError):
+                    moved = hypothesis.at(self.bench.scene, values)
+                    held = dataclasses.replace(moved, frozen=moved.frozen | {(number, name)})
+                    beside.append(self._fit(held, 2, begin).square)
+            if beside:
+                away = _BESIDE * abs(float(fit.values[k]))
+                fit = _no_surer(fit, k, min(beside) - fit.square, away)
+        if fit is judged.fit:
+            return judged
+        same = judged.check_fit is judged.fit
+        return dataclasses.replace(judged, fit=fit, check_fit=fit if same else judged.check_fit)
+
     def glance(self, hypothesis: Hypothesis, begin: Beginning, every: bool = False) -> float:
         """As `sized_glance`, without the size."""
         return self.sized_glance(hypothesis, begin, every)[0]
@@ -619,6 +676,9 @@ _FURTHER = 3
 """Iterations of a fit that goes on from better starts."""
 _AROUND = (0.92, 0.97, 1.03, 1.08)
 """Values of a contact's number that a restart tries, over what it is."""
+_BESIDE = 0.1
+"""How far beside a number of an effect its cost is looked at, over what it is: as far as numbers of
+fits through impacts that begin elsewhere differ, and beyond the holes that single impacts make."""
 _LITTLE = 0.99
 """Share of what a fit leaves that is hardly less."""
 _GRID_STEPS = 12
@@ -648,6 +708,18 @@ def _padded(fit: Fit, index: int) -> dict[str, Any]:
         if fit.prior is None
         else np.insert(np.insert(fit.prior, index, 0, 0), index, 0, 1),
     }
+
+
+def _no_surer(fit: Fit, index: int, rise: float, away: float) -> Fit:
+    """A fit of which one number is no surer than its cost rises so far away, and not told at all
+    from what is there where it does not rise by what noise would make of it."""
+    square = max(fit.square / fit.count, 1.0)
+    more = away**2 * square / max(rise, square) - float(fit.covariance[index, index])
+    if more <= 0:
+        return fit
+    covariance = fit.covariance.copy()
+    covariance[index, index] += more
+    return dataclasses.replace(fit, covariance=covariance)
 
 
 def _profiled(fit: Fit, beside: Mapping[float, Fit], index: int, grid: float) -> Fit:

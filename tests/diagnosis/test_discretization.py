@@ -17,7 +17,7 @@ from orbisim.diagnosis.discretization import (
     earlier,
     settled,
 )
-from orbisim.diagnosis.explanations import Found
+from orbisim.diagnosis.explanations import Found, done
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.simplification import simplified
 from orbisim.effects import EffectInstance
@@ -245,6 +245,21 @@ def test_a_lead_takes_the_place_of_sensors_that_are_early() -> None:
     assert [one.effect for one in found[1].hypothesis.effects] == ["viscous_damping"]
     assert found[0].bench.lead is not None
     assert found[0].bench.lead.share == pytest.approx(0.5, abs=0.05)
+
+
+def test_early_commands_take_the_place_of_a_late_sensor_that_reaches_the_noise() -> None:
+    """Where nothing is left, nothing is added, but what there is may still have another reason."""
+    scene = _scene(0.001)
+    runs = [_commanded(seed, 0.01, 0.007) for seed in range(4)]
+    bench = asked(make_bench(scene, prepare_all(runs, scene), 0.5))
+    context, declared = _judged(bench)
+    late = EffectInstance("sensor_delay", "hinge", {"delay": 0.007})
+    named = context.judge.judge(Hypothesis((late,)), begin=context.judge.begin(declared))
+    assert named is not None and done(context, named)
+    found = Found(context, timestep.stepping(scene), declared, named)
+    found = simplified(dataclasses.replace(found, screening=context.screen(named)), 2)
+    assert not found.best.hypothesis.effects and found.context.bench.lead
+    assert found.context.bench.lead.share == pytest.approx(0.7, abs=0.05)
 
 
 @pytest.mark.parametrize("true", [0.00025, 0.0005, 0.001])

@@ -24,6 +24,7 @@ from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.simplification import plain, told
 from orbisim.diagnosis.worth import number_costs, prior, retuning_cost, worth
 from orbisim.effects import EffectInstance, find
+from orbisim.evidence import EFFECT, like_parts
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
@@ -130,6 +131,23 @@ def test_what_no_machine_has_is_impossible(arm: orbisim.Scene) -> None:
     bench: Any = SimpleNamespace(scene=arm, samples=bench_of(arm).samples)
     assert prior(bench, Hypothesis((load,))) == -np.inf
     assert prior(bench, Hypothesis((FRICTION,))) > prior(bench, Hypothesis((FRICTION, BIAS)))
+
+
+def test_friction_at_one_joint_makes_it_likelier_at_the_next(arm: orbisim.Scene) -> None:
+    """As every joint of a machine has it, more or less; nobody expects a second load."""
+    bench: Any = SimpleNamespace(scene=arm, samples=bench_of(arm).samples)
+
+    def more(name: str, places: tuple[str, str], values: dict[str, float]) -> float:
+        first, second = (EffectInstance(name, place, values) for place in places)
+        return prior(bench, Hypothesis((first, second))) - prior(bench, Hypothesis((first,)))
+
+    joints = len(arm.model.jnt_type)
+    assert more("coulomb_friction", ("shoulder", "elbow"), {"torque": 0.1}) == pytest.approx(
+        like_parts(2, joints) - EFFECT
+    )
+    load = {"mass": 0.1, "com_x": 0.0, "com_y": 0.0, "com_z": 0.0}
+    one = prior(bench, Hypothesis((EffectInstance("payload", "upper_arm", load),)))
+    assert more("payload", ("forearm", "upper_arm"), load) == pytest.approx(one)
 
 
 def test_what_looks_the_same_is_proposed_in_its_place(arm: orbisim.Scene) -> None:

@@ -1,5 +1,7 @@
 """Selection of groups of columns by what they predict."""
 
+import dataclasses
+
 import mujoco
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ import pytest
 from orbisim.diagnosis.selection import Group, data_of, groups_of, select
 from orbisim.effects import EffectInstance
 from orbisim.effects.screening import Candidate, Column
-from orbisim.evidence import Blocks
+from orbisim.evidence import EFFECT, Blocks, like_parts
 from orbisim.shooting.regress import Normal
 
 ROWS, COLUMNS, BLOCKS = 80, 24, 10
@@ -48,6 +50,23 @@ def test_finds_all_that_matter_and_nothing_else(seed: int, prior: float) -> None
         assert x == pytest.approx(truth[list(g.index)], abs=0.15)
     assert found.predicted.sum() < 0.1 * found.before.sum()
     assert all(worth.sure > 0 for worth in found.gains)
+
+
+def test_what_like_parts_have_is_likelier_of_the_last() -> None:
+    truth = np.zeros(COLUMNS)
+    truth[:6] = [1.0, -1.2, 0.9, 1.1, -0.8, 0.15]
+    every = data(truth, 0.5, 0)
+
+    def worth(parts: int) -> float:
+        groups = [
+            dataclasses.replace(group(i), key=("friction", str(i)), parts=parts) for i in range(6)
+        ]
+        found = select(data_of(every, COUNTS), groups)
+        assert len(found.groups) == 6
+        return {g.index[0]: one.total for g, one in zip(found.groups, found.gains, strict=True)}[5]
+
+    last = like_parts(6, 6) - like_parts(5, 6)
+    assert worth(6) - worth(1) == pytest.approx(last - EFFECT) and last > 0
 
 
 @pytest.mark.parametrize("seed", range(5))

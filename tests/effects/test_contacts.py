@@ -127,6 +127,60 @@ def test_what_is_softer_may_bounce_otherwise_too() -> None:
     assert find("restitution").generalized(model, other) == []
 
 
+SLIDE = """
+<mujoco><option timestep="0.001" cone="elliptic" impratio="10"/><worldbody>
+  <geom name="floor" type="plane" size="50 50 0.1" friction="0.3"/>
+  <body name="case" pos="0 0 0.02"><freejoint/>
+    <geom name="bottom" type="box" size="0.1 0.1 0.02" mass="1" friction="0.3"/></body>
+</worldbody></mujoco>
+"""
+
+
+def slid(effects: list[EffectInstance]) -> float:
+    """How far a flat box slides that is set going at 1 m/s, m."""
+    engine = make_backend("mujoco", add_effects(load_scene(SLIDE), effects))
+    state = engine.reset()
+    state.qvel[:, 0] = 1.0
+    return float(engine.rollout(state, np.zeros((800, 0))).qpos[0, -1, 0])
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        EffectInstance("constant_force", "case", {"magnitude": 6.0, "x": 0, "y": 0, "z": -6.0}),
+        EffectInstance("buoyancy", "case", {"displaced_mass": 0.4}),
+    ],
+    ids=lambda one: one.effect,
+)
+def test_a_force_on_what_slides_is_like_another_friction(effect: EffectInstance) -> None:
+    model = load_scene(SLIDE).model
+    (other,) = find(effect.effect).equivalents(model, effect)
+    assert (other.effect, other.target) == ("sliding_friction", "bottom")
+    declared, forced = slid([]), slid([effect])
+    assert abs(forced / declared - 1) > 0.3
+    assert slid([other]) == pytest.approx(forced, rel=0.03)
+
+
+def test_a_force_that_does_not_press_is_like_no_friction() -> None:
+    model, force = load_scene(SLIDE).model, find("constant_force")
+    aside = EffectInstance("constant_force", "case", {"magnitude": 5, "x": 4, "y": 0, "z": -3})
+    lifted = EffectInstance("constant_force", "case", {"magnitude": 11, "x": 0, "y": 0, "z": 11})
+    assert force.equivalents(model, aside) == [] and force.equivalents(model, lifted) == []
+    held = load_scene(SLIDE.replace("<freejoint/>", '<joint type="slide" axis="1 0 0"/>')).model
+    down = EffectInstance("constant_force", "case", {"magnitude": 6, "x": 0, "y": 0, "z": -6})
+    assert force.equivalents(held, down) == []
+
+
+def test_friction_that_hardly_depends_on_the_direction_is_friction() -> None:
+    model = load_scene(SLIDE).model
+    values = {"ratio": 1.1, "coefficient": 0.4}
+    special = EffectInstance("anisotropic_friction", "bottom", values)
+    (found,) = find("sliding_friction").generalized(model, special)
+    assert found == pytest.approx({"coefficient": 0.42})
+    torsional = EffectInstance("torsional_friction", "bottom", {"coefficient": 0.01})
+    assert find("sliding_friction").generalized(model, torsional) == []
+
+
 def test_the_declared_spring_is_neutral() -> None:
     stiffness, ratio = find("contact_compliance").parameters(load_scene(SLOPE).model, "box")
     # MuJoCo's (timeconst, dampratio): k = 1 / (timeconst dampratio)^2

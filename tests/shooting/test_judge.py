@@ -247,6 +247,48 @@ def test_a_restart_finds_what_a_fit_through_impacts_missed(
     assert restarted.hypothesis.effects[0].values == pytest.approx(SOFT, rel=2e-3)
 
 
+def test_through_impacts_too_an_explanation_has_the_starts_of_others(
+    softened: tuple[Judge, Judged],
+) -> None:
+    """What one of them has found is no merit of it, nor in windows that are only checked."""
+    judge, nothing = softened
+    assert judge.check is not judge.fitted
+    good = judge.judge(Hypothesis((EffectInstance("restitution", "head", SOFT),)), restarts=1)
+    assert good is not None
+    other = {"coefficient": restitution_of(0.5), "stiffness": 1500.0}
+    hypothesis = Hypothesis((EffectInstance("restitution", "head", other),))
+    poor = judge.judge(hypothesis, 0, begin=judge.begin(nothing))
+    assert poor is not None
+    same = judge.started(poor, [nothing, good])
+    assert same.hypothesis.effects[0].effect == "restitution"
+    assert same.loss < poor.loss - 0.02 and same.fit.square < poor.fit.square
+    assert judge.started(good, [good]) is good  # nobody has other starts
+
+
+def test_no_number_is_surer_than_its_cost_rises_beside_it(softened: tuple[Judge, Judged]) -> None:
+    judge, _ = softened
+    found = judge.judge(Hypothesis((EffectInstance("restitution", "head", SOFT),)))
+    assert found is not None
+    known = np.diag(found.fit.covariance)
+    narrow = dataclasses.replace(found.fit, covariance=1e-8 * found.fit.covariance)
+    wider = judge.as_sure(dataclasses.replace(found, fit=narrow))
+    assert wider.hypothesis is found.hypothesis
+    deviation = np.sqrt(np.diag(wider.fit.covariance) / known)
+    assert np.all((deviation > 0.2) & (deviation < 5)), deviation
+    wide = dataclasses.replace(found, fit=dataclasses.replace(narrow, covariance=np.eye(2) * 1e12))
+    assert judge.as_sure(wide) is wide
+
+
+def test_where_nothing_touches_numbers_are_as_sure_as_the_fit_says(arm: orbisim.Scene) -> None:
+    damping = EffectInstance("viscous_damping", "elbow", {"coefficient": 0.3})
+    runs = inject_effect(arm, damping, duration=2.0, episodes=1, noise=1e-4, seed=4)
+    bench = make_bench(arm, prepare_all(runs, arm), 0.5)
+    judge = Judge(bench.whole(), bench.intervals)
+    found = judge.judge(Hypothesis((damping,)))
+    assert found is not None and not bench.contacts
+    assert judge.as_sure(found) is found
+
+
 def test_starts_alone_are_the_better_of_two_in_each_window(
     softened: tuple[Judge, Judged],
 ) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from matplotlib.figure import Figure
 from orbisim_world_model.pack import Pack
 
@@ -33,6 +34,30 @@ def test_a_row_has_median_90_and_worst(pushes: Pack) -> None:
     assert row["steps"] == training["steps"]
     median, most, worst = row["errors"]["hand_position"]
     assert 0.0 <= median <= most <= worst < 5.0  # mm, one second of a trained model
+
+
+def test_called_again_it_evaluates_what_is_new(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    training, out = tmp_path / "push", tmp_path / "errors.json"
+    evaluated = []
+
+    def row(folder: Path, pack: Any, horizon: int) -> dict[str, Any]:
+        evaluated.append(folder.name)
+        return {"steps": kept_errors.steps(folder), "errors": {}}
+
+    monkeypatch.setattr(kept_errors, "row", row)
+    monkeypatch.setattr(kept_errors, "_read", lambda path: torch.zeros(1))
+    words = [training, "--data", tmp_path / "none.h5", "--out", out]
+    monkeypatch.setattr(sys, "argv", ["kept_errors.py", *map(str, words)])
+    for done, name in ((90, "push"), (30, "push-kept/000030"), (120, "push")):
+        folder = tmp_path / name
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "manifest.json").write_text(json.dumps({"training": {"steps": done}}))
+        kept_errors.main()
+    assert evaluated == ["push", "000030", "push"]
+    found = json.loads(out.read_text())["push"]
+    assert [one["steps"] for one in found] == [30, 90, 120]
 
 
 def test_errors_are_drawn_beside_losses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,10 +18,20 @@ from orbisim_world_model.backend import (
 from orbisim_world_model.checkpoint import load_checkpoint, save_checkpoint
 from orbisim_world_model.pack import Pack
 from orbisim_world_model.run import Run, train
-from orbisim_world_model.spread import UNITS, Calibration, calibration_of, propagated
+from orbisim_world_model.spread import (
+    FREEDOM,
+    LEVEL,
+    SURE,
+    UNITS,
+    WIDER,
+    Calibration,
+    calibration_of,
+    propagated,
+)
 from orbisim_world_model.spread_fitting import SpreadRun, fit_spread
 from orbisim_world_model.stepping import MEMORY
-from orbisim_world_model.watch import Watch
+from orbisim_world_model.watch import FAR, TURNED, UNSURE, Watch
+from scipy import stats
 
 from orbisim import load_scene, make_backend
 from orbisim.errors import InputError
@@ -137,19 +147,61 @@ def test_an_interval_that_is_too_wide_is_warned_of(folder: Path, way: str) -> No
     if way == "native" and "recurrent" in folder.name:
         pytest.skip("is compiled alike; native/test_step.py compares memories")
     backend = _backend(folder, way == "native")
-    wide = {"robot": [1.0, 1.0], "objects": [1.5e4, 1.5e4]}  # of a micrometre: 15 mm
+    # of a micrometre: 6 mm, of which the 99 % interval is 15 mm wide at least
+    wide = {"robot": [1.0, 1.0], "objects": [6e3, 6e3]}
     backend.checkpoint.manifest["uncertainty"] |= {"factor": wide, "floor": 1e-3}
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         if way == "rollout":
-            backend.rollout(backend.reset(2), np.zeros((2, 3, 2)))
+            final = backend.rollout(backend.reset(2), np.zeros((2, 3, 2))).final
         else:
             backend.watch = Watch(backend.engine, backend.watch.label)  # has read the factors
-            state = backend.step(backend.reset(1))
-            backend.step(state)
+            final = backend.reset(1)
+            for _ in range(3):
+                final = backend.step(final)
     found = [w for w in said if issubclass(w.category, UncertainPredictionWarning)]
-    assert len(found) == 1
-    assert "world 0, step 0 (t = 0.02 s), 'one': its 90 % interval" in str(found[0].message)
+    assert len(found) == 1  # once, though it stays so
+    assert "world 0, step 0 (t = 0.02 s), 'one': its 99 % interval" in str(found[0].message)
+    since = np.asarray(final.memory[UNSURE])
+    assert since.shape == (final.nworld, 3)
+    assert np.isinf(since[:, 0]).all()  # the hand's interval stays narrow
+    np.testing.assert_allclose(since[:, 1:], 0.02)
+
+
+def test_what_has_been_lost_stays_lost(folder: Path) -> None:
+    """An interval that shrinks again takes nothing back, in this call or in a later one."""
+    backend = _backend(folder, False)
+    narrow = {"robot": [1.0, 1.0], "objects": [1.0, 1.0]}
+    backend.checkpoint.manifest["uncertainty"] |= {"factor": narrow}
+    state, limit = backend.reset(2), np.array([FAR, TURNED])
+    width = torch.zeros(4, 2, 3, 2)
+    width[1, 1, 2] = torch.tensor(1.01 * limit / WIDER)
+    width[3, 0, 1] = torch.tensor(0.99 * limit / WIDER)
+    with pytest.warns(UncertainPredictionWarning, match="world 1, step 1 .*'two'"):
+        since = backend.watch._unsure_since(state, width, 0.5)
+    assert since[1, 2] == 1.0 and np.isinf(np.delete(since.ravel(), 5)).all()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        later = state.replace(time=state.time + 2.0).with_memory(**{UNSURE: since})
+        again = backend.watch._unsure_since(later, width, 0.5)
+    np.testing.assert_array_equal(again, since)
+
+
+def test_a_hand_that_is_lost_is_warned_of_too() -> None:
+    """An arm that runs into the table; a robot without a hand has no pose to lose."""
+    backend = make_backend("learned:push_contacts", load_scene("task:push"), device="cpu")
+    assert isinstance(backend, LearnedBackend) and backend.engine.layout.hand
+    width = torch.zeros(1, 1, 3, 2)
+    width[0, 0, 0, 0] = 1.01 * FAR / WIDER
+    with pytest.warns(UncertainPredictionWarning, match="step 0 .*'robot': its 99 % interval"):
+        since = backend.watch._unsure_since(backend.reset(1), width, 0.05)
+    assert since.tolist() == [[0.05, np.inf, np.inf]]
+
+
+def test_warnings_go_by_the_interval_that_holds_99_percent() -> None:
+    """Of Student's t with the degrees of freedom that spreads are trained with."""
+    ends = [stats.t.ppf(0.5 + 0.5 * level, FREEDOM) for level in (SURE, LEVEL)]
+    assert pytest.approx(ends[0] / ends[1], rel=1e-4) == WIDER
 
 
 @pytest.mark.parametrize(
