@@ -244,6 +244,13 @@ class Adhesion(ContactEffect):
         weight = float(model.body_subtreemass[body]) * float(np.linalg.norm(model.opt.gravity))
         return [{"force": f * max(weight, 0.1)} for f in (0.1, 0.4, 1.5)]
 
+    def equivalents(self, model: mujoco.MjModel, instance: EffectInstance) -> list[EffectInstance]:
+        """More friction of a free body: what holds it down is seen where it slides alone."""
+        body = int(model.geom_bodyid[index_of(model, "geom", instance.target)])
+        name = names_of_kind(model, "body")[body]
+        same = pressed(model, name, instance.values["force"])
+        return [one for one in same if one.target == instance.target]
+
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         spec_element(spec, "geom", instance.target).adhesion = instance.values["force"]
 

@@ -161,6 +161,14 @@ def test_a_force_on_what_slides_is_like_another_friction(effect: EffectInstance)
     assert slid([other]) == pytest.approx(forced, rel=0.03)
 
 
+def test_adhesion_to_what_it_slides_on_is_like_more_friction() -> None:
+    sticky = EffectInstance("adhesion", "bottom", {"force": 6.0})
+    (other,) = find("adhesion").equivalents(load_scene(SLIDE).model, sticky)
+    assert (other.effect, other.target) == ("sliding_friction", "bottom")
+    declared, held = slid([]), slid([sticky])
+    assert abs(slid([other]) - held) < 0.3 * abs(declared - held)  # each contact holds by itself
+
+
 def test_a_force_that_does_not_press_is_like_no_friction() -> None:
     model, force = load_scene(SLIDE).model, find("constant_force")
     aside = EffectInstance("constant_force", "case", {"magnitude": 5, "x": 4, "y": 0, "z": -3})
