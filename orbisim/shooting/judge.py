@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -524,27 +524,32 @@ class Judge:
     def _moved(
         self, hypothesis: Hypothesis, alone: Fit, values: Floats
     ) -> tuple[Hypothesis, Beginning]:
-        """With one number of a contact a little less or more, if its starts alone leave less then:
-        one step of each tells which.
+        """With one number of a contact a little less or more, and as much again, as long as its
+        starts alone leave less then, by what they do there: along the motion that there was, a
+        start says nothing of one that slides further.
 
         Args:
           alone: starts alone fitted. values: of the hypothesis.
         """
-        begin = self._beginning(hypothesis, alone.start, None)
         best = hypothesis, alone
-        for other in self._around(hypothesis, values):
-            tried = self._scored(other, self.fitted, alone.start, begin.free, 1, near=True)
-            best = min(best, (other, tried), key=lambda one: one[1].square)
-        return best[0], dataclasses.replace(begin, start=best[1].start)
-
-    def _around(self, hypothesis: Hypothesis, values: Floats) -> Iterator[Hypothesis]:
-        """The same with each number of a contact a little less and more."""
         for k, (number, _) in enumerate(hypothesis.free(self.bench.scene)):
-            if find(hypothesis.effects[number].effect).kind == "geom":
-                for share in _AROUND:
+            if find(hypothesis.effects[number].effect).kind != "geom":
+                continue
+            for shares in _AROUND:
+                along = hypothesis, alone
+                for share in shares:
                     moved = values.copy()
                     moved[k] *= share
-                    yield hypothesis.at(self.bench.scene, moved)
+                    other = hypothesis.at(self.bench.scene, moved)
+                    tried = self._scored(other, self.fitted, along[1].start, None)
+                    if not tried.square < along[1].square:
+                        break
+                    along = other, tried
+                best = min(best, along, key=lambda one: one[1].square)
+                if best[1] is not alone:
+                    break
+        begin = self._beginning(best[0], best[1].start, None)
+        return best[0], begin
 
     def _undetermined(self, fitted: Hypothesis, fit: Fit) -> list[tuple[int, str]]:
         """Parameters of effects that hardly change the data, compared with the others, or have run
@@ -674,8 +679,8 @@ _ALIKE = 1e-3
 """Difference of the losses of two fits that end alike: the share of the cost that ends a fit."""
 _FURTHER = 3
 """Iterations of a fit that goes on from better starts."""
-_AROUND = (0.92, 0.97, 1.03, 1.08)
-"""Values of a contact's number that a restart tries, over what it is."""
+_AROUND = ((1.03, 1.08), (0.97, 0.92))
+"""Values of a contact's number that a restart tries, over what it is, upwards and downwards."""
 _BESIDE = 0.1
 """How far beside a number of an effect its cost is looked at, over what it is: as far as numbers of
 fits through impacts that begin elsewhere differ, and beyond the holes that single impacts make."""
