@@ -7,6 +7,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -245,6 +246,50 @@ def test_a_restart_finds_what_a_fit_through_impacts_missed(
     assert plain is not None and restarted is not None
     assert restarted.fit.square < 0.9 * plain.fit.square
     assert restarted.hypothesis.effects[0].values == pytest.approx(SOFT, rel=2e-3)
+
+
+PUCK = """
+<mujoco model="puck">
+  <option timestep="0.002"/>
+  <worldbody>
+    <geom name="table" type="plane" size="4 4 0.1" friction="0.25"/>
+    <body name="puck" pos="0 0 0.03">
+      <freejoint name="puck"/>
+      <geom name="puck" type="cylinder" size="0.045 0.012" mass="0.17" friction="0.25"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def thrown(model: mujoco.MjModel, seed: int) -> orbisim.Recording:
+    """A puck that is thrown, tumbles, slides and comes to rest, seen at 125 Hz."""
+    data, rng, rows = mujoco.MjData(model), np.random.default_rng(seed), []
+    data.qvel[:2], data.qvel[3:] = rng.uniform(-1.5, 1.5, 2), rng.uniform(-3, 3, 3)
+    for step in range(300):
+        if step % 4 == 0:
+            place = data.qpos[:3] + 2e-4 * rng.normal(size=3)
+            turn = data.qpos[3:] + 1e-3 * rng.normal(size=4)
+            rows.append(np.hstack([data.time, place, turn / np.linalg.norm(turn)]))
+        mujoco.mj_step(model, data)
+    seen = np.array(rows)
+    return orbisim.Recording(seen[:, 0], {"qpos/puck": seen[:, 1:]}, source=f"throw{seed}")
+
+
+def test_a_restart_takes_the_friction_of_what_slides_as_far_as_starts_of_its_own_say() -> None:
+    """Along a motion that ends too late, no start of a window is right for a greater friction."""
+    true = 0.267
+    model = orbisim.load_scene(PUCK.replace('"0.25"', f'"{true}"')).model
+    scene = orbisim.load_scene(PUCK)
+    runs = prepare_all([thrown(model, seed) for seed in range(6)], scene)
+    bench = make_bench(scene, runs, 0.5)
+    judge = Judge(bench, bench.intervals)
+    nothing = judge.judge(Hypothesis())
+    assert nothing is not None
+    near = EffectInstance("sliding_friction", "puck", {"coefficient": 0.26})
+    found = judge.judge(Hypothesis((near,)), begin=judge.begin(nothing), restarts=1)
+    assert found is not None
+    assert found.hypothesis.effects[0].values["coefficient"] == pytest.approx(true, abs=0.002)
 
 
 def test_through_impacts_too_an_explanation_has_the_starts_of_others(
