@@ -176,3 +176,8 @@ EVEN = 0.5
 
 FEW = 3
 """How many of those worth most are fitted again along their own scenes."""
+
+
+TO_THE_END = 2
+"""Restarts through impacts of the best of a few, beside the one that each of them has, and of what
+it is compared with."""

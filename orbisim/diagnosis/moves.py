@@ -14,6 +14,7 @@ import numpy as np
 from orbisim.diagnosis.context import Context
 from orbisim.diagnosis.explanations import (
     FEW,
+    TO_THE_END,
     Found,
     Tried,
     best_few,
@@ -150,7 +151,7 @@ def _from_same_starts(context: Context, current: Judged, few: Sequence[Judged]) 
             ranked.append(again)
             yield again
     for best in best_few(context, current, ranked)[:1]:
-        closer = context.judge.closer(best, restarts=_TO_THE_END)
+        closer = context.judge.closer(best, restarts=TO_THE_END)
         if closer is not best:
             ranked.append(closer)
             yield closer
@@ -163,10 +164,6 @@ def _from_same_starts(context: Context, current: Judged, few: Sequence[Judged]) 
         same = context.judge.started(one, ranked)
         if same is not one:
             yield same
-
-
-_TO_THE_END = 2
-"""Restarts of the best of a few through impacts, beside the one that each of them has."""
 
 
 def _generalized(context: Context, current: Judged, fitted: Sequence[Judged]) -> Iterator[Judged]:

@@ -16,7 +16,7 @@ import itertools
 
 from orbisim.diagnosis.context import Context, Progress, begun
 from orbisim.diagnosis.discretization import earlier, settled
-from orbisim.diagnosis.explanations import EVEN, Found, done, quiet
+from orbisim.diagnosis.explanations import EVEN, TO_THE_END, Found, done, quiet
 from orbisim.diagnosis.moves import best_move
 from orbisim.diagnosis.reselection import reselected
 from orbisim.diagnosis.settings import Settings
@@ -150,8 +150,10 @@ def _made(found: Found, number: int, best: Judged) -> Found:
 
 def _fairly(context: Context, current: Judged, better: Judged) -> Judged | None:
     """What there is, fitted again from where the better explanation has windows start, if that is
-    then no longer surely worth more: a start that was not found is no reason for an effect."""
-    again = context.judge.judge(current.hypothesis, begin=context.judge.begin(better))
+    then no longer surely worth more: a start that was not found is no reason for an effect. Through
+    impacts it is restarted as often as the better one was."""
+    judge = context.judge
+    again = judge.judge(current.hypothesis, begin=judge.begin(better), restarts=TO_THE_END)
     if again is None or not again.loss < current.loss:
         return None
     return None if worth(context.bench, again, better).sure > 0 else again
