@@ -11,7 +11,6 @@ import mujoco
 from orbisim.effects import plain
 from orbisim.effects.base import EffectInstance, Hook
 from orbisim.effects.catalogue import find
-from orbisim.effects.flags import lift
 from orbisim.effects.residual_network import rest_hooks
 from orbisim.errors import InputError, OrbiSimError, SceneError
 from orbisim.files.writing import write_text
@@ -41,7 +40,7 @@ def edited(scene: Scene, instances: Iterable[EffectInstance]) -> mujoco.MjSpec:
     for instance in instances:
         effect = find(instance.effect)
         effect.check(scene.model, instance)
-        lift(spec, effect.needs)
+        effect.prepare(spec, instance)
         if effect.native:
             try:
                 effect.edit(spec, instance)
