@@ -22,8 +22,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 import numpy as np
 
 from orbisim.diagnosis.context import Context
-from orbisim.diagnosis.explanations import fitted_from
-from orbisim.diagnosis.worth import worth
+from orbisim.diagnosis.worth import gains, worth
 from orbisim.effects import find
 from orbisim.evidence import EFFECT
 from orbisim.motion.linear import IntervalMap, linearize
@@ -31,6 +30,7 @@ from orbisim.recording.command_clock import Lead
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.halving import difference, halving
+from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
 from orbisim.shooting.timestep import (
     Stepping,
@@ -104,21 +104,24 @@ def earlier(context: Context, judged: Judged) -> Other | None:
 def _led(context: Context, judged: Judged, lead: Lead, tried: Sequence[float]) -> Iterator[Other]:
     """With a lead by the share of an interval that predicts best, and the step that then does: the
     same explanation, and what it is without effects that change when things are seen or done."""
-    for one in (judged, *_untimed(context, judged)):
-        other = _begun(context, one, lead, tried)
+    for one, more in ((judged, ()), *_untimed(context.bench, judged)):
+        other = _begun(context, one, lead, (*tried, *more))
         if other is not None and other[0].bench.lead:
-            yield _followed(*other) or other
+            there, found = _followed(*other) or other
+            yield there, there.judge.closer(found)
 
 
-def _untimed(context: Context, judged: Judged) -> Iterator[Judged]:
-    """Without the effects that change when things are seen or done, if there are some."""
+def _untimed(bench: Bench, judged: Judged) -> Iterator[tuple[Judged, Sequence[float]]]:
+    """Without the effects that change when things are seen or done, if there are some, and the
+    share that their mean delay makes. All else is as it is: fitted without them, before commands
+    have moved, others would go where they do that."""
     every = judged.hypothesis.effects
-    kept = tuple(one for one in every if not find(one.effect).timing)
-    if len(kept) < len(every):
+    delays = [one.values["delay"] for one in every if find(one.effect).timing]
+    if delays:
+        kept = tuple(one for one in every if not find(one.effect).timing)
         fewer = dataclasses.replace(judged.hypothesis, effects=kept, frozen=frozenset())
-        again = fitted_from(context, fewer, judged)
-        if again is not None:
-            yield again
+        share = -float(np.mean(delays)) / typical_interval(bench)
+        yield dataclasses.replace(judged, hypothesis=fewer), [share] if abs(share) <= 1 else []
 
 
 def _followed(context: Context, judged: Judged) -> Other | None:
@@ -135,9 +138,10 @@ def _followed(context: Context, judged: Judged) -> Other | None:
 
 
 def _surest(context: Context, judged: Judged, tried: Iterable[Other | None]) -> Other | None:
-    known = [(worth(context.bench, judged, one[1]).sure, one) for one in tried if one]
-    best = max(known, key=lambda one: one[0], default=None)
-    return _taken(best[1]) if best is not None and best[0] + EFFECT > 0 else None
+    found = [one for one in tried if one]
+    known = gains(context.bench, judged, [one[1] for one in found])
+    best = max(range(len(found)), key=lambda i: known[i].sure, default=None)
+    return _taken(found[best]) if best is not None and known[best].sure + EFFECT > 0 else None
 
 
 def as_declared(context: Context, judged: Judged, declared: Stepping) -> Other | None:
@@ -194,13 +198,13 @@ def _finer(context: Context, judged: Judged) -> Other | None:
     The error of MuJoCo's other integrators falls as the step does (what they hold over a step, they
     hold for a time of its length): half the step changes as much as it leaves. Where most windows
     have impacts no step is finer: what a contact does depends on it by definition."""
-    if not _inexact(context.bench, judged.ratio):
+    if not _inexact(context.bench, judged.ratio, judged.hypothesis):
         return None
     step, best = taken(context.bench), 0.0
     gains, found, gain = _line(context, judged, stepped, (step,))
     while len(gains) <= _HALVINGS and gain(step / 2.0) > best:
         step, best = step / 2.0, gains[step / 2.0]
-        if not _inexact(found[step][0].bench, judged.ratio):
+        if not _inexact(found[step][0].bench, judged.ratio, judged.hypothesis):
             break
     return found.get(step)
 
@@ -228,9 +232,13 @@ def _held(context: Context, judged: Judged) -> Other | None:
     return found.get(max(gains, key=lambda step: gains[step]))
 
 
-def _inexact(bench: Bench, ratio: float) -> bool:
-    """Whether the error of the step matters beside so much, over the noise (at least the noise)."""
-    return not bench.rugged and not 2.0 * halving(bench) <= _MATTERS * max(ratio, 1.0)
+def _inexact(bench: Bench, ratio: float, hypothesis: Hypothesis | None = None) -> bool:
+    """Whether the error of the step matters beside so much, over the noise (at least the noise).
+
+    Args:
+      hypothesis: as of `halving`.
+    """
+    return not bench.rugged and not 2.0 * halving(bench, hypothesis) <= _MATTERS * max(ratio, 1.0)
 
 
 def _line(

@@ -178,7 +178,8 @@ class Effect(abc.ABC):
       measured_as: what an effect of the measurement changes of a signal; empty for the others.
       family: what effects share that look alike as long as they are not fitted to the end, at the
         same target; empty for none.
-      timing: whether it changes when something is seen or done, and nothing else.
+      timing: whether it changes when something is seen or done, and nothing else: by the parameter
+        `delay`, s.
     """
 
     name: ClassVar[str]

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.shooting.bench import Bench
+from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.shooter import Variant
 from orbisim.shooting.timestep import stepped, taken
 from orbisim.shooting.windows import evenly
@@ -13,21 +14,27 @@ from orbisim.shooting.windows import evenly
 Floats = npt.NDArray[np.float64]
 
 
-def halving(bench: Bench) -> float:
+def halving(bench: Bench, hypothesis: Hypothesis | None = None) -> float:
     """By how many times the noise free runs of the scene differ from those with half its timestep:
     see `difference`."""
-    return difference(bench, stepped(bench, taken(bench) / 2.0))
+    return difference(bench, stepped(bench, taken(bench) / 2.0), hypothesis)
 
 
-def difference(bench: Bench, other: Bench) -> float:
+def difference(bench: Bench, other: Bench, hypothesis: Hypothesis | None = None) -> float:
     """By how many times the noise free runs differ from those of another form of the same data:
-    root mean square over a typical window, without impacts if most windows have none."""
+    root mean square over a typical window, without impacts if most windows have none.
+
+    Args:
+      hypothesis: what acts beside the scene, as dry friction, which needs short steps where nothing
+        else does; none if None.
+    """
+    scene = (hypothesis or Hypothesis()).scene
     some = evenly(np.ones(len(bench.windows), bool) if bench.rugged else bench.smooth, _MOST)
 
     def run(one: Bench) -> Floats:
-        shooter = one.shooter(some)
-        still = np.zeros((len(shooter), 2 * shooter.nv))
-        return shooter.scaled(shooter.simulate(Variant(one.scene), still))
+        shooter, there = one.shooter(some), scene(one.scene)
+        still = np.zeros((len(shooter), 2 * there.model.nv))
+        return shooter.scaled(shooter.simulate(Variant(there), still))
 
     return float(np.median(np.sqrt(np.mean((run(other) - run(bench)) ** 2, axis=1))))
 

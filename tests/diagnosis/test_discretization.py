@@ -12,6 +12,7 @@ import pytest
 import orbisim
 from orbisim.diagnosis.context import Context, begun
 from orbisim.diagnosis.discretization import (
+    _untimed,
     as_declared,
     asked,
     earlier,
@@ -260,6 +261,19 @@ def test_early_commands_take_the_place_of_a_late_sensor_that_reaches_the_noise()
     found = simplified(dataclasses.replace(found, screening=context.screen(named)), 2)
     assert not found.best.hypothesis.effects and found.context.bench.lead
     assert found.context.bench.lead.share == pytest.approx(0.7, abs=0.05)
+
+
+def test_delays_say_how_late_commands_would_be_in_their_place() -> None:
+    scene = _scene(0.001)
+    bench = asked(make_bench(scene, prepare_all([_commanded(0, 0.01)], scene), 0.5))
+    _, declared = _judged(bench)
+    damping = EffectInstance("viscous_damping", "hinge", {"coefficient": 0.001})
+    seen = EffectInstance("sensor_delay", "hinge", {"delay": 0.004})
+    done_late = EffectInstance("actuator_delay", "servo", {"delay": 0.002})
+    named = dataclasses.replace(declared, hypothesis=Hypothesis((seen, damping, done_late)))
+    ((fewer, shares),) = _untimed(bench, named)
+    assert fewer.hypothesis.effects == (damping,) and shares == pytest.approx([-0.3])
+    assert not list(_untimed(bench, declared))
 
 
 @pytest.mark.parametrize("true", [0.00025, 0.0005, 0.001])

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 
+import mujoco
 import numpy as np
 import pytest
 
 import orbisim
+from orbisim.effects import EffectInstance
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.halving import halving
+from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.timestep import Stepping, with_stepping
 from orbisim.testing import inject_effect
+
+RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 
 PENDULUM = """<mujoco><option timestep="{step}"/><worldbody>
 <body><joint name="hinge" axis="0 1 0"/>
@@ -29,6 +35,15 @@ def test_half_the_step_changes_half_as_much() -> None:
     coarse, fine = halving(_bench(0.002)), halving(_bench(0.001))
     assert coarse > 1.0
     assert fine == pytest.approx(coarse / 2, rel=0.02)
+
+
+def test_dry_friction_needs_shorter_steps_than_the_scene() -> None:
+    """Over a long one, a joint that comes to rest is not stopped where it stops."""
+    bench = _bench(0.002)
+    exact = dataclasses.replace(bench, scene=with_stepping(bench.scene, Stepping(0.002, RK4)))
+    friction = EffectInstance("coulomb_friction", "hinge", {"torque": 0.05})
+    alone, beside = halving(exact), halving(exact, Hypothesis((friction,)))
+    assert alone < 0.1 and beside > 1.0
 
 
 def test_windows_with_impacts_count_only_where_most_have_some() -> None:
