@@ -18,7 +18,8 @@ hold the truth (covered_wider: of their 99 % intervals, by which the backend war
 episodes: ghosts (a cube that MuJoCo leaves alone moves more than 5 mm), left (a cube leaves the
 table that does not in MuJoCo), failed (a cube off by 5 cm or 20 degrees, or a joint by 0.05 rad, at
 some step), silent (failed, and at the first such step there was no warning of its world, no
-divergence, and no 90 % interval that reached that far).
+divergence, and no 90 % interval that reached that far: what the backend itself warns by is the
+fourth limit of `warned`).
 
 With `--mujoco`, the same of C MuJoCo from starts in which cubes are off by a normal error of so
 many mm along each axis of the table, and so many degrees about the vertical (0: by what single
