@@ -129,8 +129,8 @@ def _clock(run: Run, chain: Chain, rng: np.random.Generator) -> tuple[Floats, Fl
     if "host_stamps" in chain.artefacts:
         # a bus and a scheduler: 2 ms on average, with a tail; never out of order
         arrive = nominal + rng.gamma(2.0, 0.001, len(nominal))
-        arrive = np.maximum.accumulate(arrive) + 1e-6 * np.arange(len(arrive))
-        return nominal, arrive
+        least = 1e-6 * np.arange(len(arrive))  # apart, where they would be out of order
+        return nominal, np.maximum.accumulate(arrive - least) + least
     return nominal, nominal
 
 
