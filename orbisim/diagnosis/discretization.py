@@ -93,8 +93,8 @@ def earlier(context: Context, judged: Judged) -> Other | None:
     """The same explanation with controls that lead (or follow) their samples by the share of an
     interval that predicts best, and the step that then does, if that is surely better; None if not.
     As long as an effect is missing, a share may stand in for a part of it. It may also stand in the
-    place of effects that change when things are seen or done: if all sensors are early alike, the
-    commands are late.
+    place of effects that change when things are seen or done: if all sensors are early alike,
+    commands act before they are logged, if they are late alike, after that.
     """
     if context.bench.lead is None or context.bench.lead:
         return None

@@ -52,7 +52,7 @@ def _as_declared(found: Found, number: int) -> Found:
 
 def _timed(found: Found, number: int) -> Found:
     """With controls that lead or follow their samples in the place of effects that change when
-    things are seen or done: all sensors late alike are commands that act before they are logged."""
+    things are seen or done: all sensors late alike are commands that act after they are logged."""
     if not any(find(one.effect).timing for one in found.best.hypothesis.effects):
         return found
     found.context.say("other times of commands")
