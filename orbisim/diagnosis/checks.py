@@ -50,12 +50,16 @@ def restepped(declared: Scene, taken: Scene) -> str | None:
     if before == after:
         return None
     ways = [
-        f"timestep of {one.timestep:.3g} s ({_NAMES[one.integrator]})" for one in (before, after)
+        f"timestep of {one.timestep:.3g} s ({_NAMES[one.integrator]}{_DRY if one.dry else ''})"
+        for one in (before, after)
     ]
     return (
         f"free runs with a {ways[1]} predict better than with the declared {ways[0]}: the "
         "augmented scene has it, and what is named is missing beside that"
     )
+
+
+_DRY = ", friction that stops joints within two steps: solreffriction"
 
 
 _NAMES = {

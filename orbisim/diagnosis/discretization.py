@@ -19,6 +19,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
+import mujoco
 import numpy as np
 
 from orbisim.diagnosis.context import Context
@@ -130,7 +131,8 @@ def _followed(context: Context, judged: Judged) -> Other | None:
     """
     found = None
     while True:
-        tried = (_finer(context, judged), _held(context, judged), _retimed(context, judged))
+        forms = (_finer, _held, _drier, _retimed)
+        tried = [form(context, judged) for form in forms]
         better = _surest(context, judged, tried)
         if better is None:
             return found
@@ -162,8 +164,12 @@ def as_declared(context: Context, judged: Judged, declared: Stepping) -> Other |
         step = declared.timestep if np.isclose(step, most) else step
         return stepped(bench, step, declared.integrator)
 
+    def softer(bench: Bench) -> Bench | None:
+        known = stepping(bench.scene)
+        return stepped(bench, known.timestep, dry=False) if known.dry > declared.dry else None
+
     found = None
-    for change in (_logged, coarser):
+    for change in (_logged, softer, coarser):
         while (one := _again(context, judged, change)) is not None:
             if not worth(context.bench, judged, one[1]).total - EFFECT > 0:
                 break
@@ -230,6 +236,21 @@ def _held(context: Context, judged: Judged) -> Other | None:
         if not any(np.isclose(between, one) for one in gains):
             gain(between)
     return found.get(max(gains, key=lambda step: gains[step]))
+
+
+def _drier(context: Context, judged: Judged) -> Other | None:
+    """The same explanation with friction that stops a joint within two timesteps, where there is
+    friction and MuJoCo's default of its `solreffriction`. A simulated machine may have that; what
+    it does at rest would be named, or hide what tells one friction from another."""
+    known = stepping(context.bench.scene)
+    effects = (find(one.effect) for one in judged.hypothesis.effects)
+    rubs = any(mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS in one.needs for one in effects)
+    if known.dry or not (rubs or context.bench.scene.model.dof_frictionloss.any()):
+        return None
+    other = stepped(context.bench, known.timestep, dry=True)
+    if not stepping(other.scene).dry:
+        return None
+    return _again(context, judged, lambda _: other)
 
 
 def _inexact(bench: Bench, ratio: float, hypothesis: Hypothesis | None = None) -> bool:

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.effects.flags import impossible, lift
+from orbisim.effects.flags import impossible
 from orbisim.effects.screening import Candidate, MotionRegressors
 from orbisim.errors import InputError, UnknownNameError
 from orbisim.scene.descriptor import name_of
@@ -221,10 +221,6 @@ class Effect(abc.ABC):
     def possible(self, model: mujoco.MjModel, target: str) -> bool:
         """Whether this target can have the effect."""
         return True
-
-    def prepare(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
-        """Writes into the document what the effect needs beside it, native or not."""
-        lift(spec, self.needs)
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         """Writes a native effect into the document."""

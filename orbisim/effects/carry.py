@@ -11,6 +11,7 @@ import mujoco
 from orbisim.effects import plain
 from orbisim.effects.base import EffectInstance, Hook
 from orbisim.effects.catalogue import find
+from orbisim.effects.flags import lift
 from orbisim.effects.residual_network import rest_hooks
 from orbisim.errors import InputError, OrbiSimError, SceneError
 from orbisim.files.writing import write_text
@@ -40,7 +41,7 @@ def edited(scene: Scene, instances: Iterable[EffectInstance]) -> mujoco.MjSpec:
     for instance in instances:
         effect = find(instance.effect)
         effect.check(scene.model, instance)
-        effect.prepare(spec, instance)
+        lift(spec, effect.needs)
         if effect.native:
             try:
                 effect.edit(spec, instance)

@@ -61,32 +61,15 @@ class JointEffect(Effect):
         return Candidate(self.name, target, columns, solve, **more)
 
 
-class DryFriction(JointEffect):
-    """Dry friction: MuJoCo's `frictionloss`, at a level that subclasses give.
-
-    MuJoCo's friction is a soft constraint. With its default `solreffriction` of 20 ms a joint that
-    comes to rest is slowed down over some 10 ms, at less than the friction's level, and a light one
-    then stops a millirad further than dry friction lets it. So the joint has the shortest time that
-    MuJoCo takes, of two timesteps, unless the scene says another one than the default.
-    """
-
-    family = "friction"
-    needs = (mujoco.mjtDisableBit.mjDSBL_CONSTRAINT, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
-
-    def prepare(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
-        super().prepare(spec, instance)
-        joint = spec_element(spec, "joint", instance.target)
-        if tuple(joint.solref_friction) == _SOLREF:
-            joint.solref_friction[0] = min(_SOLREF[0], 2.0 * spec.option.timestep)
-
-
-class CoulombFriction(DryFriction):
+class CoulombFriction(JointEffect):
     """Dry friction of constant size against the motion: MJCF `frictionloss`, added to."""
 
     name = "coulomb_friction"
     phrase = "Coulomb friction"
     common = True
     declared_as = "frictionloss"
+    family = "friction"
+    needs = (mujoco.mjtDisableBit.mjDSBL_CONSTRAINT, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         unit = joint_unit(model, target, "N*m", "N")
@@ -366,7 +349,7 @@ class HardStop(JointEffect):
 
 _SOLREF_NAMES = ("timeconst", "dampratio")
 _SOLREF = (0.02, 1.0)
-"""MuJoCo's default of `solreflimit` and `solreffriction`: time constant, s, and damping ratio."""
+"""MuJoCo's default of `solreflimit`: time constant, s, and damping ratio."""
 
 
 def _solref(model: mujoco.MjModel, target: str) -> dict[str, float]:
@@ -474,7 +457,7 @@ class JointFlexibility(JointEffect):
         ]
 
 
-class StribeckFriction(DryFriction):
+class StribeckFriction(JointEffect):
     """Friction that falls from a static to the Coulomb level as the joint starts to move.
 
     Level (Fc + (Fs - Fc) exp(-(v/vs)^2)), set as `frictionloss` at every timestep: the joint
@@ -486,7 +469,9 @@ class StribeckFriction(DryFriction):
     refines = "coulomb_friction"
     shared = ("coulomb",)
     phrase = "Stribeck friction"
+    family = "friction"
     native = False
+    needs = (mujoco.mjtDisableBit.mjDSBL_CONSTRAINT, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         unit = joint_unit(model, target, "N*m", "N")
@@ -555,7 +540,7 @@ _STICKS = 1.3
 """Static over Coulomb friction where a search begins."""
 
 
-class LoadDependentFriction(DryFriction):
+class LoadDependentFriction(JointEffect):
     """Friction proportional to the load that the transmission carries.
 
     The load is the size of the actuators' generalized force at the joint (`load`: actuator), or
@@ -566,7 +551,9 @@ class LoadDependentFriction(DryFriction):
     rarity = -2.0
     refines = "coulomb_friction"
     phrase = "load-dependent friction"
+    family = "friction"
     native = False
+    needs = (mujoco.mjtDisableBit.mjDSBL_CONSTRAINT, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
 
     def parameters(self, model: mujoco.MjModel, target: str) -> tuple[Parameter, ...]:
         half = 0.5  # a transmission that loses more could not be driven backwards

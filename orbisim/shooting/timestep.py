@@ -14,15 +14,36 @@ from orbisim.shooting.bench import Bench
 
 
 class Stepping(NamedTuple):
-    """How a scene is stepped: timestep in s, integrator as of `mujoco.mjtIntegrator`."""
+    """How a scene is stepped.
+
+    Attributes:
+      timestep: s. integrator: of `mujoco.mjtIntegrator`.
+      dry: whether friction loss stops a joint within two timesteps, the shortest `solreffriction`
+        that MuJoCo takes, where its document leaves the default of 20 ms. With that, a joint that
+        comes to rest creeps on for F / (2 m b^2), b = 105/s, beyond where friction F stops it.
+    """
 
     timestep: float
     integrator: int
+    dry: bool = False
 
 
 def stepping(scene: Scene) -> Stepping:
     """How a scene is stepped."""
-    return Stepping(float(scene.model.opt.timestep), int(scene.model.opt.integrator))
+    option, known = scene.model.opt, scene.model.dof_solref
+    dry = _short(option.timestep) < _SOFT[0] and bool(
+        np.any((known[:, 0] == _short(option.timestep)) & (known[:, 1] == _SOFT[1]))
+    )
+    return Stepping(float(option.timestep), int(option.integrator), dry)
+
+
+def _short(timestep: float) -> float:
+    """Time constant of the driest friction, s."""
+    return float(min(_SOFT[0], 2.0 * timestep))
+
+
+_SOFT = (0.02, 1.0)
+"""MuJoCo's default of `solreffriction`: time constant, s, and damping ratio."""
 
 
 def typical_interval(bench: Bench) -> float:
@@ -40,16 +61,25 @@ def taken(bench: Bench, timestep: float | None = None) -> float:
 
 def with_stepping(scene: Scene, other: Stepping) -> Scene:
     """The scene, stepped in another way."""
-    spec = scene.spec
-    spec.option.timestep, spec.option.integrator = other
+    spec, ends = scene.spec, (_SOFT[0], _short(scene.model.opt.timestep))
+    spec.option.timestep, spec.option.integrator = other.timestep, other.integrator
+    for joint in spec.joints:
+        if joint.solref_friction[0] in ends and joint.solref_friction[1] == _SOFT[1]:
+            joint.solref_friction[0] = _short(other.timestep) if other.dry else _SOFT[0]
     return Scene.from_spec(spec, source=scene.source, unsupported=scene.unsupported)
 
 
-def stepped(bench: Bench, timestep: float, integrator: int | None = None) -> Bench:
-    """With another timestep, and integrator if one is given, and controls that are looked for
-    between samples where they do the same."""
+def stepped(
+    bench: Bench, timestep: float, integrator: int | None = None, dry: bool | None = None
+) -> Bench:
+    """With another timestep, and integrator and friction (`Stepping`) if these are given, and
+    controls that are looked for between samples where they do the same."""
     known = stepping(bench.scene)
-    changed = Stepping(timestep, known.integrator if integrator is None else integrator)
+    changed = Stepping(
+        timestep,
+        known.integrator if integrator is None else integrator,
+        known.dry if dry is None else dry,
+    )
     other = dataclasses.replace(bench, scene=with_stepping(bench.scene, changed))
     if not bench.lead:
         return other

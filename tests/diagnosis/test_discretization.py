@@ -276,6 +276,22 @@ def test_delays_say_how_late_commands_would_be_in_their_place() -> None:
     assert not list(_untimed(bench, declared))
 
 
+@pytest.mark.parametrize("dry", [True, False])
+def test_friction_is_as_dry_as_the_machines(dry: bool) -> None:
+    """What a default of MuJoCo's does to a joint at rest is neither named nor put in its place."""
+    made = _scene(0.001)
+    true = timestep.with_stepping(made, timestep.stepping(made)._replace(dry=dry))
+    friction = EffectInstance("coulomb_friction", "hinge", {"torque": 0.3})
+    runs = inject_effect(true, [friction], duration=3.0, episodes=3, noise=1e-5, seed=5)
+    context, declared = _judged(make_bench(made, prepare_all(runs, made), 0.5))
+    named = context.judge.judge(Hypothesis((friction,)), begin=context.judge.begin(declared))
+    assert named is not None
+    found = settled(context, named)
+    assert (found is not None and timestep.stepping(found[0].bench.scene).dry) == dry
+    if found is not None:
+        assert found[1].ratio < 0.7 * named.ratio
+
+
 @pytest.mark.parametrize("true", [0.00025, 0.0005, 0.001])
 def test_steps_that_are_more_exact_are_found(true: float) -> None:
     """What is left of a simulated machine's own step would be named as a damping or a clock."""

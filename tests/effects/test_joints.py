@@ -192,33 +192,6 @@ HINGE = load_scene(
 LEVEL = st.floats(0, 100)
 
 
-CART = """<mujoco><option timestep="0.0002" gravity="0 0 0" integrator="implicitfast"/><worldbody>
-<body><joint name="slide" type="slide" axis="1 0 0"{more}/><geom size=".05" mass="1"/></body>
-</worldbody></mujoco>"""
-DRY = EffectInstance("coulomb_friction", "slide", {"torque": 2.0})
-
-
-@pytest.mark.parametrize(
-    "effect",
-    [DRY, EffectInstance("stribeck_friction", "slide", {"coulomb": 2, "static": 2, "velocity": 1})],
-    ids=lambda one: one.effect,
-)
-def test_dry_friction_stops_what_it_stops(effect: EffectInstance) -> None:
-    """After v^2 / 2 a; with MuJoCo's default it would creep on for 0.09 mm."""
-    engine = make_backend("mujoco", add_effects(load_scene(CART.format(more="")), [effect]))
-    state = engine.reset()
-    state.qvel[:, 0] = 0.2
-    way = float(engine.rollout(state, np.zeros((1500, 0))).qpos[0, -1, 0])
-    assert way == pytest.approx(0.2**2 / (2 * 2.0), abs=0.2 * 0.0002)  # a step's way
-
-
-def test_a_friction_that_is_declared_softer_stays_so() -> None:
-    scene = load_scene(CART.format(more=' solreffriction="0.05 1"'))
-    assert add_effects(scene, [DRY]).model.dof_solref[0, 0] == 0.05
-    plain = add_effects(load_scene(CART.format(more="")), [DRY]).model
-    assert plain.dof_solref[0, 0] == pytest.approx(0.0004)
-
-
 @given(coulomb=LEVEL, static=LEVEL, velocity=st.floats(1e-3, 10))
 def test_static_friction_there_and_back(coulomb: float, static: float, velocity: float) -> None:
     effect = find("stribeck_friction")

@@ -66,4 +66,42 @@ def test_exact_steps_are_those_that_there_are(arm: orbisim.Scene) -> None:
     assert held(bench, 0.001) is None
     own = held(other, 0.001)
     assert own is not None
-    assert stepping(own.scene) == (0.001, int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
+    assert stepping(own.scene) == Stepping(0.001, int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
+
+
+CART = """<mujoco><option timestep="0.0002" gravity="0 0 0" integrator="implicitfast"/><worldbody>
+<body><joint name="slide" type="slide" axis="1 0 0" frictionloss="2"{more}/>
+<geom size=".05" mass="1"/></body></worldbody></mujoco>"""
+FAST = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+
+
+def test_friction_stops_what_it_stops_where_it_is_dry() -> None:
+    """After v^2 / 2 a; with MuJoCo's default it creeps on for F / (2 m b^2), b = 2 / (0.95 tau)."""
+    scene = orbisim.load_scene(CART.format(more=""))
+    ways = []
+    for dry in (False, True):
+        other = with_stepping(scene, Stepping(0.0002, FAST, dry))
+        assert stepping(other) == Stepping(0.0002, FAST, dry)
+        engine = orbisim.make_backend("mujoco", other)
+        state = engine.reset()
+        state.qvel[:, 0] = 0.2
+        way = float(engine.rollout(state, np.zeros((1500, 0))).qpos[0, -1, 0])
+        ways.append(way - 0.2**2 / (2 * 2.0))
+    step = 0.2 * 0.0002  # a step's way
+    assert abs(ways[1]) < step
+    assert ways[0] == pytest.approx(2.0 / (2 * (2 / (0.95 * 0.02)) ** 2), abs=step)
+
+
+def test_dry_friction_is_as_short_as_another_step_is_and_soft_again() -> None:
+    scene = orbisim.load_scene(CART.format(more=""))
+    dry = with_stepping(scene, Stepping(0.001, FAST, dry=True))
+    finer = with_stepping(dry, Stepping(0.0005, FAST, dry=True))
+    assert dry.model.dof_solref[0, 0] == pytest.approx(0.002)
+    assert finer.model.dof_solref[0, 0] == pytest.approx(0.001)
+    soft = with_stepping(finer, stepping(scene))
+    assert soft.model.dof_solref[0, 0] == 0.02 and stepping(soft) == stepping(scene)
+
+
+def test_a_friction_that_is_declared_otherwise_stays_so() -> None:
+    scene = orbisim.load_scene(CART.format(more=' solreffriction="0.05 1"'))
+    assert with_stepping(scene, Stepping(0.001, FAST, dry=True)).model.dof_solref[0, 0] == 0.05
