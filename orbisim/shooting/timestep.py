@@ -27,6 +27,19 @@ class Stepping(NamedTuple):
     integrator: int
     dry: bool = False
 
+    def __str__(self) -> str:
+        dry = ", friction that stops joints within two steps: solreffriction" if self.dry else ""
+        return f"timestep of {self.timestep:.3g} s ({_NAMES[self.integrator]}{dry})"
+
+
+_NAMES = {
+    int(mujoco.mjtIntegrator.mjINT_EULER): "Euler",
+    int(mujoco.mjtIntegrator.mjINT_RK4): "RK4",
+    int(mujoco.mjtIntegrator.mjINT_IMPLICIT): "implicit",
+    int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST): "implicitfast",
+}
+"""As MJCF has them."""
+
 
 def stepping(scene: Scene) -> Stepping:
     """How a scene is stepped."""
