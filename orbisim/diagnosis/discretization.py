@@ -106,7 +106,8 @@ def _led(context: Context, judged: Judged, lead: Lead, tried: Sequence[float]) -
     """With a lead by the share of an interval that predicts best, and the step that then does: the
     same explanation, and what it is without effects that change when things are seen or done."""
     for one, more in ((judged, ()), *_untimed(context.bench, judged)):
-        other = _begun(context, one, lead, (*tried, *more))
+        near = (share for share in more if abs(share) <= _most(lead))
+        other = _begun(context, one, lead, (*tried, *near))
         if other is not None and other[0].bench.lead:
             there, found = _followed(*other) or other
             yield there, there.judge.closer(found)
@@ -122,7 +123,7 @@ def _untimed(bench: Bench, judged: Judged) -> Iterator[tuple[Judged, Sequence[fl
         kept = tuple(one for one in every if not find(one.effect).timing)
         fewer = dataclasses.replace(judged.hypothesis, effects=kept, frozen=frozenset())
         share = -float(np.mean(delays)) / typical_interval(bench)
-        yield dataclasses.replace(judged, hypothesis=fewer), [share] if abs(share) <= 1 else []
+        yield dataclasses.replace(judged, hypothesis=fewer), [share]
 
 
 def _followed(context: Context, judged: Judged) -> Other | None:
@@ -131,8 +132,7 @@ def _followed(context: Context, judged: Judged) -> Other | None:
     """
     found = None
     while True:
-        forms = (_finer, _held, _drier, _retimed)
-        tried = [form(context, judged) for form in forms]
+        tried = [form(context, judged) for form in (_finer, _held, _drier, _retimed)]
         better = _surest(context, judged, tried)
         if better is None:
             return found
@@ -347,7 +347,7 @@ def _led_best(
     Args:
       known: shares that are what there is.
     """
-    bounds = (-0.5, 0.5) if lead.clock else (-1.0, 1.0)
+    most = _most(lead)
 
     def change(bench: Bench, share: float) -> Bench:
         return bench.led(dataclasses.replace(lead, share=share))
@@ -356,11 +356,16 @@ def _led_best(
     for share in tried:
         gain(share)
     for _ in range(_REFINED):
-        place = peak(_squares(gains), *bounds)
+        place = peak(_squares(gains), -most, most)
         if place is None or min(abs(place - one) for one in gains) < _CLOSE:
             break
         gain(place)
     return found.get(max(gains, key=lambda share: gains[share]))
+
+
+def _most(lead: Lead) -> float:
+    """Share of an interval by which controls may be off; a clock is off by half of one at most."""
+    return 0.5 if lead.clock else 1.0
 
 
 def _logged(bench: Bench) -> Bench | None:

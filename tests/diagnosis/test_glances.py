@@ -1,13 +1,18 @@
 """Where fits of more general effects begin."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
 
 import orbisim
 from orbisim.diagnosis import Settings
+from orbisim.diagnosis import glances as module
 from orbisim.diagnosis.context import begun
 from orbisim.diagnosis.glances import _scaled, shortlist
+from orbisim.diagnosis.suspects import Suspect
 from orbisim.effects import EffectInstance, add_effects, find
 from orbisim.motion.samples import prepare_all
 from orbisim.recording import Recording
@@ -128,3 +133,23 @@ def test_friction_is_suspected_on_its_side_of_the_declared(
         if one.instance.effect == "sliding_friction"
     ]
     assert levels and all(low < level < high for level in levels)
+
+
+def test_every_effect_is_looked_at_in_another_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also one whose first size leaves more than three forms of another do."""
+    monkeypatch.setattr(module, "_FIRST", 3)
+    again: list[str] = []
+
+    def resized(context: Any, current: Any, glance: Any) -> Any:
+        again.append(glance.one.instance.effect)
+        return glance
+
+    monkeypatch.setattr(module, "_again", resized)
+    forms = [EffectInstance("adhesion", "puck", {"force": 0.1 * k}) for k in (1, 2, 3)]
+    forms.append(EffectInstance("sliding_friction", "puck", {"coefficient": 0.9}))
+    left = iter(range(len(forms)))
+    judge = SimpleNamespace(begin=lambda _: None, sized_glance=lambda *_: (next(left), 1.0))
+    context: Any = SimpleNamespace(judge=judge, deadline=SimpleNamespace(left=100.0))
+    current: Any = SimpleNamespace(hypothesis=Hypothesis())
+    module._resized(context, current, [Suspect(one) for one in forms])
+    assert set(again) == {"adhesion", "sliding_friction"}

@@ -16,7 +16,7 @@ from orbisim.diagnosis import search as searching
 from orbisim.diagnosis import worth as worths
 from orbisim.diagnosis.conclusion import _as_found, _best_first, _finally, attribute, concluded
 from orbisim.diagnosis.context import begun
-from orbisim.diagnosis.explanations import Found, Tried, best_few
+from orbisim.diagnosis.explanations import TO_THE_END, Found, Tried, best_few
 from orbisim.diagnosis.moves import _generalized
 from orbisim.diagnosis.proposals import events, exchanges
 from orbisim.diagnosis.search import search
@@ -148,6 +148,21 @@ def test_friction_at_one_joint_makes_it_likelier_at_the_next(arm: orbisim.Scene)
     load = {"mass": 0.1, "com_x": 0.0, "com_y": 0.0, "com_z": 0.0}
     one = prior(bench, Hypothesis((EffectInstance("payload", "upper_arm", load),)))
     assert more("payload", ("forearm", "upper_arm"), load) == pytest.approx(one)
+
+
+def test_what_there_is_is_restarted_as_often_as_what_takes_its_place() -> None:
+    """Else an effect wins through impacts by starts that were not found without it."""
+    asked: dict[str, Any] = {}
+
+    def judge(hypothesis: Hypothesis, **more: Any) -> None:
+        asked.update(more)
+
+    begins: Any = SimpleNamespace(judge=judge, begin=lambda one: one)
+    current: Any = SimpleNamespace(hypothesis=Hypothesis())
+    better: Any = object()
+    context: Any = SimpleNamespace(judge=begins)
+    assert searching._fairly(context, current, better) is None
+    assert asked == {"begin": better, "restarts": TO_THE_END}
 
 
 def test_what_looks_the_same_is_proposed_in_its_place(arm: orbisim.Scene) -> None:
