@@ -17,6 +17,7 @@ undone where the scene or the log as it was is worth no less.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import mujoco
@@ -207,12 +208,12 @@ def _finer(context: Context, judged: Judged) -> Other | None:
     if not _inexact(context.bench, judged.ratio, judged.hypothesis):
         return None
     step, best = taken(context.bench), 0.0
-    gains, found, gain = _line(context, judged, stepped, (step,))
+    gains, at, gain = _line(context, judged, stepped, (step,))
     while len(gains) <= _HALVINGS and gain(step / 2.0) > best:
         step, best = step / 2.0, gains[step / 2.0]
-        if not _inexact(found[step][0].bench, judged.ratio, judged.hypothesis):
+        if not _inexact(stepped(context.bench, step), judged.ratio, judged.hypothesis):
             break
-    return found.get(step)
+    return at(step)
 
 
 def _held(context: Context, judged: Judged) -> Other | None:
@@ -227,7 +228,7 @@ def _held(context: Context, judged: Judged) -> Other | None:
         return None
     if not difference(context.bench, other) > _MATTERS * max(judged.ratio, 1.0):
         return None
-    gains, found, gain = _line(context, judged, held, (0.0,))
+    gains, at, gain = _line(context, judged, held, (0.0,))
     gain(long / 2.0)
     gain(long)
     place = peak(_squares(gains), 0.0, 2.0 * long)
@@ -235,7 +236,7 @@ def _held(context: Context, judged: Judged) -> Other | None:
         between = interval / round(interval / place)
         if not any(np.isclose(between, one) for one in gains):
             gain(between)
-    return found.get(max(gains, key=lambda step: gains[step]))
+    return at(max(gains, key=lambda step: gains[step]))
 
 
 def _drier(context: Context, judged: Judged) -> Other | None:
@@ -267,22 +268,32 @@ def _line(
     judged: Judged,
     change: Callable[[Bench, float], Bench | None],
     known: Sequence[float],
-) -> tuple[dict[float, float], dict[float, Other], Callable[[float], float]]:
-    """Gains by places along a line of forms, the forms there, and what adds a place to both.
+) -> tuple[dict[float, float], Callable[[float], Other | None], Callable[[float], float]]:
+    """Gains by places along a line of forms, what fits the form at a place, and what adds a place
+    to the gains: as they are foreseen, as a fit takes ten times as long.
 
     Args:
-      known: places where there is no gain.
+      known: places where there is no gain, and no other form.
     """
-    gains, found = dict.fromkeys(known, 0.0), dict[float, Other]()
+    gains = dict.fromkeys(known, 0.0)
+
+    @functools.cache
+    def at(place: float) -> Other | None:
+        if place in known:
+            return None
+        return _again(context, judged, lambda bench: change(bench, place))
 
     def gain(place: float) -> float:
-        one = _again(context, judged, lambda bench: change(bench, place))
-        gains[place] = -np.inf if one is None else judged.loss - one[1].loss
-        if one is not None:
-            found[place] = one
+        bench, loss = change(context.bench, place), None
+        if bench is not None:
+            loss = context.trying(bench).judge.foreseen(judged, context.judge)
+        if loss is None:
+            fitted = at(place)
+            loss = np.inf if fitted is None else fitted[1].loss
+        gains[place] = judged.loss - loss
         return gains[place]
 
-    return gains, found, gain
+    return gains, at, gain
 
 
 def _squares(gains: dict[float, float]) -> dict[float, float]:
@@ -352,7 +363,7 @@ def _led_best(
     def change(bench: Bench, share: float) -> Bench:
         return bench.led(dataclasses.replace(lead, share=share))
 
-    gains, found, gain = _line(context, judged, change, known)
+    gains, at, gain = _line(context, judged, change, known)
     for share in tried:
         gain(share)
     for _ in range(_REFINED):
@@ -360,7 +371,7 @@ def _led_best(
         if place is None or min(abs(place - one) for one in gains) < _CLOSE:
             break
         gain(place)
-    return found.get(max(gains, key=lambda share: gains[share]))
+    return at(max(gains, key=lambda share: gains[share]))
 
 
 def _most(lead: Lead) -> float:

@@ -123,3 +123,7 @@ class Hints:
     quick: bool = False
     near: bool = False
     lenient: float = 0.0
+
+
+NOTHING = Hints()
+"""No derivative is known."""

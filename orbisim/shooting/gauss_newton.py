@@ -103,7 +103,7 @@ class Problem:
         here = self.trial(values, xi)
         for other in [] if self.hints.near else self._others(values, xi, start is not None):
             here = self._better(here, self.trial(values, other))
-        self.scale = self.hints.lenient * max(1.0, float(np.median(self._mean(here.cost))))
+        self.scale = self.half(here.cost)
         damping, brakes = 1e-4, np.full(len(shooter), 1e-9)
         free, at = self.hints.free, here
         self.led = shooter.leads(self.build(values))
@@ -177,8 +177,9 @@ class Problem:
         Args:
           known: whether `xi` was given.
         """
-        others = [np.zeros_like(xi)] if known and xi.any() else []
+        others: list[Floats] = []
         if self.hints.rough or self.hints.exact:
+            others += [np.zeros_like(xi)] if known and xi.any() else []
             others.append(self._measured(xi))
             others += self._read(values, [xi, *others])
         return [*others, *self._ends(values, xi)]
@@ -299,6 +300,10 @@ class Problem:
             return np.ones(len(cost))
         return np.asarray(1.0 / (1.0 + self._mean(cost) / self.scale))
 
+    def half(self, cost: Floats) -> float:
+        """Mean square at which a window counts half for the unknowns; 0 if all count alike."""
+        return self.hints.lenient * max(1.0, float(np.median(self._mean(cost))))
+
     def _mean(self, cost: Floats) -> Floats:
         """[W]: cost of each datum."""
         return np.asarray(cost / np.maximum(self.shooter.data, 1))
@@ -372,7 +377,7 @@ class Problem:
         inner = np.einsum("wdf,wdp->wfp", basis, weighted)
         return left, weighted - np.einsum("wdf,wfp->wdp", basis, inner)
 
-    def _shares(self, here: Trial, slopes: Floats, free: Floats) -> tuple[Floats, Floats]:
+    def shares(self, here: Trial, slopes: Floats, free: Floats) -> tuple[Floats, Floats]:
         """As `projected`, windows weighed by how far they are trusted."""
         root = np.sqrt(self.trust(here.cost))[:, None]
         left, weighted = self.projected(here.residual, slopes, free)
@@ -409,7 +414,7 @@ class Problem:
         self, here: Trial, slopes: Floats, free: Floats, damping: float, brakes: Floats
     ) -> tuple[Floats, Floats]:
         residual = here.residual
-        left, weighted = self._shares(here, slopes, free)
+        left, weighted = self.shares(here, slopes, free)
         step = self.parameter_step(here.values, left, weighted, damping)
         root = np.sqrt(self.weights(residual))
         wanted = (residual - slopes @ step) * root
@@ -421,7 +426,7 @@ class Problem:
             slopes = np.zeros((*residual.shape, len(values)))
         elif slopes is None:
             slopes = self.slopes(here)
-        left, weighted = self._shares(here, slopes, free)
+        left, weighted = self.shares(here, slopes, free)
         information = np.einsum("wdp,wdq->wpq", weighted, weighted)
         score = np.einsum("wdp,wd->wp", weighted, left)
         # a window whose slopes overflow (see `parameter_step`) says nothing

@@ -19,7 +19,7 @@ from orbisim.shooting.chance import Chance
 from orbisim.shooting.fits import WEAK, Fit, Hints, Unknown
 from orbisim.shooting.gauss_newton import gauss_newton, start_derivatives
 from orbisim.shooting.hypothesis import Hypothesis
-from orbisim.shooting.one_run import Own, glanced, own_slopes
+from orbisim.shooting.one_run import Own, glanced, moved_along, own_slopes
 from orbisim.shooting.retune import Tunable
 from orbisim.shooting.shooter import Shooter, Variant
 from orbisim.shooting.windows import Windows, evenly
@@ -141,6 +141,7 @@ class Judge:
             response = self.fitted.respond(intervals, columns)
             self._slopes = {one: response[..., f] for f, one in enumerate(tunables)}
         self.begin = functools.lru_cache(maxsize=2)(self._begin)
+        self.moves = functools.lru_cache(maxsize=2)(self._moves)
 
     def _chained(self, intervals: Intervals) -> Beginning:
         """At the references, with what starts do in linear approximation."""
@@ -414,6 +415,49 @@ class Judge:
             return np.inf
         return self._typical(self.fitted, mean_squares(self.fitted, fit))
 
+    def _moves(self, judged: Judged) -> tuple[Own, Own] | None:
+        """What the numbers of an explanation change in the windows that it was fitted to and in the
+        check windows; None where differences have to show what starts do: where bodies touch,
+        sensors are late or joints are added."""
+        hypothesis, declared = judged.hypothesis, self.bench.scene
+        late = self.fitted.leads(hypothesis.variant(declared))
+        if self.bench.contacts or late or is_structural(hypothesis):
+            return None
+        build = lambda values: hypothesis.at(declared, values).variant(declared)  # noqa: E731
+        unknowns, known = hypothesis.unknowns(declared), Hints(slopes=self._known(hypothesis))
+        try:
+            own = own_slopes(self.fitted, build, unknowns, judged.fit.start, known)
+            if self.check is self.fitted:
+                return own, own
+            return own, own_slopes(self.check, build, unknowns, judged.check_fit.start)
+        except OrbiSimError:  # a difference step leads to no possible scene
+            return None
+
+    def foreseen(self, judged: Judged, other: Judge) -> float | None:
+        """`Judged.loss` of the same explanation in this form of the data, at the price of one
+        simulation: numbers and starts corrected linearly, by what they do in the form that it was
+        fitted in. None where differences have to show what starts do; infinite if it cannot be
+        simulated.
+
+        Args:
+          judged: in the other form. other: what judged it.
+        """
+        moves = other.moves(judged)
+        if moves is None:
+            return None
+        try:
+            variant, begin = judged.hypothesis.variant(self.bench.scene), other.begin(judged)
+            fit, checked = judged.fit.start, judged.check_fit.start
+            left, step = moved_along(self.fitted, variant, fit, moves[0], self._hints(begin.free))
+            means = [_means(self.fitted, left)]
+            if self.check is not self.fitted:
+                hints = self._hints(begin.check_free)
+                left, _ = moved_along(self.check, variant, checked, moves[1], hints, step)
+                means.append(_means(self.check, left))
+        except (OrbiSimError, np.linalg.LinAlgError):
+            return np.inf
+        return _loss(np.concatenate(means))
+
     def quick_loss(self, hypothesis: Hypothesis, begin: Beginning) -> float:
         """As `Judged.loss`, with starts alone fitted, and roughly.
 
@@ -476,16 +520,20 @@ class Judge:
             fitted = fitted.at(declared, fit.values)
         return fitted, fit
 
-    def _fit(
-        self, hypothesis: Hypothesis, iterations: int, begin: Beginning, quick: bool = False
-    ) -> Fit:
-        declared = self.bench.scene
-        first, unknowns = len(hypothesis.free(declared)), hypothesis.unknowns(declared)
-        slopes = {
+    def _known(self, hypothesis: Hypothesis) -> dict[int, Floats]:
+        """[W, data] by the numbers of the unknowns: what declared parameters change."""
+        first = len(hypothesis.free(self.bench.scene))
+        return {
             first + f: self._slopes[one]
             for f, (one, _) in enumerate(hypothesis.factors)
             if one in self._slopes
         }
+
+    def _fit(
+        self, hypothesis: Hypothesis, iterations: int, begin: Beginning, quick: bool = False
+    ) -> Fit:
+        declared = self.bench.scene
+        unknowns, slopes = hypothesis.unknowns(declared), self._known(hypothesis)
         if quick and begin.own is not None:
             own = begin.own
             known = {one.name: own.slopes[..., k] for k, one in enumerate(own.unknowns)}
@@ -668,7 +716,11 @@ def _loss(means: Floats) -> float:
 
 def mean_squares(shooter: Shooter, fit: Fit) -> Floats:
     """[W]: mean squared weighted residual of each window, its start's numbers counted."""
-    return np.asarray(fit.per_window / np.maximum(shooter.data - 2 * shooter.nv, 1))
+    return _means(shooter, fit.per_window)
+
+
+def _means(shooter: Shooter, squares: Floats) -> Floats:
+    return np.asarray(squares / np.maximum(shooter.data - 2 * shooter.nv, 1))
 
 
 _IMPACTS = 4.0

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from orbisim.shooting.fits import Hints, Unknown
+from orbisim.shooting.fits import NOTHING, Hints, Unknown
 from orbisim.shooting.gauss_newton import Problem, least_squares
 from orbisim.shooting.shooter import Shooter, Variant
 
@@ -40,13 +40,14 @@ def own_slopes(
     build: Callable[[Floats], Variant],
     unknowns: Sequence[Unknown],
     start: Floats,
+    hints: Hints = NOTHING,
 ) -> Own:
     """Derivatives of the weighted data by the unknowns where they begin, by differences.
 
     Args:
-      start: [W, 2 nv] window starts.
+      start: [W, 2 nv] window starts. hints: derivatives that are known.
     """
-    problem = Problem(shooter, build, unknowns, Hints(), None)
+    problem = Problem(shooter, build, unknowns, hints, None)
     values = np.clip(problem.begin, problem.low, problem.high)
     here = problem.trial(values, start)
     return Own(problem.slopes(here), values, shooter.scaled(here.simulated), unknowns)
@@ -84,6 +85,35 @@ def glanced(
         residual = np.where(only[:, None], residual, 0.0)
     left, step = _corrected(problem, values, residual, slopes, free)
     return left, 1.0 if own is None else 1.0 + float(step[-1])
+
+
+def moved_along(
+    shooter: Shooter,
+    variant: Variant,
+    start: Floats,
+    own: Own,
+    hints: Hints,
+    step: Floats | None = None,
+) -> tuple[Floats, Floats]:
+    """[W]: cost that one simulation leaves of an explanation along another form of the data, if its
+    unknowns and starts are corrected linearly; [P]: the step of the unknowns.
+
+    Args:
+      start: [W, 2 nv] where to start. own: its unknowns, and what they change. hints: what starts
+        change, and how windows count.
+      step: of the unknowns, where other windows have said; what these say if None.
+    """
+    problem = Problem(shooter, lambda _: variant, own.unknowns, hints, None)
+    here = problem.trial(own.values, start)
+    free, problem.scale = hints.free, problem.half(here.cost)
+    assert free is not None
+    if step is None:
+        left, weighted = problem.shares(here, own.slopes, free)
+        step = problem.parameter_step(own.values, left, weighted, _DAMPING)
+        step = np.clip(step, problem.low - own.values, problem.high - own.values)
+    wanted = here.residual - own.slopes @ step
+    moves = least_squares(free, wanted, np.zeros(len(wanted)))
+    return problem.window_costs(wanted - np.einsum("wdf,wf->wd", free, moves)), step
 
 
 def _corrected(

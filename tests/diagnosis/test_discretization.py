@@ -104,6 +104,39 @@ def test_controls_are_looked_for_elsewhere_with_another_step() -> None:
     assert exact.lead is not None and exact.lead.share == -0.4
 
 
+@pytest.mark.parametrize("share", [-0.5, -0.2, 0.2])
+def test_what_another_form_would_leave_is_foreseen(share: float) -> None:
+    """Numbers and starts move with the form: as they are, they leave more."""
+    scene = _scene(0.005)
+    friction = EffectInstance("coulomb_friction", "hinge", {"torque": 0.03})
+    runs = inject_effect(scene, friction, duration=2.0, episodes=3, noise=5e-4, seed=1)
+    bench = make_bench(scene, prepare_all(runs, scene), 0.5).led(Lead())
+    context = begun(bench, Settings(), lambda _: None)
+    judged = context.judge.judge(Hypothesis((friction,)))
+    assert judged is not None
+    there = context.trying(bench.led(Lead(share))).judge
+    fitted = there.judge(judged.hypothesis, begin=context.judge.begin(judged))
+    seen = there.foreseen(judged, context.judge)
+    assert fitted is not None and seen is not None
+    assert seen - judged.loss == pytest.approx(fitted.loss - judged.loss, rel=0.1)
+    held = dataclasses.replace(judged.hypothesis, frozen=frozenset({(0, "torque")}))
+    as_it_was = there.judge(held, begin=context.judge.begin(judged))
+    assert as_it_was is not None and as_it_was.loss > 1.05 * seen
+    assert seen == pytest.approx(fitted.loss, rel=0.05)
+
+
+def test_of_late_sensors_nothing_is_foreseen() -> None:
+    """What a start does before its window is not known by derivatives."""
+    scene = _scene(0.005)
+    late = EffectInstance("sensor_delay", "hinge", {"delay": 0.01})
+    runs = inject_effect(scene, late, duration=2.0, episodes=2, noise=5e-4, seed=1)
+    bench = make_bench(scene, prepare_all(runs, scene), 0.5)
+    context = begun(bench, Settings(), lambda _: None)
+    judged = context.judge.judge(Hypothesis((late,)))
+    assert judged is not None
+    assert context.judge.foreseen(judged, context.judge) is None
+
+
 def test_a_step_that_is_right_stays() -> None:
     scene = _scene(0.005)
     runs = inject_effect(scene, [], duration=2.0, episodes=3, noise=5e-4, seed=1)
