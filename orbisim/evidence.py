@@ -27,6 +27,7 @@ is explained are no reason to doubt it.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -89,6 +90,12 @@ class Blocks:
         """How many data count in all, 2 at least."""
         return max(float((self.power * self.size).sum()), 2.0)
 
+    @functools.cached_property
+    def numbered(self) -> tuple[Ints, Ints]:
+        """[B] the signal of each block, counted from 0; [S] how many blocks each signal has."""
+        _, signal, count = np.unique(self.signal, return_inverse=True, return_counts=True)
+        return signal.reshape(-1), count
+
 
 def counted(
     data: npt.NDArray[np.generic], share: float, most: float = np.inf, beyond: float = np.inf
@@ -133,19 +140,24 @@ def scales(squares: Floats, blocks: Blocks) -> Floats:
     Args:
       squares: [B] mean squared residual of each block.
     """
-    found = np.empty(len(squares))
-    for number in np.unique(blocks.signal):
-        own = blocks.signal == number
-        size, left, weight = blocks.size[own], squares[own], np.ones(own.sum())
-        least = float(np.mean(blocks.floor[own] ** 2))
-        for _ in range(_ROUNDS):
-            variance = max(float((size * weight * left).sum() / size.sum()), least)
-            weight = _weight(size, left / variance, blocks.beyond)
-        found[own] = np.sqrt(variance)
-    return found
+    signal, count = blocks.numbered
+    size, weight, whole = blocks.size, np.ones(len(squares)), np.bincount(signal, blocks.size)
+    least = np.bincount(signal, blocks.floor**2) / count
+    variance = np.zeros(len(count))
+    for _ in range(_ROUNDS):
+        before = variance
+        variance = np.maximum(np.bincount(signal, size * weight * squares) / whole, least)
+        if (np.abs(variance - before) <= _STILL * variance).all():
+            break
+        weight = _weight(size, squares / variance[signal], blocks.beyond)
+    return np.asarray(np.sqrt(variance[signal]))
 
 
-_ROUNDS = 25  # of reweighting, which hardly moves after the first few
+_ROUNDS = 25
+"""Of reweighting at most, which hardly moves after the first few."""
+_STILL = 1e-9
+"""Relative change of a scale's square by a round that is none: of a million data it changes the
+score by less than a thousandth."""
 
 
 def weights(squares: Floats, blocks: Blocks) -> Floats:

@@ -159,6 +159,11 @@ class Data:
             np.array([float(max(one.count, 1)) for one in self.blocks]),
         )
 
+    @property
+    def rate(self) -> float:
+        """Share of the data that counts as independent."""
+        return self.counts.count / max(float(self.stack.data.sum()), 1.0)
+
     @functools.cached_property
     def others(self) -> tuple[Floats, Floats]:
         """[F, C, C] and [F, C]: gram and moment of all blocks but those of each fold, weighed."""
@@ -398,7 +403,9 @@ class _Search:
             start = own.stop
             y = x[own] * np.sqrt(np.maximum(strength[own], 0.0))
             # columns of a group may be one beside the others: a puck's centre of mass by height
-            found[id(group)] = float(y @ np.linalg.pinv(inverse[own, own], hermitian=True) @ y)
+            part = inverse[own, own]
+            part = 1 / part if len(part) == 1 else np.linalg.pinv(part, hermitian=True)
+            found[id(group)] = float(y @ part @ y)
         return [found.get(id(group), 0.0) for group in chosen]
 
     def add(self) -> bool:
@@ -412,8 +419,11 @@ class _Search:
     def exchange(self) -> None:
         """Puts another group in the place of one, as long as that is surely worth it."""
         for _ in range(_EXCHANGES):
+            most = self._square() + 2 * _FAR_OFF / self.data.rate
             found = [
-                one for out in self.chosen[:-1] if (one := self._best(_less(self.chosen, out)))
+                one
+                for out in self.chosen[:-1]
+                if (one := self._best(_less(self.chosen, out), most))
             ]
             if not found:
                 return
@@ -439,23 +449,37 @@ class _Search:
             else:
                 return
 
-    def _best(self, kept: Sequence[Group]) -> tuple[list[Group], Floats, Gain] | None:
+    def _square(self) -> float:
+        """Sum of squares that what is chosen leaves."""
+        ones = [i for group in self.chosen if group.fixed for i in group.index]
+        free = [i for group in self.chosen if not group.fixed for i in group.index]
+        return fit(with_ones(self.whole, ones), free)[1]
+
+    def _best(
+        self, kept: Sequence[Group], most: float = np.inf
+    ) -> tuple[list[Group], Floats, Gain] | None:
         """What is best chosen with another group beside those kept, what is left then, and what
-        that is worth; None if nothing is surely better than what is chosen."""
+        that is worth; None if nothing is surely better than what is chosen.
+
+        Args:
+          most: sum of squares beyond which a choice is not looked at.
+        """
         best: tuple[list[Group], Floats, Gain] | None = None
-        for trial in self._promising(kept):
+        for trial in self._promising(kept, most):
             left = predicted(self.data, trial)
             worth = self.gain(self.now, left, trial, self.chosen)
             if worth.sure > 0 and (best is None or worth.total > best[2].total):
                 best = trial, left, worth
         return best
 
-    def _promising(self, chosen: Sequence[Group]) -> list[list[Group]]:
-        """Choices with one group more that fit all blocks best: the new one is the last."""
+    def _promising(self, chosen: Sequence[Group], most: float = np.inf) -> list[list[Group]]:
+        """Choices with one group more that fit all blocks best, and leave no more squares than
+        these: the new one is the last."""
         taken = {group.key for group in chosen}
         ones = [i for group in chosen if group.fixed for i in group.index]
         index = [i for group in chosen if not group.fixed for i in group.index]
         rest = profiled(with_ones(self.whole, ones), index, np.zeros(len(index)))
+        single = _left_by_each(rest)
         scored: list[tuple[float, int, Group]] = []
         for group in self.groups:
             if group.key in taken:
@@ -464,8 +488,12 @@ class _Search:
             strength = np.diag(rest.gram)[at] / np.maximum(np.diag(self.whole.gram)[at], 1e-300)
             if not _NEW <= strength.max(initial=0.0) < np.inf:  # nothing new, or overflowed
                 continue
-            left = with_ones(rest, at).square if group.fixed else fit(rest, at)[1]
-            scored.append((left, len(scored), group))
+            if group.fixed:
+                left = with_ones(rest, at).square
+            else:
+                left = single[at[0]] if len(at) == 1 else fit(rest, at)[1]
+            if left <= most:
+                scored.append((left, len(scored), group))
         found: list[list[Group]] = []
         for _, _, group in sorted(scored, key=lambda s: s[:2])[:_FITTED]:
             trial = self._possible([*chosen, group])
@@ -506,6 +534,14 @@ class _Search:
 _NOTHING = Group((), (), lambda _: None)
 
 
+def _left_by_each(rest: Normal) -> Floats:
+    """[C]: sum of squares that each column alone leaves, as `fit` has it."""
+    strength = np.diag(rest.gram)
+    felt = np.isfinite(strength) & np.isfinite(rest.moment) & (strength > 0)
+    moment = np.where(felt, rest.moment, 0.0) / np.sqrt(np.where(felt, strength, 1.0))
+    return np.asarray(np.maximum(rest.square - moment**2, 0.0))
+
+
 def _log_prior(group: Group) -> float:
     return group.prior - group.shape * np.log(_SHAPES)
 
@@ -526,6 +562,9 @@ _LEAST = 4
 """How many of the groups that cost least to do without are scored for removal first."""
 _REWEIGHTED = 3
 """Times that the beginning is thinned and weighed by what it leaves."""
+_FAR_OFF = 100.0
+"""By how much a choice may predict worse to be looked at in an exchange: prior odds make up for
+some ten, and squares of what is far off are charged by their logarithm."""
 _EXCHANGES = 3
 """Exchanges after an addition at most: two groups may take turns."""
 _SHAPES = 5

@@ -523,6 +523,9 @@ def index_of(model: mujoco.MjModel, kind: str, name: str) -> int:
     Raises:
       UnknownNameError: there is none.
     """
+    known = mujoco.mj_name2id(model, _KINDS[kind][0], name) if kind in _KINDS else -1
+    if known >= 0:  # asked often: without the names of all others
+        return known
     names = names_of_kind(model, kind)
     if name not in names:
         raise UnknownNameError(kind, name, names)
