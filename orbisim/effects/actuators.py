@@ -16,6 +16,7 @@ from orbisim.effects.base import (
     index_of,
     spec_element,
 )
+from orbisim.effects.lateness import delay, lag
 from orbisim.effects.screening import Candidate, Column, Floats, MotionRegressors, keyed
 from orbisim.effects.servo_offsets import same_offsets
 from orbisim.errors import InputError
@@ -135,7 +136,8 @@ class TorqueSaturation(ActuatorEffect):
 
 
 class ActuatorLag(ActuatorEffect):
-    """A first-order lag of the control: MJCF `dyntype="filterexact"`."""
+    """A first-order lag of the control: MJCF `filterexact`, or `filter`, which RK4 integrates with
+    all else (`orbisim.effects.lateness`)."""
 
     name = "actuator_lag"
     phrase = "a first-order lag"
@@ -152,8 +154,10 @@ class ActuatorLag(ActuatorEffect):
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         actuator = spec_element(spec, "actuator", instance.target)
-        actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
-        actuator.dynprm[0] = instance.values["time_constant"]
+        option = spec.option
+        form = lag(instance.values["time_constant"], option.timestep, int(option.integrator))
+        actuator.dyntype, actuator.actearly = form.kind, form.early
+        actuator.dynprm[0] = form.number
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         index = index_of(view.model, "actuator", target)
@@ -176,7 +180,8 @@ class ActuatorDelay(ActuatorEffect):
     Between timesteps the control is interpolated (`interp="linear"`): of one that is held between
     samples, that is its mean over a timestep, so that a delay need not be a number of timesteps.
     RK4 reads it at the stages of a step, of which three are later than the step begins: what MJCF
-    is given is as much more as makes the mean over the stages late by the delay (`_for_stages`).
+    is given is as much more as makes the mean over the stages late by the delay
+    (`orbisim.effects.lateness`).
     """
 
     name = "actuator_delay"
@@ -195,12 +200,10 @@ class ActuatorDelay(ActuatorEffect):
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         actuator = spec_element(spec, "actuator", instance.target)
-        delay = instance.values["delay"]
-        if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-            delay = _for_stages(delay, spec.option.timestep)
-        actuator.delay = delay
+        step = spec.option.timestep
+        actuator.delay = float(delay(instance.values["delay"], step, int(spec.option.integrator)))
         # a sampling interval takes a whole number of steps, down to half as long as declared
-        actuator.nsample = max(2, int(np.ceil(2.0 * delay / spec.option.timestep)) + 2)
+        actuator.nsample = max(2, int(np.ceil(2.0 * actuator.delay / step)) + 2)
         actuator.interp = 1
 
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
@@ -211,24 +214,11 @@ class ActuatorDelay(ActuatorEffect):
             _known(
                 self.name,
                 target,
-                _force(view, index, gain * (view.delayed_control(control, delay) - now)),
-                {"delay": float(delay)},
+                _force(view, index, gain * (view.delayed_control(control, late) - now)),
+                {"delay": float(late)},
             )
-            for delay in _TIMES
+            for late in _TIMES
         ]
-
-
-def _for_stages(delay: float, step: float) -> float:
-    """The MJCF `delay` by which a control that RK4 reads is late by a delay on average.
-
-    At stages 0, 1/2, 1/2 and 1 of a step, with weights 1, 4 (both) and 1 of six, a delay D is one
-    of D, D - step / 2 and D - step after the step began, but none is less than a step: what was set
-    since then is not in the history yet. The mean of these is D - step / 2 from two steps on, and
-    linear between the delays at which one of them gets longer than a step.
-    """
-    if not step < delay < 1.5 * step:
-        return delay if delay <= step else delay + 0.5 * step
-    return float(np.interp(delay / step, (1.0, 13.0 / 12.0, 1.5), (1.0, 1.5, 2.0)) * step)
 
 
 class Deadband(ActuatorEffect):

@@ -10,6 +10,7 @@ import mujoco.batch
 import numpy as np
 
 from orbisim.effects.base import Hook
+from orbisim.effects.lateness import Floats, kept_late
 from orbisim.effects.running import HookRunner, stage_of
 
 
@@ -66,6 +67,27 @@ class BatchStepper:
             batch.step(ids, 1, self._stage)
         for name, values in applied.items():
             self._pushed[name][:] = values
+
+
+class Timesteps:
+    """Timesteps of the worlds of a batch, which may be others than the model's own: drives are as
+    late in them as in these.
+
+    Args:
+      model: of the batch. batch: the worlds.
+    """
+
+    def __init__(self, model: mujoco.MjModel, batch: mujoco.batch.Batch) -> None:
+        self._model, self._timestep = model, batch.expand("opt.timestep")
+        known = kept_late(model, np.array([model.opt.timestep]))
+        self._expanded = {name: batch.expand(name) for name in known}
+
+    def set(self, steps: Floats) -> None:
+        """Of each world [nworld], s."""
+        self._timestep[:] = steps.reshape(self._timestep.shape)
+        if self._expanded:
+            for name, values in kept_late(self._model, steps).items():
+                self._expanded[name][:] = values
 
 
 def step_batch(

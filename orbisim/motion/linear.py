@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.effects.carry import hooks_of
-from orbisim.effects.stepping import step_batch
+from orbisim.effects.stepping import Timesteps, step_batch
 from orbisim.host.cpus import threads_for
 from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.hidden import Layout, carried_along
@@ -124,8 +124,7 @@ class IntervalMap:
             index = np.flatnonzero(self.substeps == count)
             threads = threads_for(len(index), len(index) * model.nv * int(count))
             batch = mujoco.batch.Batch(model, len(index), threads)
-            timestep = batch.expand("opt.timestep")
-            timestep[:] = (self.duration[index] / count).reshape(timestep.shape)
+            Timesteps(model, batch).set(self.duration[index] / count)
             batch.bind("time")[:] = self.start[index]
             batch.bind("qpos")[:] = model.qpos0
             batch.bind("qpos")[:, place.q] = qpos[index]

@@ -15,7 +15,7 @@ from orbisim.effects.base import Hook
 from orbisim.effects.carry import hooks_of
 from orbisim.effects.measurement import TRUE, Measurement
 from orbisim.effects.running import same_physics, side_by_side
-from orbisim.effects.stepping import BatchStepper
+from orbisim.effects.stepping import BatchStepper, Timesteps
 from orbisim.host.cpus import threads_for
 from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.hidden import Layout, carried_along
@@ -327,14 +327,14 @@ class Shooter:
         if model.na or model.nhistory:
             act, history = self._hidden(model)
             batch.bind("act")[:], batch.bind("history")[:] = act, history
-        hooks, timestep = hooks or hooks_of(model), batch.expand("opt.timestep")
+        hooks, timesteps = hooks or hooks_of(model), Timesteps(model, batch)
         stepper = BatchStepper(model, batch, hooks)
         applied, qpos, qvel = (batch.bind(n) for n in ("qfrc_applied", "qpos", "qvel"))
         last = np.minimum(self.windows.reach(), self.horizon)
         for k, count in self._spans(last, one_by_one=bool(hooks)):
             self.deadline.check()
             length = (self.time[:, k + count] - self.time[:, k]) / (count * clock)
-            timestep[:] = (length / self.substeps).reshape(timestep.shape)
+            timesteps.set(length / self.substeps)
             ids, some = np.flatnonzero(last > k), slice(k, k + count)
             every = None if len(ids) == len(self) else ids
             shape = len(self), count

@@ -135,6 +135,13 @@ def test_the_trajectory_is_the_backends(case: str, integrator: str, tmp_path: Pa
         assert np.abs(expected - bare).max() > 1e-4  # it does something
 
 
+def test_a_lag_below_a_timestep_is_the_backends_too(tmp_path: Path) -> None:
+    """RK4 is given another form of it."""
+    lag = EffectInstance("actuator_lag", "m1", {"time_constant": 0.0006})
+    scene = scene_with(lag, integrator="RK4")
+    np.testing.assert_allclose(by_plain(scene, tmp_path), by_backend(scene), rtol=0, atol=1e-9)
+
+
 def test_several_effects_act_together(tmp_path: Path) -> None:
     names = ("stribeck_friction, 0", "joint_coupling, 2", "linear_drag, 0", "deadband, 0")
     scene = scene_with(*(CASES[name] for name in names))

@@ -65,12 +65,14 @@ class Lag(AtDrive):
         super().begin(model, data)
         self._now: float | None = None
         self._keep = float(np.exp(-model.opt.timestep / self.value))
+        self._mean = self.value / model.opt.timestep * (1 - self._keep)
 
     def command(self, time: float, command: Floats) -> None:
         given = float(command[self._index])
-        before = given if self._now is None else self._now
-        self._now = given + (before - given) * self._keep
-        command[self._index] = self._now
+        left = 0.0 if self._now is None else self._now - given
+        self._now = given + left * self._keep
+        # the mean over the step: what it ends with is half a step early
+        command[self._index] = given + left * self._mean
 
 
 class Delay(AtDrive):

@@ -95,6 +95,22 @@ def test_patched_files_give_the_same_model(scene: Scene, tmp_path: Path, name: s
 
 
 @needs_patch
+@pytest.mark.parametrize("seconds", [0.03, 0.0006])
+def test_a_lag_is_patched_as_rk4_has_it(tmp_path: Path, seconds: float) -> None:
+    folder = tmp_path / "mine"
+    (folder / "parts").mkdir(parents=True)
+    rk4 = ARM.replace('timestep="0.002"', 'timestep="0.002" integrator="RK4"')
+    (folder / "arm.xml").write_text(rk4)
+    (folder / "parts" / "bodies.xml").write_text(BODIES)
+    scene = load_scene(folder / "arm.xml")
+    lag = EffectInstance("actuator_lag", "second", {"time_constant": seconds})
+    augmented = add_effects(scene, [lag])
+    again = applied(patch_of(scene, augmented), scene, tmp_path)
+    assert not different(again.model, augmented.model)
+    assert again.model.actuator_actearly.tolist() == [False, seconds < 0.001]
+
+
+@needs_patch
 def test_all_together(scene: Scene, tmp_path: Path) -> None:
     augmented = add_effects(scene, [EFFECTS[n] for n in EFFECTS if n != "length"])
     again = applied(patch_of(scene, augmented), scene, tmp_path)

@@ -97,6 +97,10 @@ def test_a_lag_takes_its_time_constant() -> None:
     run = moved(WHEEL, [drives.Lag("", "motor", 0.05, 1.0)], command=1.0)
     reached = run.time[np.argmax(run.drive[:, 0] > 1 - np.exp(-1))]
     assert reached == pytest.approx(0.15, abs=1e-3)
+    step = run.time[1] - run.time[0]
+    assert np.sum(1 - run.drive[run.time > 0.1 - step / 2, 0]) * step == pytest.approx(
+        0.05, rel=1e-3
+    )
 
 
 def test_play_lets_the_rotor_go_before_the_link() -> None:
