@@ -17,7 +17,6 @@ undone where the scene or the log as it was is worth no less.
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import mujoco
@@ -207,13 +206,16 @@ def _finer(context: Context, judged: Judged) -> Other | None:
     have impacts no step is finer: what a contact does depends on it by definition."""
     if not _inexact(context.bench, judged.ratio, judged.hypothesis):
         return None
-    step, best = taken(context.bench), 0.0
-    gains, at, gain = _line(context, judged, stepped, (step,))
-    while len(gains) <= _HALVINGS and gain(step / 2.0) > best:
-        step, best = step / 2.0, gains[step / 2.0]
-        if not _inexact(stepped(context.bench, step), judged.ratio, judged.hypothesis):
+    step, best, found = taken(context.bench), 0.0, None
+    for _ in range(_HALVINGS):
+        step, finer = step / 2.0, stepped(context.bench, step / 2.0)
+        gain = _gain(context, judged, finer)
+        if not gain > best:
             break
-    return at(step)
+        best, found = gain, finer
+        if not _inexact(finer, judged.ratio, judged.hypothesis):
+            break
+    return None if found is None else _again(context, judged, lambda _: found)
 
 
 def _held(context: Context, judged: Judged) -> Other | None:
@@ -228,15 +230,8 @@ def _held(context: Context, judged: Judged) -> Other | None:
         return None
     if not difference(context.bench, other) > _MATTERS * max(judged.ratio, 1.0):
         return None
-    gains, at, gain = _line(context, judged, held, (0.0,))
-    gain(long / 2.0)
-    gain(long)
-    place = peak(_squares(gains), 0.0, 2.0 * long)
-    if place is not None and place > long / _SHORTEST:
-        between = interval / round(interval / place)
-        if not any(np.isclose(between, one) for one in gains):
-            gain(between)
-    return at(max(gains, key=lambda step: gains[step]))
+    ends = long / _SHORTEST, 2.0 * long
+    return _best(context, judged, held, (long / 2.0, long), (0.0,), ends, long / _SHORTEST)
 
 
 def _drier(context: Context, judged: Judged) -> Other | None:
@@ -263,37 +258,45 @@ def _inexact(bench: Bench, ratio: float, hypothesis: Hypothesis | None = None) -
     return not bench.rugged and not 2.0 * halving(bench, hypothesis) <= _MATTERS * max(ratio, 1.0)
 
 
-def _line(
+def _gain(context: Context, judged: Judged, bench: Bench | None) -> float:
+    """By how much less the same explanation leaves in another form of the data; as it is foreseen,
+    if it can be, as a fit takes ten times as long."""
+    if bench is None:
+        return -np.inf
+    there = context.trying(bench).judge
+    loss = there.foreseen(judged, context.judge)
+    if loss is None:
+        fitted = there.judge(judged.hypothesis, begin=context.judge.begin(judged))
+        loss = np.inf if fitted is None else fitted.loss
+    return judged.loss - loss
+
+
+def _best(
     context: Context,
     judged: Judged,
     change: Callable[[Bench, float], Bench | None],
+    tried: Sequence[float],
     known: Sequence[float],
-) -> tuple[dict[float, float], Callable[[float], Other | None], Callable[[float], float]]:
-    """Gains by places along a line of forms, what fits the form at a place, and what adds a place
-    to the gains: as they are foreseen, as a fit takes ten times as long.
+    ends: tuple[float, float],
+    close: float,
+) -> Other | None:
+    """The same explanation in the best of a line of forms: at a place that is tried, or where a
+    parabola through these is highest. None if none is better.
 
     Args:
-      known: places where there is no gain, and no other form.
+      known: places that are what there is. ends: of the line. close: distance of places alike.
     """
     gains = dict.fromkeys(known, 0.0)
-
-    @functools.cache
-    def at(place: float) -> Other | None:
-        if place in known:
-            return None
-        return _again(context, judged, lambda bench: change(bench, place))
-
-    def gain(place: float) -> float:
-        bench, loss = change(context.bench, place), None
-        if bench is not None:
-            loss = context.trying(bench).judge.foreseen(judged, context.judge)
-        if loss is None:
-            fitted = at(place)
-            loss = np.inf if fitted is None else fitted[1].loss
-        gains[place] = judged.loss - loss
-        return gains[place]
-
-    return gains, at, gain
+    gains |= {place: _gain(context, judged, change(context.bench, place)) for place in tried}
+    for _ in range(_REFINED):
+        place = peak(_squares(gains), *ends)
+        if place is None or min(abs(place - one) for one in gains) < close:
+            break
+        gains[place] = _gain(context, judged, change(context.bench, place))
+    best = max(gains, key=lambda place: gains[place])
+    if best in known:
+        return None
+    return _again(context, judged, lambda bench: change(bench, best))
 
 
 def _squares(gains: dict[float, float]) -> dict[float, float]:
@@ -329,9 +332,7 @@ def _begun(context: Context, judged: Judged, lead: Lead, tried: Sequence[float])
     """With the lead that predicts best, of the steps that there are or of exact ones. Forces act
     half a step early: a step that is too long may happen to make up for when controls change, and
     then neither is better without the other."""
-    benches = [context.bench]
-    if (other := _exact(context.bench)) is not None:
-        benches.append(other)
+    benches = [one for one in (context.bench, _exact(context.bench)) if one is not None]
     forms = [_led_best(context.trying(one), judged, lead, tried) for one in benches]
     return min((one for one in forms if one), key=lambda one: one[1].loss, default=None)
 
@@ -352,26 +353,14 @@ def _led_best(
     tried: Sequence[float],
     known: Sequence[float] = (),
 ) -> Other | None:
-    """The same explanation with controls that lead by the share of an interval that predicts best:
-    one that is tried, or where a parabola through these is highest. None if none is better.
-
-    Args:
-      known: shares that are what there is.
-    """
+    """The same explanation with controls that lead by the share of an interval that predicts best
+    (`_best`)."""
     most = _most(lead)
 
     def change(bench: Bench, share: float) -> Bench:
         return bench.led(dataclasses.replace(lead, share=share))
 
-    gains, at, gain = _line(context, judged, change, known)
-    for share in tried:
-        gain(share)
-    for _ in range(_REFINED):
-        place = peak(_squares(gains), -most, most)
-        if place is None or min(abs(place - one) for one in gains) < _CLOSE:
-            break
-        gain(place)
-    return at(max(gains, key=lambda share: gains[share]))
+    return _best(context, judged, change, tried, known, (-most, most), _CLOSE)
 
 
 def _most(lead: Lead) -> float:
@@ -403,7 +392,7 @@ _SHARES = (-0.5, 0.05, 0.5)
 """Of an interval, tried first: commands that arrive late, half a step of a simulation with ten
 steps a sample, and changes anywhere between two samples."""
 _REFINED = 3
-"""Shares tried after these: a parabola's peak lies within `_CLOSE` by then."""
+"""Places tried after these: a parabola's peak lies close to one by then."""
 _NEAR = 0.1
 """Of an interval, by which other shares than the one that there is are tried first."""
 _CLOSE = 0.003

@@ -10,9 +10,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-import mujoco
-import numpy as np
-
 from orbisim.backend import Backend
 from orbisim.diagnosis.alternatives import alternatives_of, candidates_of
 from orbisim.diagnosis.both import by_runs, worth_in_both
@@ -47,9 +44,8 @@ from orbisim.evidence import NEAR, SURE
 from orbisim.host.deadline import Deadline
 from orbisim.host.engine_log import engine_warnings, ignore
 from orbisim.host.progress import status
-from orbisim.motion.samples import Samples, prepare_all
+from orbisim.motion.samples import forces_known, prepare_all
 from orbisim.recording import Recording
-from orbisim.recording.actuators import actuators
 from orbisim.recording.derived import independent
 from orbisim.recording.split import bounded, some_of, split
 from orbisim.recording.stamps import regular
@@ -131,7 +127,7 @@ def diagnose(
     settings, start = settings or Settings(), time.monotonic()
     with (
         engine_warnings(ignore),  # about suspects that make the scene unstable: they just lose
-        status("diagnosing") if progress else contextlib.nullcontext(_nothing) as say,
+        status("diagnosing") if progress else contextlib.nullcontext(lambda _: None) as say,
     ):
         say("reading the recordings")
         engine = backend if isinstance(backend, str) else backend.name
@@ -159,7 +155,7 @@ def diagnose(
                 if forces is None and time.monotonic() < start + _FITS * settings.patience:
                     forces = by_forces(_FITS)
                 say("weighing what forces show against what free runs show")
-                result = _unweighed(result) if forces is None else _weighed(result, forces)
+                result = _weighed(result, forces)
         result = dataclasses.replace(result, settings=settings)
         if out is not None:
             say("writing the report")
@@ -228,20 +224,17 @@ def _leaves_something(motion: Diagnosis) -> bool:
     if not isinstance(found, Attribution) or found.law or found.bench.contacts:
         return False
     left = motion.verdict in ("partly_explained", "unexplained")
-    return left and model.nq == model.nv and _forces_known(motion.scene, found.samples)
+    return left and model.nq == model.nv and forces_known(motion.scene, found.samples)
 
 
-def _unweighed(motion: Diagnosis) -> Diagnosis:
-    """With a note that forces have had no say."""
-    late = "the time was up before the forces at the joints could be looked at, too"
-    return dataclasses.replace(motion, notes=(*motion.notes, late))
-
-
-def _weighed(motion: Diagnosis, forces: Diagnosis) -> Diagnosis:
-    """What explains forces in the place of what explains free runs if that is surely worth it by
-    both kinds of evidence. Evidence of one kind must not outweigh that the other contradicts: what
-    predicts free runs surely worse than the declared scene is no answer, and what leaves more than
-    noise of them does not explain everything."""
+def _weighed(motion: Diagnosis, forces: Diagnosis | None) -> Diagnosis:
+    """What explains forces, if there was time to look, in the place of what explains free runs if
+    that is surely worth it by both kinds of evidence. Evidence of one kind must not outweigh that
+    the other contradicts: what predicts free runs surely worse than the declared scene is no
+    answer, and what leaves more than noise of them does not explain everything."""
+    if forces is None:
+        late = "the time was up before the forces at the joints could be looked at, too"
+        return dataclasses.replace(motion, notes=(*motion.notes, late))
     runs, pushed = motion.attribution, forces.attribution
     assert isinstance(runs, Attribution) and isinstance(pushed, ForceAttribution)
     if not pushed.hypothesis.effects:
@@ -269,27 +262,12 @@ def _arm(scene: Scene, recordings: Sequence[Recording]) -> bool:
     if scene.model.nv < _ARM or scene.model.nq != scene.model.nv:
         return False
     samples = prepare_all([recordings[0]], scene)
-    return _forces_known(scene, samples) and not touches(scene, samples)
+    return forces_known(scene, samples) and not touches(scene, samples)
 
 
 _ARM = 3
 """Joints from which on forces are looked at first: what they show is known at once, where to
 simulate many effects one by one takes long."""
-
-
-def _forces_known(scene: Scene, samples: Sequence[Samples]) -> bool:
-    """Whether every degree of freedom is driven by a recorded force, or by an actuator whose force
-    follows from its recorded control alone."""
-    model, recorded = scene.model, {name for one in samples for name in one.bound.recording.signals}
-    driven = np.zeros(model.nv, bool)
-    for one in samples:
-        driven |= np.asarray(one.bound.applied, bool)
-    for actuator in actuators(model):
-        plain = model.actuator_biastype[actuator.id] == mujoco.mjtBias.mjBIAS_NONE
-        known = not recorded.isdisjoint(("ctrl", f"ctrl/{actuator.name}"))
-        if known and actuator.driven and actuator.joint >= 0 and plain and not model.na:
-            driven[model.jnt_dofadr[actuator.joint]] = True
-    return bool(driven.all())
 
 
 def _sets(
@@ -307,10 +285,6 @@ def _sets(
 def _loaded(recordings: Any) -> list[Recording]:
     every = [recordings] if isinstance(recordings, (Recording, str, Path)) else list(recordings)
     return [one if isinstance(one, Recording) else Recording.load(one) for one in every]
-
-
-def _nothing(text: str) -> None:
-    """Says nothing."""
 
 
 def _held_back(scene: Scene, held: Sequence[Recording], window: float, noise: Noise) -> Bench:
@@ -341,26 +315,22 @@ def _result(
     measuring += sensed.instances
     if measuring:
         augmented = add_effects(augmented, measuring)
-    changed = bool(hypothesis.effects or hypothesis.factors) or stepped is not scene
-    changed = changed or bool(found.bench.lead)
-    before = {"fit": score(scene, fit, window, (), backend)}
-    before["held_out"] = score(scene, held, window, (), backend)
+    changed = hypothesis.effects or hypothesis.factors or found.bench.lead or stepped is not scene
+    data = {"fit": fit, "held_out": held}
+    before = {part: score(scene, own, window, (), backend) for part, own in data.items()}
     if lead := found.bench.lead:
-        fit, held = held_led(fit, lead), held_led(held, lead)
-    after = dict(before)
+        data = {part: held_led(own, lead) for part, own in data.items()}
+    after, effects = before, hypothesis.effects
     if changed:
-        after = {
-            "fit": score(augmented, fit, window, hypothesis.effects, backend),
-            "held_out": score(augmented, held, window, hypothesis.effects, backend),
-        }
+        after = {part: score(augmented, data[part], window, effects, backend) for part in data}
     error = errors_of(before, after, found.bench, window)
     verdict = honest(verdict_with_sensors(verdict_of(found, settings), sensed), error, notes)
     return Diagnosis(
         scene=scene,
         source=named,
         backend=backend if isinstance(backend, str) else backend.name,
-        fit=tuple(fit),
-        held_out=tuple(held),
+        fit=tuple(data["fit"]),
+        held_out=tuple(data["held_out"]),
         noise={**noise_of(scene, found.bench.noise), **sensor_noise_of(sensed)},
         residual=with_sensors(residual_of(found, settings), sensed),
         verdict=verdict,
@@ -370,7 +340,7 @@ def _result(
                 hypothesis,
                 found.after.fit,
                 found.evidence,
-                free_run_error(stepped, held, window, backend),
+                free_run_error(stepped, data["held_out"], window, backend),
                 settings.seed,
                 independent_data(found.after),
             ),

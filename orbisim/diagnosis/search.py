@@ -103,9 +103,11 @@ def _round(found: Found, number: int) -> Found:
         return in_form(found, lead)
     best, tried, late = best_move(found, number)
     found = dataclasses.replace(found, tried=(*found.tried, *tried))
-    if lead is not None and (best is None or _less(found.context, found.best, best, lead[1])):
-        led = in_form(found, lead)
-        return dataclasses.replace(led, late=led.late or late)
+    if lead is not None:
+        worths = gains(found.context.bench, found.best, [lead[1], best or found.best])
+        if best is None or worths[1].total < worths[0].total + EFFECT:
+            led = in_form(found, lead)
+            return dataclasses.replace(led, late=led.late or late)
     kept = found if best is None else dataclasses.replace(found, best=best)
     if late:
         return dataclasses.replace(kept, late=True)
@@ -157,12 +159,6 @@ def _fairly(context: Context, current: Judged, better: Judged) -> Judged | None:
     if again is None or not again.loss < current.loss:
         return None
     return None if worth(context.bench, again, better).sure > 0 else again
-
-
-def _less(context: Context, current: Judged, one: Judged, other: Judged) -> bool:
-    """Whether one is worth less than another, both over what there is."""
-    known = gains(context.bench, current, [one, other])
-    return known[0].total < known[1].total + EFFECT
 
 
 def _renewed(context: Context, judged: Judged) -> tuple[Context, Judged]:

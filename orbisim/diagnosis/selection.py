@@ -24,7 +24,14 @@ from orbisim.effects import EffectInstance, find
 from orbisim.effects.screening import Candidate
 from orbisim.evidence import EFFECT, Blocks, Gain, gain, like_parts, weights
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
-from orbisim.shooting.regress import Normal, fit, profiled, scaled_gram, with_ones
+from orbisim.shooting.regress import (
+    Normal,
+    fit,
+    left_by_each,
+    profiled,
+    scaled_gram,
+    with_ones,
+)
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -264,8 +271,7 @@ def select(data: Data, groups: Sequence[Group], most: int = 40) -> Selected:
 def predicted(data: Data, chosen: Sequence[Group]) -> Floats:
     """[B]: mean squared residual of each block, with coefficients fitted to the other folds."""
     data.deadline.check()
-    free = [i for group in chosen if not group.fixed for i in group.index]
-    ones = [i for group in chosen if group.fixed for i in group.index]
+    ones, free = _columns(chosen)
     index, stack = np.array([*ones, *free], int), data.stack
     gram = stack.gram[:, index[:, None], index]
     moment, x = stack.moment[:, index], np.ones((len(stack.square), len(index)))
@@ -298,10 +304,15 @@ _RIDGE = 1e-9
 
 def coefficients(whole: Normal, chosen: Sequence[Group]) -> list[Floats]:
     """Coefficients of each group's columns, all fitted together."""
-    free = [i for group in chosen if not group.fixed for i in group.index]
-    ones = [i for group in chosen if group.fixed for i in group.index]
+    ones, free = _columns(chosen)
     x = dict(zip(free, fit(with_ones(whole, ones), free)[0], strict=True))
     return [np.array([x.get(i, 1.0) for i in group.index]) for group in chosen]
+
+
+def _columns(chosen: Sequence[Group]) -> tuple[list[int], list[int]]:
+    """Those whose coefficients are ones, and the others."""
+    ones = [i for group in chosen if group.fixed for i in group.index]
+    return ones, [i for group in chosen if not group.fixed for i in group.index]
 
 
 class _Search:
@@ -389,8 +400,7 @@ class _Search:
     def _costs(self, chosen: Sequence[Group]) -> list[float]:
         """By how much squares grow without each of some groups."""
         free = [group for group in chosen if not group.fixed]
-        index = [i for group in free for i in group.index]
-        ones = [i for group in chosen if group.fixed for i in group.index]
+        ones, index = _columns(chosen)
         x = fit(with_ones(self.whole, ones), index)[0]
         gram = self.whole.gram[np.ix_(index, index)]
         strength = np.diag(gram)  # none, but for rounding, where others explain it all
@@ -419,7 +429,8 @@ class _Search:
     def exchange(self) -> None:
         """Puts another group in the place of one, as long as that is surely worth it."""
         for _ in range(_EXCHANGES):
-            most = self._square() + 2 * _FAR_OFF / self.data.rate
+            ones, free = _columns(self.chosen)
+            most = fit(with_ones(self.whole, ones), free)[1] + 2 * _FAR_OFF / self.data.rate
             found = [
                 one
                 for out in self.chosen[:-1]
@@ -449,12 +460,6 @@ class _Search:
             else:
                 return
 
-    def _square(self) -> float:
-        """Sum of squares that what is chosen leaves."""
-        ones = [i for group in self.chosen if group.fixed for i in group.index]
-        free = [i for group in self.chosen if not group.fixed for i in group.index]
-        return fit(with_ones(self.whole, ones), free)[1]
-
     def _best(
         self, kept: Sequence[Group], most: float = np.inf
     ) -> tuple[list[Group], Floats, Gain] | None:
@@ -476,10 +481,9 @@ class _Search:
         """Choices with one group more that fit all blocks best, and leave no more squares than
         these: the new one is the last."""
         taken = {group.key for group in chosen}
-        ones = [i for group in chosen if group.fixed for i in group.index]
-        index = [i for group in chosen if not group.fixed for i in group.index]
+        ones, index = _columns(chosen)
         rest = profiled(with_ones(self.whole, ones), index, np.zeros(len(index)))
-        single = _left_by_each(rest)
+        single = left_by_each(rest)
         scored: list[tuple[float, int, Group]] = []
         for group in self.groups:
             if group.key in taken:
@@ -532,14 +536,6 @@ class _Search:
 
 
 _NOTHING = Group((), (), lambda _: None)
-
-
-def _left_by_each(rest: Normal) -> Floats:
-    """[C]: sum of squares that each column alone leaves, as `fit` has it."""
-    strength = np.diag(rest.gram)
-    felt = np.isfinite(strength) & np.isfinite(rest.moment) & (strength > 0)
-    moment = np.where(felt, rest.moment, 0.0) / np.sqrt(np.where(felt, strength, 1.0))
-    return np.asarray(np.maximum(rest.square - moment**2, 0.0))
 
 
 def _log_prior(group: Group) -> float:

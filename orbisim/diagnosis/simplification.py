@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
@@ -75,11 +76,7 @@ def in_form(found: Found, other: tuple[Context, Judged]) -> Found:
 
 def removed(found: Found, number: int) -> Found:
     """Without effects that are not surely worth it beside the others, as far as there is time."""
-    context = found.context
-
-    def refit(less: Hypothesis, now: Judged) -> Judged | None:
-        return fitted_from(context, less, now)
-
+    context, refit = found.context, functools.partial(fitted_from, found.context)
     best, late = found.best, found.late
     try:
         for sure in pruned(context, best, refit):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
-import functools
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
@@ -13,7 +11,8 @@ import numpy.typing as npt
 
 from orbisim.diagnosis.screening import candidates_of
 from orbisim.diagnosis.selection import Selected, data_of, groups_of, select
-from orbisim.effects import Effect, EffectInstance, effect_names, find
+from orbisim.effects import EffectInstance, effect_names, find
+from orbisim.effects.catalogue import asked_once
 from orbisim.effects.screening import Candidate
 from orbisim.evidence import Blocks, Gain, counted, independent_share
 from orbisim.host.deadline import NEVER, Deadline
@@ -53,7 +52,7 @@ def select_in_rounds(
       most: effects at most. deadline: when a selection ends with what it has.
     """
     known = extent(samples)
-    effects = {name: asked_once(find(name)) for name in {one.effect for one in found}}
+    effects = {name: asked_once(name) for name in {one.effect for one in found}}
 
     def prior(instance: EffectInstance) -> float:
         return effects[instance.effect].log_prior(scene.model, instance, known)
@@ -69,14 +68,6 @@ def select_in_rounds(
 
 _ROUNDS = 3
 """The second selection has weights by effects that are there, and rarely differs from the third."""
-
-
-def asked_once(effect: Effect) -> Effect:
-    """The same effect, which works out its parameters in a model once: a selection asks for the
-    prior odds of a million values."""
-    same = copy.copy(effect)
-    setattr(same, "parameters", functools.cache(effect.parameters))  # noqa: B010 (a method)
-    return same
 
 
 def instances(scene: Scene, chosen: Selected) -> list[tuple[EffectInstance, Gain]]:

@@ -5,6 +5,9 @@ A package registers its own with the entry point group `orbisim.effects`, or cal
 
 from __future__ import annotations
 
+import copy
+import functools
+
 from orbisim import plugins
 from orbisim.effects import actuators, bodies, contacts, joints, mechanisms, sensors, unnamed
 from orbisim.effects.base import Effect
@@ -90,3 +93,11 @@ def find(name: str) -> Effect:
             raise UnknownNameError("effect", name, effect_names())
         register(plugins.load(GROUP, name, "effect")())
     return _registered[name]
+
+
+def asked_once(name: str) -> Effect:
+    """The effect of that name, which works out its parameters in a model once: a selection asks for
+    the prior odds of a million values."""
+    effect = copy.copy(find(name))
+    setattr(effect, "parameters", functools.cache(effect.parameters))  # noqa: B010 (a method)
+    return effect

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from orbisim.effects.base import Extent
 from orbisim.errors import RecordingError
 from orbisim.recording import Bound, Recording, bind, estimate_motion, noise_std
+from orbisim.recording.actuators import actuators
 from orbisim.recording.command_clock import Lead, command_clock, command_period
 from orbisim.recording.initial import activations, histories, starts
 from orbisim.recording.joints import Kind, joints
@@ -305,3 +306,18 @@ def extent(samples: Sequence[Samples]) -> Extent:
     speed = np.sqrt(np.mean(state[:, nv:] ** 2, axis=0))
     low, high = state[:, :nv].min(axis=0), state[:, :nv].max(axis=0)
     return Extent(longest, high - low, np.asarray(speed), (low + high) / 2)
+
+
+def forces_known(scene: Scene, samples: Sequence[Samples]) -> bool:
+    """Whether every degree of freedom is driven by a recorded force, or by an actuator whose force
+    follows from its recorded control alone."""
+    model, recorded = scene.model, {name for one in samples for name in one.bound.recording.signals}
+    driven = np.zeros(model.nv, bool)
+    for one in samples:
+        driven |= np.asarray(one.bound.applied, bool)
+    for actuator in actuators(model):
+        plain = model.actuator_biastype[actuator.id] == mujoco.mjtBias.mjBIAS_NONE
+        known = not recorded.isdisjoint(("ctrl", f"ctrl/{actuator.name}"))
+        if known and actuator.driven and actuator.joint >= 0 and plain and not model.na:
+            driven[model.jnt_dofadr[actuator.joint]] = True
+    return bool(driven.all())

@@ -281,6 +281,14 @@ def fit(
     return x, float(max(left, 0.0))
 
 
+def left_by_each(normal: Normal) -> Floats:
+    """[C]: sum of squares that each column alone leaves, as `fit` has it."""
+    strength = np.diag(normal.gram)
+    felt = np.isfinite(strength) & np.isfinite(normal.moment) & (strength > _NOTHING)
+    moment = np.where(felt, normal.moment, 0.0) / np.sqrt(np.where(felt, strength, 1.0))
+    return np.asarray(np.maximum(normal.square - moment**2, 0.0))
+
+
 def scaled_gram(gram: Floats) -> tuple[Floats, Floats]:
     """Gram matrices [..., P, P] of columns of unit length, and the lengths [..., P].
 

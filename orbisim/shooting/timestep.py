@@ -118,11 +118,12 @@ def exact(bench: Bench) -> Bench | None:
 
 
 def held(bench: Bench, timestep: float) -> Bench | None:
-    """In steps over which forces are held, by MuJoCo's implicitfast integrator; None for those of
-    another integrator than `exact` ones."""
+    """In steps over which forces are held, by MuJoCo's implicitfast integrator, a whole number in a
+    sampling interval; None for those of another integrator than `exact` ones."""
     if stepping(bench.scene).integrator != _RK4:
         return None
-    return stepped(bench, timestep, int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
+    interval, integrator = typical_interval(bench), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+    return stepped(bench, interval / max(round(interval / timestep), 1), integrator)
 
 
 def _early(bench: Bench) -> float:
