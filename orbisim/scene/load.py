@@ -104,8 +104,10 @@ def named_scene(text: str, source: str = "") -> Scene:
     """
     if not is_scene_name(text):
         where = f"{source}: " if source else ""
+        known = ", ".join(f"{prefix}:" for prefix in sorted(plugins.names(NAMES)))
+        told = f"names begin with {known}" if known else "no package that knows names is installed"
         raise InputError(
-            f"{where}expected the name of a scene, such as task:push; got {text!r:.80}"
+            f"{where}expected the name of a scene, such as task:push; got {text!r:.80} ({told})"
         )
     prefix, _, name = text.partition(":")
     scene: Scene = plugins.load(NAMES, prefix, "kind of scene name")(name)

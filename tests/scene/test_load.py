@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from orbisim import load_scene
-from orbisim.errors import SceneError
+from orbisim.errors import InputError, SceneError
 from orbisim.scene import load
+from orbisim.scene.load import named_scene
 from tests.clock import Stopwatch
 
 BODY = "<worldbody><body name='b'><geom size='1'/></body></worldbody>"
@@ -142,3 +143,12 @@ def test_sparse_files_that_a_scene_names(tmp_path: Path, reference: str) -> None
     with pytest.raises(SceneError, match=r"m\.stl|memory|took"):
         load_scene(path)
     assert watch.seconds < 20
+
+
+def test_a_name_that_no_package_knows_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`task:push` is right, and nothing is registered where the package is only on the path."""
+    with pytest.raises(InputError, match=r"got 'x:y' \(names begin with suite:, task:\)"):
+        named_scene("x:y", "data.h5")
+    monkeypatch.setattr("orbisim.plugins.names", lambda group: ())
+    with pytest.raises(InputError, match="no package that knows names is installed"):
+        named_scene("task:push", "data.h5")
