@@ -231,7 +231,7 @@ def _held(context: Context, judged: Judged) -> Other | None:
     if not difference(context.bench, other) > _MATTERS * max(judged.ratio, 1.0):
         return None
     ends = long / _SHORTEST, 2.0 * long
-    return _best(context, judged, held, (long / 2.0, long), (0.0,), ends, long / _SHORTEST)
+    return _best(context, judged, held, (long / 2.0, long), (0.0,), ends, long / _LIKE)
 
 
 def _drier(context: Context, judged: Judged) -> Other | None:
@@ -308,9 +308,9 @@ def _squares(gains: dict[float, float]) -> dict[float, float]:
 _MATTERS = 0.25
 """Error of a step, over what is left (at least the noise), that matters: three hundredths of that
 are the step's then. While effects are missing, a coarser one does, and simulates faster."""
-_HELD, _SHORTEST = 8, 8
-"""Steps a sampling interval that are tried first, as a simulated machine's own; how many times
-shorter ones are as good as exact."""
+_HELD, _SHORTEST, _LIKE = 8, 8, 32
+"""Steps a sampling interval that are tried first, as a simulated machine's own; shares of these:
+the shortest, which is as good as exact, and by which steps differ that are tried."""
 _HALVINGS = 5
 """At once: a simulation takes as many times as long."""
 
