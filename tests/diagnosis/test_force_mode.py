@@ -17,12 +17,11 @@ from orbisim.diagnosis.force_search import (
     common_forces,
     fit_forces,
 )
-from orbisim.diagnosis.run import _forces_known
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance, find
 from orbisim.errors import InputError
 from orbisim.host.deadline import Deadline
-from orbisim.motion.samples import prepare_all
+from orbisim.motion.samples import forces_known, prepare_all
 from orbisim.recording import Recording
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.testing import inject_effect
@@ -193,5 +192,5 @@ def test_a_control_that_is_not_recorded_is_no_known_force(arm: orbisim.Scene) ->
         time=whole.time,
         signals={name: x for name, x in whole.signals.items() if not name.startswith("ctrl")},
     )
-    assert _forces_known(arm, prepare_all([whole], arm))
-    assert not _forces_known(arm, prepare_all([blind], arm))
+    assert forces_known(arm, prepare_all([whole], arm))
+    assert not forces_known(arm, prepare_all([blind], arm))
