@@ -24,6 +24,7 @@ from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judge, mean_squares
 
 Floats = npt.NDArray[np.float64]
+_Score = TypeVar("_Score")
 
 
 def worth_in_both(bench: Bench, data: ForceData, before: Hypothesis, after: Hypothesis) -> Gain:
@@ -90,9 +91,6 @@ def _of_forces(data: ForceData, *both: Hypothesis) -> tuple[list[Floats], Blocks
         mean = [square[data.block == b].mean(axis=0) for b in range(data.blocks)]
         found.append(np.maximum(np.concatenate(mean), least))
     return found, blocks
-
-
-_Score = TypeVar("_Score")
 
 
 def _possible(

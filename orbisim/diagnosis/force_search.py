@@ -278,9 +278,6 @@ def _nothing(
     return ForceAttribution(data, Hypothesis(), fit, ratio, ratio, (), suspects)
 
 
-# -- the fit -----------------------------------------------------------------------------------
-
-
 def fit_forces(
     data: ForceData, hypothesis: Hypothesis, sigma: Floats, deadline: Deadline = NEVER
 ) -> tuple[Hypothesis, Fit]:

@@ -96,11 +96,8 @@ def _enough_for_now(context: Context, current: Judged, best: Judged) -> bool:
 _OF_TIME = 0.2
 """Share of the time left at its beginning that a round may take to look for more than one sure
 move; in the first, each kind of moves."""
-
-
 _AT_NOISE = float(np.log(2.0))
-
-
+"""Loss of windows at the noise (`Judged.loss`)."""
 _MUCH = 0.5
 """Share of the loss above the noise that a move may leave to be made without looking at others."""
 

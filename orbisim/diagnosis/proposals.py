@@ -84,9 +84,6 @@ def begin(context: Context, current: Judged, candidate: Suspect) -> Hypothesis:
     return min((hypothesis, other), key=glance)
 
 
-_SMALLER = (0.5, 0.25, 0.1)
-
-
 def events(context: Context, current: Judged, shares: Floats) -> Iterator[Suspect]:
     """Effects that no regression sees, at the joints where something is left, each with those of
     its stated values that leave least."""
@@ -211,6 +208,8 @@ def laws(context: Context, current: Judged) -> Iterator[Hypothesis]:
             yield begun[int(np.argmin(left))]
 
 
+_SMALLER = (0.5, 0.25, 0.1)
+"""Shares of the size that a screening suspects, for what leaves more in that."""
 _FEW = 3
 """Suspects of a screening that are tried in the place of an effect, and values of an event that are
 compared by fits of the starts."""

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from orbisim.backend import Backend
 from orbisim.diagnosis.alternatives import alternatives_of, candidates_of
-from orbisim.diagnosis.both import by_runs, worth_in_both
+from orbisim.diagnosis.both import Runs, by_runs, worth_in_both
 from orbisim.diagnosis.checks import between_samples, disabled, doubts, restepped
 from orbisim.diagnosis.combinations import combined_in_runs
 from orbisim.diagnosis.conclusion import Attribution, attribute
@@ -138,19 +138,15 @@ def diagnose(
             both = bounded(fit, own), bounded(held, own)
             return diagnose_forces(loaded, named, *both, settings, engine, own, say, limit)
 
-        result: Diagnosis | None = None
-        forces: Diagnosis | None = None
-        if residual == "force" or (either and _arm(loaded, fit)):
-            forces = by_forces(_SEARCH if residual else _FORCES)
-            # where forces reach their noise, which is large, free runs may still say more
-            many = len(forces.effects) >= loaded.model.nv and forces.verdict != "explained"
-            if residual == "force" or many:
-                result = forces
-        if result is None:
+        if residual == "force":
+            result = by_forces(_SEARCH)
+        else:
+            forces = by_forces(_FORCES) if either and _arm(loaded, fit) else None
             chosen = telling_window(loaded, fit) if window is None else window
             result = _by_motion(
-                loaded, named, fit, held, settings, chosen, backend, learn_rest, notes, say, start
-            )
+                loaded, named, fit, held, settings, chosen, backend, learn_rest, notes, say, start,
+                forces,
+            )  # fmt: skip
             if either and _leaves_something(result):
                 if forces is None and time.monotonic() < start + _FITS * settings.patience:
                     forces = by_forces(_FITS)
@@ -175,8 +171,9 @@ def _by_motion(
     notes: list[str],
     say: Callable[[str], None],
     start: float,
+    forces: Diagnosis | None,
 ) -> Diagnosis:
-    """Explains the error of free runs over windows."""
+    """Explains the error of free runs over windows, unless what explains the forces settles it."""
     enough = windows_enough(scene, fit, window)
     fit = some_of(fit, window, enough, notes)
     held = some_of(held, window, enough, notes)
@@ -184,6 +181,8 @@ def _by_motion(
     fewer = thinned(fit, window, notes)
     bare = scene.without_images()  # the search compiles it thousands of times
     bench = make_bench(bare, prepare_all(bounded(fewer, notes), bare), window)
+    if forces is not None and _settled(bench, forces):
+        return forces
     if all(map(operator.is_, fewer, fit)):  # else samples are close, and controls are means already
         bench = asked(bench)
     notes += disabled(scene)
@@ -240,7 +239,7 @@ def _weighed(motion: Diagnosis, forces: Diagnosis | None) -> Diagnosis:
     if not pushed.hypothesis.effects:
         return motion
     alone = by_runs(runs.bench, pushed.hypothesis)
-    if alone.gain.mean + SURE * alone.gain.error < 0:
+    if _contradicted(alone):
         told = "what explains the forces predicts free runs worse than the declared scene does"
         return dataclasses.replace(motion, notes=tuple(dict.fromkeys([*motion.notes, told])))
     worth = worth_in_both(runs.bench, pushed.data, runs.hypothesis, pushed.hypothesis)
@@ -255,6 +254,20 @@ def _weighed(motion: Diagnosis, forces: Diagnosis | None) -> Diagnosis:
         if better.verdict != "explained":
             better = dataclasses.replace(better, history=motion.history)
     return dataclasses.replace(better, notes=tuple(dict.fromkeys([*better.notes, told])))
+
+
+def _settled(bench: Bench, forces: Diagnosis) -> bool:
+    """Whether what explains forces is the answer at once: many effects, to find which one by one
+    takes long, that free runs do not contradict. Where forces reach their noise, which is large,
+    free runs may still say more."""
+    if len(forces.effects) < forces.scene.model.nv or forces.verdict == "explained":
+        return False
+    return not _contradicted(by_runs(bench, forces.attribution.hypothesis))
+
+
+def _contradicted(runs: Runs) -> bool:
+    """Whether an explanation predicts free runs surely worse than the declared scene does."""
+    return runs.gain.mean + SURE * runs.gain.error < 0
 
 
 def _arm(scene: Scene, recordings: Sequence[Recording]) -> bool:

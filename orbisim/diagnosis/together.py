@@ -88,9 +88,6 @@ def left_of(chosen: Selected, columns: Floats, target: Floats) -> Floats:
     return left
 
 
-# -- windows of free runs ----------------------------------------------------------------------
-
-
 def propose(
     bench: Bench,
     intervals: Intervals,

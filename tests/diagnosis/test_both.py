@@ -1,6 +1,7 @@
 """What explains forces and what explains free runs, by both."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from orbisim.diagnosis.both import _of_forces, _of_runs, by_runs, worth_in_both
 from orbisim.diagnosis.conclusion import Attribution
 from orbisim.diagnosis.force_data import ForceData, force_data
 from orbisim.diagnosis.force_search import ForceAttribution
-from orbisim.diagnosis.run import _weighed
+from orbisim.diagnosis.run import _settled, _weighed
 from orbisim.effects import EffectInstance
 from orbisim.evidence import Gain, gain
 from orbisim.motion.samples import prepare_all
@@ -114,3 +115,34 @@ def test_what_leaves_something_of_free_runs_does_not_explain_everything(
         other = ForceAttribution(forces, pushed, None, 9.0, 1.0)  # type: ignore[arg-type]
         found = _weighed(Answer(runs), Answer(other))  # type: ignore[arg-type]
         assert found.attribution is other and found.verdict == verdict
+
+
+@dataclasses.dataclass(frozen=True)
+class ByForces(Answer):
+    """The same of one that explains forces."""
+
+    scene: orbisim.Scene | None = None
+    effects: tuple[EffectInstance, ...] = ()
+
+
+def test_many_effects_settle_it_unless_free_runs_contradict(
+    data: tuple[Bench, ForceData, Hypothesis], arm: orbisim.Scene
+) -> None:
+    """Late sensors look like forces at every joint, with which free runs go elsewhere."""
+    bench, forces, truth = data
+    assert len(truth.effects) >= arm.model.nv
+    driven = Hypothesis(
+        tuple(
+            EffectInstance("viscous_damping", joint, {"coefficient": -0.01})
+            for joint in ("shoulder", "elbow")
+        )
+    )
+
+    def answer(one: Hypothesis, verdict: str = "partly_explained") -> Any:
+        found = ForceAttribution(forces, one, None, 10.0, 5.0)  # type: ignore[arg-type]
+        return ByForces(found, (), verdict, (), arm, one.effects)
+
+    assert _settled(bench, answer(truth))
+    assert not _settled(bench, answer(driven))
+    assert not _settled(bench, answer(truth, "explained"))
+    assert not _settled(bench, answer(truth.without(0).without(0)))
