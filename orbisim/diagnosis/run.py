@@ -57,7 +57,7 @@ from orbisim.shooting.bench import Bench, Noise, make_bench
 from orbisim.shooting.cutting import touches, windows_enough
 from orbisim.shooting.history import history_dependent
 from orbisim.shooting.horizon import telling_window
-from orbisim.shooting.timestep import stepping, with_stepping
+from orbisim.shooting.timestep import Stepping, stepping, with_stepping, within_samples
 
 Source = Recording | str | Path
 
@@ -179,7 +179,7 @@ def _by_motion(
     held = some_of(held, window, enough, notes)
     fit, held = bridged(fit, notes), bridged(held, [])
     fewer = thinned(fit, window, notes)
-    bare = scene.without_images()  # the search compiles it thousands of times
+    bare = within_samples(scene.without_images(), fewer, notes)  # compiled thousands of times
     bench = make_bench(bare, prepare_all(bounded(fewer, notes), bare), window)
     if forces is not None and _settled(bench, forces):
         return forces
@@ -194,11 +194,12 @@ def _by_motion(
         notes.append(f"the search was ended after {settings.patience:g} s; more may be found")
     say("checking on held-out data")
     unseen = read_as(unseen.whole(found.bench.noise), found.bench)
-    forms = restepped(scene, found.bench.scene), between_samples(found.bench)
-    notes += [note for note in forms if note is not None]
-    notes += doubts(found)
+    forms = restepped(bare, found.bench.scene), between_samples(found.bench)
+    notes += [*(note for note in forms if note is not None), *doubts(found)]
     sensed = sensor_faults(found, unseen, notes, say)
-    result = _result(scene, named, found, settings, fit, held, window, backend, notes, sensed)
+    result = _result(
+        scene, named, found, settings, fit, held, window, backend, notes, sensed, stepping(bare)
+    )
     if result.verdict in ("partly_explained", "unexplained"):
         result = dataclasses.replace(result, history=history_dependent(found.bench))
     if rest:
@@ -320,15 +321,15 @@ def _result(
     backend: str | Backend,
     notes: list[str],
     sensed: Sensed,
+    begun: Stepping,
 ) -> Diagnosis:
     hypothesis, taken = found.after.hypothesis, stepping(found.bench.scene)
-    stepped = scene if taken == stepping(scene) else with_stepping(scene, taken)
+    changed = bool(hypothesis.effects or hypothesis.factors or found.bench.lead) or taken != begun
+    stepped = with_stepping(scene, taken) if changed and taken != stepping(scene) else scene
     augmented = hypothesis.scene(stepped)
-    measuring = [e for e in hypothesis.effects if find(e.effect).measurement]
-    measuring += sensed.instances
+    measuring = [*(e for e in hypothesis.effects if find(e.effect).measurement), *sensed.instances]
     if measuring:
         augmented = add_effects(augmented, measuring)
-    changed = hypothesis.effects or hypothesis.factors or found.bench.lead or stepped is not scene
     data = {"fit": fit, "held_out": held}
     before = {part: score(scene, own, window, (), backend) for part, own in data.items()}
     if lead := found.bench.lead:

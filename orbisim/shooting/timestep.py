@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import mujoco
@@ -10,6 +11,7 @@ import numpy as np
 
 from orbisim.effects.lateness import kept_late
 from orbisim.motion.samples import substeps
+from orbisim.recording import Recording
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
 
@@ -106,6 +108,26 @@ def stepped(
     later = (_early(bench) - _early(other)) / typical_interval(bench)
     share = float(np.clip(bench.lead.share + later, -1.0, 1.0))
     return other.led(dataclasses.replace(bench.lead, share=share))
+
+
+def within_samples(scene: Scene, recordings: Sequence[Recording], notes: list[str]) -> Scene:
+    """The scene in the step that is taken where samples are closer than its timestep, with a note
+    then. What the timestep says beside how long a step is counts, too: how stiff a stop can be
+    (`HardStop`), and by how much velocities are ahead of positions."""
+    declared = stepping(scene)
+    interval = float(np.median(np.concatenate([np.diff(one.time) for one in recordings])))
+    if interval > _SAME * declared.timestep:
+        return scene
+    other = with_stepping(scene, declared._replace(timestep=interval))
+    notes.append(
+        f"samples are closer than the declared {declared}: free runs take a {stepping(other)}, "
+        "and so does an augmented scene"
+    )
+    return other
+
+
+_SAME = 0.95
+"""Of a timestep: what is closer than that to it is a clock that jitters."""
 
 
 def exact(bench: Bench) -> Bench | None:

@@ -15,6 +15,7 @@ from orbisim.effects import EffectInstance
 from orbisim.errors import RecordingError
 from orbisim.recording import Recording
 from orbisim.shooting.history import HistoryDependent
+from orbisim.shooting.timestep import Stepping, with_stepping
 from orbisim.testing import inject_effect
 
 ARM = Path(__file__).parents[2] / "mjcf_assets" / "arm2"
@@ -131,3 +132,22 @@ def test_refuses_wrong_recordings(arm: orbisim.Scene) -> None:
             orbisim.diagnose(arm, recording, progress=False)
     with pytest.raises(RecordingError, match="one sample"):
         orbisim.diagnose(arm, good.rows(slice(0, 1)), progress=False)
+
+
+def test_a_scene_with_longer_steps_than_samples_is_augmented_with_those_taken(
+    arm: orbisim.Scene,
+) -> None:
+    euler = int(mujoco.mjtIntegrator.mjINT_EULER)
+    long, true = (with_stepping(arm, Stepping(step, euler)) for step in (0.02, 0.01))
+    few = orbisim.diagnosis.Settings(retune=False, effects=("viscous_damping", "torque_gain"))
+    for effects, step in (
+        ([], 0.02),
+        ([EffectInstance("viscous_damping", "elbow", {"coefficient": 0.08})], 0.01),
+    ):
+        runs = inject_effect(true, effects, rate=100.0, seed=0, **SHORT)
+        found = orbisim.diagnose(long, runs, settings=few, progress=False)
+        assert [one.effect for one in found.effects] == [one.effect for one in effects]
+        assert found.augmented_scene.model.opt.timestep == pytest.approx(step)
+        assert any(
+            "samples are closer than the declared timestep of 0.02 s" in n for n in found.notes
+        )

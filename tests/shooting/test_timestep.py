@@ -18,6 +18,7 @@ from orbisim.shooting.timestep import (
     taken,
     typical_interval,
     with_stepping,
+    within_samples,
 )
 from orbisim.testing import inject_effect
 
@@ -44,6 +45,23 @@ def test_a_sampling_interval_has_a_whole_number_of_steps(arm: orbisim.Scene) -> 
     for asked, expected in ((0.002, 0.002), (0.003, 0.0025), (0.03, 0.01)):
         assert taken(bench, asked) == pytest.approx(expected)
     assert taken(bench) == pytest.approx(float(arm.model.opt.timestep))
+
+
+def test_a_scene_takes_no_longer_steps_than_samples_are_apart(arm: orbisim.Scene) -> None:
+    euler = int(mujoco.mjtIntegrator.mjINT_EULER)
+    long, notes = with_stepping(arm, Stepping(0.02, euler)), list[str]()
+    runs = inject_effect(arm, [], rate=100.0, duration=1.0, episodes=2, noise=1e-3, seed=0)
+    short = within_samples(long, runs, notes)
+    assert stepping(short) == Stepping(pytest.approx(0.01), euler)
+    assert len(notes) == 1 and "0.01 s" in notes[0] and "0.02 s" in notes[0]
+    # velocities of half a step before, by what a step is: those of the same scene with 10 ms
+    ahead = [
+        prepare_all(runs, one)[0].absolute for one in (short, with_stepping(arm, stepping(short)))
+    ]
+    assert np.array_equal(*ahead, equal_nan=True)
+    near = with_stepping(arm, Stepping(0.0102, euler))  # a clock that jitters
+    assert within_samples(near, runs, notes) is near and within_samples(arm, runs, notes) is arm
+    assert len(notes) == 1
 
 
 def test_the_scene_itself_keeps_its_timestep(arm: orbisim.Scene) -> None:
