@@ -261,9 +261,8 @@ def _settled(bench: Bench, forces: Diagnosis) -> bool:
     """Whether what explains forces is the answer at once: many effects, to find which one by one
     takes long, that free runs do not contradict. Where forces reach their noise, which is large,
     free runs may still say more."""
-    if len(forces.effects) < forces.scene.model.nv or forces.verdict == "explained":
-        return False
-    return not _contradicted(by_runs(bench, forces.attribution.hypothesis))
+    many = len(forces.effects) >= forces.scene.model.nv and forces.verdict != "explained"
+    return many and not _contradicted(by_runs(bench, forces.attribution.hypothesis))
 
 
 def _contradicted(runs: Runs) -> bool:
