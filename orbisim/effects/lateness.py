@@ -89,6 +89,21 @@ def kept_late(
     return found
 
 
+def keep_late(spec: mujoco.MjSpec, model: mujoco.MjModel, step: float, integrator: int) -> None:
+    """Edits a document so that its drives are as late in another step, s, and by another integrator
+    of `mujoco.mjtIntegrator`.
+
+    Args:
+      model: as the document compiles.
+    """
+    late = kept_late(model, np.array([step]), integrator)
+    for number, actuator in enumerate(spec.actuators):
+        if "actuator_dynprm" in late:
+            actuator.dynprm[0] = late["actuator_dynprm"][0, number, 0]
+        if "actuator_delay" in late:
+            actuator.delay = late["actuator_delay"][0, number]
+
+
 def _beyond(places: Floats, known: tuple[float, ...], values: tuple[float, ...]) -> Floats:
     """A line through points, that goes on with a slope of one on both sides of them."""
     low, high = np.minimum(places - known[0], 0.0), np.maximum(places - known[-1], 0.0)

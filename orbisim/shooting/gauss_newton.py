@@ -133,15 +133,12 @@ class Problem:
                 hinted, free, at = False, self.start_jacobian(here), here  # the hint was no good
                 continue
             if not self.unknowns:  # windows are independent of each other
-                lowered = here.cost - found.cost > tolerance * here.cost
-                # a step that made a window worse was too long: one shorter may not
-                active = lowered | (active & (found.cost >= here.cost) & (brakes < _HELD))
+                active = here.cost - found.cost > tolerance * here.cost
             before, after = self.total(here), self.total(found)
             gain = (before - after) / max(before, 1e-300)
             here, damping = found, max(damping / 10, 1e-9)
             iteration += 1
-            ended = gain < tolerance if self.unknowns else not active.any()
-            if ended and not (hinted and self.hints.rough):
+            if gain < tolerance and not (hinted and self.hints.rough):
                 iteration, known = iterations, slopes  # so short a step hardly changes them
                 continue
             if hinted and self.hints.rough and (gain < 0.2 or iteration == 2):
@@ -493,9 +490,6 @@ _START_STEP = 1e-6
 _SHORTER = 7
 """How many steps are tried, each damped ten times as much: friction that makes a joint stick hardly
 grows where it does not yet, so that the first may be ten times too long."""
-_HELD = 100.0
-"""Brake from which on a window stays where it is: each step that is refused brakes the next one a
-hundred times as much, from a thousandth of what its derivatives are."""
 _REFUSED = 100.0
 """By how much a step is damped that leads to no possible scene."""
 _STALE = 0.1

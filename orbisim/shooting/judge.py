@@ -556,13 +556,11 @@ class Judge:
         are, too: through impacts the cost is rugged, and a fit of everything ends where the starts
         of some windows are poor. Starts are looked for from the references once."""
         free = hypothesis.free(self.bench.scene)
-        cold = self._scored(hypothesis, self.fitted, None, None)
-        for _ in range(restarts):
+        cold = self._scored(hypothesis, self.fitted, None, None) if free else fit
+        for _ in range(restarts if free else 0):
             alone = _by_window(self._scored(hypothesis, self.fitted, fit.start, None), cold)
-            found, again = hypothesis, alone
-            if free:
-                best, begin = self._moved(hypothesis, alone, fit.values)
-                found, again = self._fitted(best, iterations, begin)
+            best, begin = self._moved(hypothesis, alone, fit.values)
+            found, again = self._fitted(best, iterations, begin)
             if not again.square < fit.square:
                 break
             little = again.square > _LITTLE * fit.square

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from orbisim.effects.lateness import kept_late
+from orbisim.effects.lateness import keep_late
 from orbisim.motion.samples import substeps
 from orbisim.recording import Recording
 from orbisim.scene import Scene
@@ -78,12 +78,7 @@ def taken(bench: Bench, timestep: float | None = None) -> float:
 def with_stepping(scene: Scene, other: Stepping) -> Scene:
     """The scene, stepped in another way, in which its drives are as late as they were."""
     spec, ends = scene.spec, (_SOFT[0], _short(scene.model.opt.timestep))
-    late = kept_late(scene.model, np.array([other.timestep]), other.integrator)
-    for number, actuator in enumerate(spec.actuators):
-        if "actuator_dynprm" in late:
-            actuator.dynprm[0] = late["actuator_dynprm"][0, number, 0]
-        if "actuator_delay" in late:
-            actuator.delay = late["actuator_delay"][0, number]
+    keep_late(spec, scene.model, other.timestep, other.integrator)
     spec.option.timestep, spec.option.integrator = other.timestep, other.integrator
     for joint in spec.joints:
         if joint.solref_friction[0] in ends and joint.solref_friction[1] == _SOFT[1]:

@@ -97,49 +97,6 @@ def test_starts_may_be_readings_of_a_sensor_with_an_offset() -> None:
     assert plain._read(np.zeros(0), [np.zeros((2, 2))]) == []
 
 
-class Bent:
-    """Two windows of one sample: one that a step solves, and one where steps are too long."""
-
-    nv, count = 1, 4
-    data, recording = np.array([2, 2]), np.zeros(2, int)
-    declared = SimpleNamespace(model=SimpleNamespace(nv=1))
-    first_seen = np.zeros((2, 2))
-
-    def __len__(self) -> int:
-        return 2
-
-    def leads(self, variant: Variant) -> bool:
-        return False
-
-    def scaled(self, simulated: np.ndarray) -> np.ndarray:
-        return simulated[:, 0]
-
-    def residual(self, simulated: np.ndarray) -> np.ndarray:
-        return -simulated[:, 0]
-
-    def simulate(self, variant: Variant, xi: np.ndarray, only: Any = None) -> np.ndarray:
-        course = np.stack([xi[0, 0] - 5, np.arctan(xi[1, 0] - 3)])
-        return np.stack([course, xi[:, 1]], axis=1)[:, None]
-
-    def simulate_each(self, variants: list[Variant], xi: np.ndarray) -> list[np.ndarray]:
-        return []
-
-    def moved(self, variant: Variant, xi: np.ndarray, step: float, which: Any) -> list[np.ndarray]:
-        return [self.simulate(variant, xi + step * one)[which] for one in np.eye(2)]
-
-    def some(self, which: Any) -> "Bent":
-        return self
-
-
-def test_a_window_whose_first_step_is_too_long_takes_a_shorter_one() -> None:
-    """Beside one that does well at once: Newton's steps to a zero of arctan diverge from 2."""
-    shooter: Any = Bent()
-    problem = Problem(shooter, lambda _: Variant(shooter.declared), [], Hints(exact=True), None)
-    found = problem.solve(np.array([[7.0, 0.0], [5.0, 0.0]]), 4, 1e-3)
-    assert found.per_window[0] < 1e-9
-    assert found.per_window[1] < 0.2 * np.arctan(2) ** 2
-
-
 def test_a_step_to_an_impossible_scene_is_shortened(arm: orbisim.Scene) -> None:
     """A payload's first step may ask for a negative inertia."""
     friction = EffectInstance("coulomb_friction", "elbow", {"torque": 0.1})

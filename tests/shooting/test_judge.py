@@ -248,17 +248,6 @@ def test_a_restart_finds_what_a_fit_through_impacts_missed(
     assert restarted.hypothesis.effects[0].values == pytest.approx(SOFT, rel=2e-3)
 
 
-def test_what_has_no_numbers_is_restarted_too(softened: tuple[Judge, Judged]) -> None:
-    """Or starts that it has not found would be a reason for an effect."""
-    judge, nothing = softened
-    known = frozenset((0, name) for name in SOFT)
-    hypothesis = Hypothesis((EffectInstance("restitution", "head", SOFT),), known)
-    assert not hypothesis.free(judge.bench.scene)
-    poor = judge._scored(hypothesis, judge.fitted, nothing.fit.start + 0.1, None, 0, near=True)
-    same, restarted = judge._restarted(hypothesis, poor, 5, 1)
-    assert same is hypothesis and restarted.square < 0.1 * poor.square
-
-
 PUCK = """
 <mujoco model="puck">
   <option timestep="0.002"/>
