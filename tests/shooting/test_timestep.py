@@ -84,7 +84,11 @@ def test_exact_steps_are_those_that_there_are(arm: orbisim.Scene) -> None:
     assert held(bench, 0.001) is None
     own = held(other, 0.001)
     assert own is not None
-    assert stepping(own.scene) == Stepping(0.001, int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
+    assert stepping(own.scene).integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+    assert stepping(own.scene).timestep == pytest.approx(0.001)
+    between = held(other, 0.0011)  # nine make an interval
+    assert between is not None
+    assert stepping(between.scene).timestep == pytest.approx(0.01 / 9)
 
 
 CART = """<mujoco><option timestep="0.0002" gravity="0 0 0" integrator="implicitfast"/><worldbody>
