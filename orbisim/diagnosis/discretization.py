@@ -206,16 +206,16 @@ def _finer(context: Context, judged: Judged) -> Other | None:
     have impacts no step is finer: what a contact does depends on it by definition."""
     if not _inexact(context.bench, judged.ratio, judged.hypothesis):
         return None
-    step, best, found = taken(context.bench), 0.0, None
+    step, best, bench, fitted = taken(context.bench), 0.0, context.bench, None
     for _ in range(_HALVINGS):
         step, finer = step / 2.0, stepped(context.bench, step / 2.0)
-        gain = _gain(context, judged, finer)
+        gain, fit = _gain(context, judged, finer)
         if not gain > best:
             break
-        best, found = gain, finer
+        best, bench, fitted = gain, finer, fit
         if not _inexact(finer, judged.ratio, judged.hypothesis):
             break
-    return None if found is None else _again(context, judged, lambda _: found)
+    return fitted or (_again(context, judged, lambda _: bench) if best > 0 else None)
 
 
 def _held(context: Context, judged: Judged) -> Other | None:
@@ -231,7 +231,7 @@ def _held(context: Context, judged: Judged) -> Other | None:
     if not difference(context.bench, other) > _MATTERS * max(judged.ratio, 1.0):
         return None
     ends = long / _SHORTEST, 2.0 * long
-    return _best(context, judged, held, (long / 2.0, long), (0.0,), ends, long / _LIKE)
+    return _best(context, judged, held, (long / 2.0, long), (0.0,), ends, long / _LIKE, 1)
 
 
 def _drier(context: Context, judged: Judged) -> Other | None:
@@ -258,17 +258,14 @@ def _inexact(bench: Bench, ratio: float, hypothesis: Hypothesis | None = None) -
     return not bench.rugged and not 2.0 * halving(bench, hypothesis) <= _MATTERS * max(ratio, 1.0)
 
 
-def _gain(context: Context, judged: Judged, bench: Bench | None) -> float:
-    """By how much less the same explanation leaves in another form of the data; as it is foreseen,
-    if it can be, as a fit takes ten times as long."""
-    if bench is None:
-        return -np.inf
-    there = context.trying(bench).judge
-    loss = there.foreseen(judged, context.judge)
-    if loss is None:
-        fitted = there.judge(judged.hypothesis, begin=context.judge.begin(judged))
-        loss = np.inf if fitted is None else fitted.loss
-    return judged.loss - loss
+def _gain(context: Context, judged: Judged, bench: Bench | None) -> tuple[float, Other | None]:
+    """By how much less the same explanation leaves in another form of the data, as it is foreseen
+    (a fit takes ten times as long), and the fit where it cannot be."""
+    loss = None if bench is None else context.trying(bench).judge.foreseen(judged, context.judge)
+    if loss is not None:
+        return judged.loss - loss, None
+    fitted = _again(context, judged, lambda _: bench)
+    return (-np.inf, None) if fitted is None else (judged.loss - fitted[1].loss, fitted)
 
 
 def _best(
@@ -279,24 +276,27 @@ def _best(
     known: Sequence[float],
     ends: tuple[float, float],
     close: float,
+    refined: int,
 ) -> Other | None:
     """The same explanation in the best of a line of forms: at a place that is tried, or where a
     parabola through these is highest. None if none is better.
 
     Args:
       known: places that are what there is. ends: of the line. close: distance of places alike.
+      refined: places tried after these at most.
     """
-    gains = dict.fromkeys(known, 0.0)
-    gains |= {place: _gain(context, judged, change(context.bench, place)) for place in tried}
-    for _ in range(_REFINED):
-        place = peak(_squares(gains), *ends)
-        if place is None or min(abs(place - one) for one in gains) < close:
+    gains, fits = dict.fromkeys(known, 0.0), dict[float, Other | None]()
+    for place in tried:
+        gains[place], fits[place] = _gain(context, judged, change(context.bench, place))
+    for _ in range(refined):
+        top = peak(_squares(gains), *ends)
+        if top is None or min(abs(top - one) for one in gains) < close:
             break
-        gains[place] = _gain(context, judged, change(context.bench, place))
+        gains[top], fits[top] = _gain(context, judged, change(context.bench, top))
     best = max(gains, key=lambda place: gains[place])
     if best in known:
         return None
-    return _again(context, judged, lambda bench: change(bench, best))
+    return fits[best] or _again(context, judged, lambda bench: change(bench, best))
 
 
 def _squares(gains: dict[float, float]) -> dict[float, float]:
@@ -360,7 +360,7 @@ def _led_best(
     def change(bench: Bench, share: float) -> Bench:
         return bench.led(dataclasses.replace(lead, share=share))
 
-    return _best(context, judged, change, tried, known, (-most, most), _CLOSE)
+    return _best(context, judged, change, tried, known, (-most, most), _CLOSE, _REFINED)
 
 
 def _most(lead: Lead) -> float:
@@ -392,7 +392,7 @@ _SHARES = (-0.5, 0.05, 0.5)
 """Of an interval, tried first: commands that arrive late, half a step of a simulation with ten
 steps a sample, and changes anywhere between two samples."""
 _REFINED = 3
-"""Places tried after these: a parabola's peak lies close to one by then."""
+"""Shares tried after these: a parabola's peak lies within `_CLOSE` by then."""
 _NEAR = 0.1
 """Of an interval, by which other shares than the one that there is are tried first."""
 _CLOSE = 0.003
