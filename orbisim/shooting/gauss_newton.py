@@ -177,9 +177,8 @@ class Problem:
         Args:
           known: whether `xi` was given.
         """
-        others: list[Floats] = []
+        others = [np.zeros_like(xi)] if known and xi.any() else []
         if self.hints.rough or self.hints.exact:
-            others += [np.zeros_like(xi)] if known and xi.any() else []
             others.append(self._measured(xi))
             others += self._read(values, [xi, *others])
         return [*others, *self._ends(values, xi)]
