@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
-from orbisim.effects import catalogue, effect_names, find, register
+import orbisim
+from orbisim.effects import (
+    Effect,
+    EffectInstance,
+    Parameter,
+    catalogue,
+    effect_names,
+    find,
+    register,
+)
 from orbisim.effects.joints import CoulombFriction
 from orbisim.errors import InputError, UnknownNameError
 
@@ -55,3 +65,25 @@ def test_what_is_no_effect_is_refused() -> None:
 def test_an_unknown_name_has_a_suggestion() -> None:
     with pytest.raises(UnknownNameError, match="did you mean 'backlash'"):
         find("backlsh")
+
+
+def test_one_that_is_asked_once_works_out_its_parameters_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The registered one stays as it was."""
+    hinge = """<mujoco><worldbody><body><joint name="hinge"/><geom size=".1"/></body></worldbody>
+    </mujoco>"""
+    model, count = orbisim.load_scene(hinge).model, 0
+    effect = find("viscous_damping")
+    whole = type(effect).parameters
+
+    def counted(self: Effect, *words: Any) -> tuple[Parameter, ...]:
+        nonlocal count
+        count += 1
+        return whole(self, *words)
+
+    monkeypatch.setattr(type(effect), "parameters", counted)
+    same = catalogue.asked_once("viscous_damping")
+    one = EffectInstance("viscous_damping", "hinge", {"coefficient": 0.1})
+    assert [same.log_prior(model, one) for _ in range(3)] == [effect.log_prior(model, one)] * 3
+    assert count == 2  # by the first of the three, and by the registered one

@@ -8,6 +8,7 @@ import pytest
 from orbisim.shooting.regress import (
     Normal,
     fit,
+    left_by_each,
     levelled,
     normal_of,
     profiled,
@@ -95,3 +96,15 @@ def test_windows_that_leave_much_more_than_most_weigh_less() -> None:
     assert weights == pytest.approx([1, 1, 1, 0.05])
     clean = Normal(np.eye(2), np.ones(2), 0.0, 10)
     assert all(n.gram[0, 0] == 1 for n in levelled([clean, clean, one]))
+
+
+def test_what_each_column_alone_leaves_is_what_its_fit_does() -> None:
+    """Also of a column that is none, or that overflows."""
+    design = np.column_stack([DESIGN, np.zeros(30)])
+    normal = normal_of(design, TARGET, 30)
+    gram, moment = normal.gram.copy(), normal.moment.copy()
+    gram[0, 0] = moment[0] = np.inf
+    for one in (normal, Normal(gram, moment, normal.square, normal.count)):
+        left = left_by_each(one)
+        assert left == pytest.approx([fit(one, [column])[1] for column in range(6)])
+        assert left[5] == one.square and (left[1:5] < one.square).all()
