@@ -98,7 +98,7 @@ def candidates_of(
     model = bench.scene.model
     taken = {(e.effect, e.target) for e in hypothesis.effects}
     found: list[Candidate] = []
-    base: tuple[Floats, Floats] | None = None
+    ends = functools.cache(flow.advance)
     for name in effect_names():
         effect = find(name)
         if only is not None and name not in only:
@@ -109,8 +109,7 @@ def candidates_of(
             offered = effect.screen(view, target)
             found += offered
             if simulated and not offered and not effect.structural and effect.native:
-                base = flow.advance() if base is None else base
-                found += _by_difference(bench, hypothesis, flow, base, name, target)
+                found += _by_difference(bench, hypothesis, flow, ends(), name, target)
     return found
 
 
@@ -123,14 +122,14 @@ def _by_difference(
     target: str,
 ) -> list[Candidate]:
     """The change of every interval's end at a few parameter values, by simulation."""
-    scene = hypothesis.scene(bench.scene)
+    scene, felt = hypothesis.scene(bench.scene), flow.felt(find(name), target)
     found: list[Candidate] = []
-    for values in find(name).trials(bench.scene.model, target):
+    for values in find(name).trials(bench.scene.model, target) if felt.any() else ():
         try:
             changed = add_effects(scene, [EffectInstance(name, target, dict(values))])
         except OrbiSimError:
             continue
-        difference = flow.tangent(*base, *flow.advance(scene=changed))
+        difference = flow.tangent(*base, *flow.advance(scene=changed, only=felt))
         column = Column("state", np.nan_to_num(difference, posinf=0.0, neginf=0.0))
         if np.abs(column.values).max() > 0:
             kept = dict(values)

@@ -14,6 +14,7 @@ are finite differences of the backend's own steps.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import mujoco
@@ -21,16 +22,19 @@ import mujoco.batch
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.effects.base import Effect, index_of
 from orbisim.effects.carry import hooks_of
 from orbisim.effects.stepping import Timesteps, step_batch
 from orbisim.host.cpus import threads_for
 from orbisim.host.deadline import NEVER, Deadline
+from orbisim.motion.closeness import may_touch
 from orbisim.motion.hidden import Layout, carried_along
 from orbisim.motion.samples import Samples, parts_of, substeps
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
+Bools = npt.NDArray[np.bool_]
 
 _EPS = 1e-5
 """rad, m, and a second of them, by which one-sided differences move a state: between rounding of
@@ -106,22 +110,25 @@ class IntervalMap:
         qvel: Floats | None = None,
         force: Floats | None = None,
         scene: Scene | None = None,
+        only: Bools | None = None,
     ) -> tuple[Floats, Floats]:
         """States at the ends of the intervals, from other starts, forces or another scene.
 
         Args:
           qpos, qvel: starts; the reference if None. force: added generalized force.
           scene: another scene of the variant's layout.
+          only: [N] intervals that are simulated, all if None; the others' ends are NaN.
         """
         model = self.variant.model if scene is None else scene.model
         place = Layout(self.model, model)
         qpos = self.qpos if qpos is None else qpos
         qvel = self.qvel if qvel is None else qvel
-        out_q, out_v = np.empty_like(self.qpos), np.empty_like(self.qvel)
+        out_q, out_v = np.full_like(self.qpos, np.nan), np.full_like(self.qvel, np.nan)
+        wanted = np.ones(len(self), bool) if only is None else only
         hooks = hooks_of(model)
-        for count in np.unique(self.substeps):
+        for count in np.unique(self.substeps[wanted]):
             self.deadline.check()
-            index = np.flatnonzero(self.substeps == count)
+            index = np.flatnonzero(wanted & (self.substeps == count))
             threads = threads_for(len(index), len(index) * model.nv * int(count))
             batch = mujoco.batch.Batch(model, len(index), threads)
             Timesteps(model, batch).set(self.duration[index] / count)
@@ -147,6 +154,19 @@ class IntervalMap:
         known = [(one.inputs(parts), rows) for one, rows in self._pick]
         ctrl, force = (np.concatenate([both[n][rows] for both, rows in known]) for n in (0, 1))
         return ctrl, force
+
+    def felt(self, effect: Effect, target: str) -> Bools:
+        """[N]: the intervals that an effect at a target may change: of what acts at a geom's
+        contacts, those in which it may touch something."""
+        if effect.kind != "geom" or mujoco.mjtDisableBit.mjDSBL_CONTACT not in effect.needs:
+            return np.ones(len(self), bool)
+        return self._touching[:, index_of(self.model, "geom", target)]
+
+    @functools.cached_property
+    def _touching(self) -> Bools:
+        """[N, ngeom]: the declared scene's geoms that may touch something in an interval."""
+        before, after = (self.qpos, self.qvel), (self.after_qpos, self.after_qvel)
+        return may_touch(self.model, before, after, self.duration)
 
     def tangent(self, from_q: Floats, from_v: Floats, to_q: Floats, to_v: Floats) -> Floats:
         """Tangent vectors [N, 2 nv] from one set of states to another."""
