@@ -261,9 +261,9 @@ def _inexact(bench: Bench, ratio: float, hypothesis: Hypothesis | None = None) -
 def _gain(context: Context, judged: Judged, bench: Bench | None) -> tuple[float, Other | None]:
     """By how much less the same explanation leaves in another form of the data, as it is foreseen
     (a fit takes ten times as long), and the fit where it cannot be."""
-    loss = None if bench is None else context.trying(bench).judge.foreseen(judged, context.judge)
-    if loss is not None:
-        return judged.loss - loss, None
+    gain = None if bench is None else context.trying(bench).judge.foreseen(judged, context.judge)
+    if gain is not None:
+        return gain, None
     fitted = _again(context, judged, lambda _: bench)
     return (-np.inf, None) if fitted is None else (judged.loss - fitted[1].loss, fitted)
 

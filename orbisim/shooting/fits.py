@@ -124,6 +124,14 @@ class Hints:
     near: bool = False
     lenient: float = 0.0
 
+    def some(self, which: npt.NDArray[np.int64]) -> Hints:
+        """Of the windows of these numbers."""
+        return dataclasses.replace(
+            self,
+            free=None if self.free is None else self.free[which],
+            slopes={k: one[which] for k, one in self.slopes.items()},
+        )
+
 
 NOTHING = Hints()
 """No derivative is known."""

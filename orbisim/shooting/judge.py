@@ -129,12 +129,14 @@ class Judge:
         self.bench, self.chance = bench, chance
         self.robust = _IMPACTS if bench.contacts else None
         self.heavy = heavy or bench.contacts
-        self.fitted = bench.shooter(evenly(bench.fit, most))
+        kept = evenly(bench.fit, most)
+        self.fitted, self._smooth = bench.shooter(kept), np.flatnonzero(bench.smooth[kept])
         check = bench.check if bench.check.any() else bench.fit
-        if (check == bench.fit).all():
-            self.check = self.fitted
-        else:
-            self.check = bench.shooter(evenly(check, None if most is None else max(8, most // 2)))
+        self.check, self._check_smooth = self.fitted, self._smooth
+        if not (check == bench.fit).all():
+            kept = evenly(check, None if most is None else max(8, most // 2))
+            self.check = bench.shooter(kept)
+            self._check_smooth = np.flatnonzero(bench.smooth[kept])
         self.cold = Beginning() if bench.contacts else self._chained(intervals)
         self._slopes: dict[Tunable, Floats] = {}
         if columns is not None and not bench.contacts:
@@ -417,27 +419,31 @@ class Judge:
 
     def _moves(self, judged: Judged) -> tuple[Own, Own] | None:
         """What the numbers of an explanation change in the windows that it was fitted to and in the
-        check windows; None where differences have to show what starts do: where bodies touch,
-        sensors are late or joints are added."""
+        check windows, those without impacts; None where differences have to show what starts do:
+        where most windows have impacts, sensors are late or joints are added."""
         hypothesis, declared = judged.hypothesis, self.bench.scene
         late = self.fitted.leads(hypothesis.variant(declared))
-        if self.bench.contacts or late or is_structural(hypothesis):
+        if self.bench.rugged or late or is_structural(hypothesis):
             return None
         build = lambda values: hypothesis.at(declared, values).variant(declared)  # noqa: E731
-        unknowns, known = hypothesis.unknowns(declared), Hints(slopes=self._known(hypothesis))
+        some, others = self._smooth, self._check_smooth
+        unknowns = hypothesis.unknowns(declared)
+        known = Hints(slopes=self._known(hypothesis)).some(some)
         try:
-            own = own_slopes(self.fitted, build, unknowns, judged.fit.start, known)
+            start = judged.fit.start[some]
+            own = own_slopes(self.fitted.some(some), build, unknowns, start, known)
             if self.check is self.fitted:
                 return own, own
-            return own, own_slopes(self.check, build, unknowns, judged.check_fit.start)
+            start = judged.check_fit.start[others]
+            return own, own_slopes(self.check.some(others), build, unknowns, start)
         except OrbiSimError:  # a difference step leads to no possible scene
             return None
 
     def foreseen(self, judged: Judged, other: Judge) -> float | None:
-        """`Judged.loss` of the same explanation in this form of the data, at the price of one
-        simulation: numbers and starts corrected linearly, by what they do in the form that it was
-        fitted in. None where differences have to show what starts do; infinite if it cannot be
-        simulated.
+        """By how much less `Judged.loss` of the same explanation would be in this form of the data,
+        at the price of one simulation of the windows without impacts: numbers and starts corrected
+        linearly, by what they do in the form that it was fitted in. None where differences have to
+        show what starts do; negative and infinite if it cannot be simulated.
 
         Args:
           judged: in the other form. other: what judged it.
@@ -445,18 +451,25 @@ class Judge:
         moves = other.moves(judged)
         if moves is None:
             return None
+        some, others = self._smooth, self._check_smooth
+        before = [judged.fitted[some]]
         try:
             variant, begin = judged.hypothesis.variant(self.bench.scene), other.begin(judged)
-            fit, checked = judged.fit.start, judged.check_fit.start
-            left, step = moved_along(self.fitted, variant, fit, moves[0], self._hints(begin.free))
-            means = [_means(self.fitted, left)]
+            part, start, hints = self.fitted.some(some), judged.fit.start, self._hints(begin.free)
+            left, step = moved_along(
+                part, variant, start[some], moves[0], hints.some(some), self.robust
+            )
+            means = [_means(part, left)]
             if self.check is not self.fitted:
-                hints = self._hints(begin.check_free)
-                left, _ = moved_along(self.check, variant, checked, moves[1], hints, step)
-                means.append(_means(self.check, left))
+                hints, start = self._hints(begin.check_free), judged.check_fit.start
+                part, before = self.check.some(others), [*before, judged.checked[others]]
+                left, _ = moved_along(
+                    part, variant, start[others], moves[1], hints.some(others), self.robust, step
+                )
+                means.append(_means(part, left))
         except (OrbiSimError, np.linalg.LinAlgError):
-            return np.inf
-        return _loss(np.concatenate(means))
+            return -np.inf
+        return _loss(np.concatenate(before)) - _loss(np.concatenate(means))
 
     def quick_loss(self, hypothesis: Hypothesis, begin: Beginning) -> float:
         """As `Judged.loss`, with starts alone fitted, and roughly.

@@ -93,6 +93,7 @@ def moved_along(
     start: Floats,
     own: Own,
     hints: Hints,
+    robust: float | None,
     step: Floats | None = None,
 ) -> tuple[Floats, Floats]:
     """[W]: cost that one simulation leaves of an explanation along another form of the data, if its
@@ -103,7 +104,7 @@ def moved_along(
         change, and how windows count.
       step: of the unknowns, where other windows have said; what these say if None.
     """
-    problem = Problem(shooter, lambda _: variant, own.unknowns, hints, None)
+    problem = Problem(shooter, lambda _: variant, own.unknowns, hints, robust)
     here = problem.trial(own.values, start)
     free, problem.scale = hints.free, problem.half(here.cost)
     assert free is not None
