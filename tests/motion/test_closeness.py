@@ -10,10 +10,12 @@ from orbisim.motion.linear import IntervalMap
 from orbisim.motion.samples import prepare_all
 from orbisim.testing import inject_effect
 
-BALL = """<mujoco><option timestep="0.001"/><worldbody><geom name="floor" type="plane" size="1 1 1"/>
+BALL = """<mujoco><option timestep="0.001"/><worldbody>
+<geom name="floor" type="plane" size="1 1 1"/>
 <body pos="0 0 {height}"><freejoint name="free"/><geom name="ball" size="0.05" mass="0.1"/></body>
 <body pos="0.5 0 0.3"><joint name="hinge" axis="0 1 0"/>
-<geom name="rod" type="capsule" fromto="0 0 0 0 0 -0.15" size="0.02"/></body></worldbody></mujoco>"""
+<geom name="rod" type="capsule" fromto="0 0 0 0 0 -0.15" size="0.02"/></body>
+</worldbody></mujoco>"""
 
 
 def _interval(height: float, speed: float, later: float) -> list[bool]:
