@@ -188,7 +188,7 @@ def _again(
         return None
     there = context.trying(bench)
     again = there.judge.judge(judged.hypothesis, begin=context.judge.begin(judged))
-    return None if again is None else (there, again)
+    return None if again is None else (there, there.judge.possible(again))
 
 
 def _taken(one: Other) -> Other:

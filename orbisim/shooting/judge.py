@@ -14,6 +14,7 @@ import numpy.typing as npt
 from orbisim.effects import find
 from orbisim.errors import OrbiSimError
 from orbisim.motion.linear import Intervals, linearize
+from orbisim.motion.samples import extent
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.chance import Chance
 from orbisim.shooting.fits import WEAK, Fit, Hints, Unknown
@@ -273,6 +274,20 @@ class Judge:
         worst_first = np.flatnonzero(may_go)[np.argsort(-means[may_go])]
         kept = np.delete(means, worst_first[: round(_TRIMMED * len(means))])
         return float(kept.mean())
+
+    def possible(self, judged: Judged) -> Judged:
+        """Without effects with numbers that no machine has, and fitted again: of what stood in for
+        the error of another form of the data hardly anything may be left in this one, and hardly
+        anything may lie anywhere (a load of a milligram beyond its body). The same if there are
+        none."""
+        model, known = self.bench.scene.model, extent(self.bench.samples)
+        fewer = judged.hypothesis
+        for number, one in reversed(list(enumerate(judged.hypothesis.effects))):
+            if find(one.effect).log_prior(model, one, known) == -np.inf:
+                fewer = fewer.without(number)
+        if fewer is judged.hypothesis:
+            return judged
+        return self.judge(fewer, begin=self.begin(judged)) or judged
 
     def closer(self, judged: Judged, iterations: int = 5, restarts: int = 1) -> Judged:
         """The hypothesis fitted again, if that is better: with what a window's start does along its

@@ -422,3 +422,27 @@ def test_no_step_is_finer_where_most_windows_have_impacts() -> None:
         judged = context.judge.judge(Hypothesis())
         assert judged is not None
         assert (settled(context, judged) is None) == contacts
+
+
+@pytest.mark.parametrize(("place", "kept"), [(-0.15, ["payload"]), (-5.0, [])])
+def test_what_no_machine_has_in_another_form_is_left_out_there(
+    place: float, kept: list[str]
+) -> None:
+    """A load that stood in for the error of long steps is next to nothing in short ones, and may
+    lie anywhere: that must not speak against these steps."""
+    declared = SERVO.replace("<body>", '<body name="rod">')
+    scene = orbisim.load_scene(declared.format(step=0.01).replace("implicitfast", "Euler"))
+    lighter = declared.format(step=0.0005).replace('mass=".3"', 'mass=".29"')
+    runs = inject_effect(
+        orbisim.load_scene(lighter), [], duration=2.0, episodes=3, noise=2e-4, seed=1
+    )
+    bench = make_bench(scene, prepare_all(runs, scene), 0.5)
+    load = {"mass": 0.01, "com_x": 0.0, "com_y": 0.0, "com_z": place}
+    context = begun(bench, Settings(), lambda _: None)
+    held = frozenset((0, name) for name in ("com_x", "com_y", "com_z"))
+    judged = context.judge.judge(Hypothesis((EffectInstance("payload", "rod", load),), frozen=held))
+    assert judged is not None
+    there = settled(context, judged)
+    assert there is not None
+    assert timestep.stepping(there[0].bench.scene) != timestep.stepping(scene)
+    assert [one.effect for one in there[1].hypothesis.effects] == kept
