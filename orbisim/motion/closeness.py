@@ -19,8 +19,8 @@ State = tuple[Floats, Floats]
 
 
 def may_touch(model: mujoco.MjModel, before: State, after: State, duration: Floats) -> Bools:
-    """[N, ngeom]: whether a geom may touch another geom or a flexible object in an interval; False
-    where the states are not known.
+    """[N, ngeom]: whether a geom may touch something in an interval; False where the states are not
+    known, and True everywhere where there are flexible objects, whose points move by themselves.
 
     Args:
       model: of the scene. before, after: at the ends of the intervals. duration: [N] of these, s.
@@ -29,6 +29,8 @@ def may_touch(model: mujoco.MjModel, before: State, after: State, duration: Floa
     margin, pair_margin = model.geom_margin.copy(), model.pair_margin.copy()
     known = np.isfinite(np.concatenate([*before, *after], axis=1)).all(axis=1)
     found = np.zeros((len(known), model.ngeom), bool)
+    if model.nflex:
+        return ~found
     fall = float(np.linalg.norm(model.opt.gravity)) * duration**2  # what rests is at rest by it
     for k in np.flatnonzero(known):
         back = _moved(model, data, after[0][k], -duration[k] * after[1][k])
@@ -36,14 +38,15 @@ def may_touch(model: mujoco.MjModel, before: State, after: State, duration: Floa
         # of two that move towards each other, twice the faster one's way is enough
         room = 2.0 * (np.maximum(back, on) + fall[k])
         wide.geom_margin[:] = margin + room
+        wide.body_margin[:] = 0.0
+        np.maximum.at(wide.body_margin, model.geom_bodyid, wide.geom_margin)
         wide.pair_margin[:] = pair_margin + np.maximum(
             room[model.pair_geom1], room[model.pair_geom2]
         )
         data.qpos[:] = before[0][k]
-        for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_flex, mujoco.mj_collision):
+        for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_collision):
             stage(wide, data)
-        geoms = data.contact.geom[: data.ncon].ravel()
-        found[k, geoms[geoms >= 0]] = True
+        found[k, data.contact.geom[: data.ncon].ravel()] = True
     return found
 
 

@@ -438,10 +438,15 @@ class Judge:
         where most windows have impacts, sensors are late or joints are added."""
         hypothesis, declared = judged.hypothesis, self.bench.scene
         late = self.fitted.leads(hypothesis.variant(declared))
-        if self.bench.rugged or late or is_structural(hypothesis):
+        some, others = self._smooth, self._check_smooth
+        if (
+            not (len(some) and len(others))
+            or self.bench.rugged
+            or late
+            or is_structural(hypothesis)
+        ):
             return None
         build = lambda values: hypothesis.at(declared, values).variant(declared)  # noqa: E731
-        some, others = self._smooth, self._check_smooth
         unknowns = hypothesis.unknowns(declared)
         known = Hints(slopes=self._known(hypothesis)).some(some)
         try:

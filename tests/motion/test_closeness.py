@@ -43,6 +43,29 @@ def test_what_rests_touches() -> None:
     assert _interval(0.05 + 2e-4, 0.0, 0.05 + 2e-4) == [True, True, False]
 
 
+def test_bodies_of_several_geoms_are_told_apart_by_geom() -> None:
+    """MuJoCo compares the boxes around bodies first, widened by a margin of their own."""
+    row = "".join(f'<geom name="{{0}}{k}" size="0.03" pos="0 0 {0.1 * k}"/>' for k in range(5))
+    text = f"""<mujoco><worldbody><body><joint type="slide" axis="0 0 1"/>{row.format("low")}</body>
+    <body pos="0 0 0.7"><joint type="slide" axis="0 0 1"/>{row.format("high")}</body></worldbody>
+    </mujoco>"""
+    model = orbisim.load_scene(text).model
+    before = np.zeros((1, 2)), np.array([[8.0, -8.0]])
+    after = np.array([[0.08, -0.08]]), before[1]
+    found = may_touch(model, before, after, np.array([0.01]))[0]
+    names = {model.geom(int(k)).name for k in np.flatnonzero(found)}
+    assert {"low4", "high0"} <= names and not {"low0", "high4"} & names
+
+
+def test_where_there_are_flexible_objects_everything_may_touch() -> None:
+    text = """<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1" pos="0 0 -5"/>
+    <flexcomp name="cloth" type="grid" count="3 3 1" spacing=".1 .1 .1" dim="2"/>
+    </worldbody></mujoco>"""
+    model = orbisim.load_scene(text).model
+    state = np.tile(model.qpos0, (2, 1)), np.zeros((2, model.nv))
+    assert may_touch(model, state, state, np.full(2, 0.01)).all()
+
+
 def test_of_unknown_states_nothing_is_said() -> None:
     assert _interval(np.nan, 0.0, 0.05) == [False, False, False]
 
