@@ -116,7 +116,8 @@ def _write(number: int) -> None:
 
 
 def test_many_writers(folder: Path) -> None:
-    with multiprocessing.get_context("fork").Pool(4) as pool:
+    # a fork keeps the locks of threads that it does not have, and may wait for them for ever
+    with multiprocessing.get_context("spawn").Pool(4) as pool:
         pool.map(_write, range(4))
     forget_all()
     for i in range(20):
