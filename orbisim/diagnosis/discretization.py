@@ -180,9 +180,10 @@ def as_declared(context: Context, judged: Judged, declared: Stepping) -> Other |
 def _again(
     context: Context, judged: Judged, change: Callable[[Bench], Bench | None]
 ) -> Other | None:
-    """An explanation, fitted again with another form of the data; None where there is none. The
-    derivatives that a fit begins with are those along the form that there was: they hardly differ,
-    and to take them anew takes longer than the fit."""
+    """An explanation, fitted again with another form of the data, without effects that are
+    impossible in it (`Judge.possible`); None where there is none. The derivatives that a fit begins
+    with are those along the form that there was: they hardly differ, and to take them anew takes
+    longer than the fit."""
     bench = change(context.bench)
     if bench is None:
         return None

@@ -31,7 +31,8 @@ def may_touch(model: mujoco.MjModel, before: State, after: State, duration: Floa
     found = np.zeros((len(known), model.ngeom), bool)
     if model.nflex:
         return ~found
-    fall = float(np.linalg.norm(model.opt.gravity)) * duration**2  # what rests is at rest by it
+    # what rests has no speed; without its contact it would fall half as far
+    fall = float(np.linalg.norm(model.opt.gravity)) * duration**2
     for k in np.flatnonzero(known):
         back = _moved(model, data, after[0][k], -duration[k] * after[1][k])
         on = _moved(model, data, before[0][k], duration[k] * before[1][k])

@@ -101,7 +101,7 @@ def moved_along(
 
     Args:
       start: [W, 2 nv] where to start. own: its unknowns, and what they change. hints: what starts
-        change, and how windows count.
+        change, and how windows count. robust: as of `gauss_newton`.
       step: of the unknowns, where other windows have said; what these say if None.
     """
     problem = Problem(shooter, lambda _: variant, own.unknowns, hints, robust)

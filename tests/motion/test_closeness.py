@@ -4,10 +4,14 @@ import numpy as np
 import pytest
 
 import orbisim
+from orbisim.diagnosis.screening import candidates_of
 from orbisim.effects import EffectInstance, add_effects, find
 from orbisim.motion.closeness import may_touch
-from orbisim.motion.linear import IntervalMap
+from orbisim.motion.linear import IntervalMap, missing_force
+from orbisim.motion.regressors import MotionView
 from orbisim.motion.samples import prepare_all
+from orbisim.shooting.bench import make_bench
+from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.testing import inject_effect
 
 BALL = """<mujoco><option timestep="0.001"/><worldbody>
@@ -93,12 +97,6 @@ def test_no_other_interval_is_changed_by_what_acts_at_contacts(height: float) ->
 
 
 def test_a_geom_that_touches_nothing_is_not_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
-    from orbisim.diagnosis.screening import candidates_of
-    from orbisim.motion.linear import missing_force
-    from orbisim.motion.regressors import MotionView
-    from orbisim.shooting.bench import make_bench
-    from orbisim.shooting.hypothesis import Hypothesis
-
     scene = orbisim.load_scene(BALL.format(height=0.4))
     runs = inject_effect(scene, [], duration=0.5, episodes=2, noise=1e-4, seed=3)
     bench = make_bench(scene, prepare_all(runs, scene), 0.2)
