@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from orbisim.diagnosis.context import Context, Progress
+from orbisim.diagnosis.discretization import as_given
 from orbisim.diagnosis.explanations import Found, Tried
 from orbisim.diagnosis.found import Rival
 from orbisim.diagnosis.search import search
@@ -81,6 +82,7 @@ def attribute(
       deadline: of the final fits, after that; none if None.
     """
     found = search(bench, settings, say)
+    found = dataclasses.replace(found, context=as_given(found.context, found.given))
     try:
         say("final fit")
         return concluded(found, deadline or NEVER)
@@ -120,7 +122,8 @@ def concluded(found: Found, deadline: Deadline) -> Attribution:
     Raises:
       TimeIsUpError: the deadline has passed.
     """
-    if found.late:  # noise and derivatives may still be along what there was before
+    if found.late or found.stepping != found.given:
+        # noise and derivatives may still be along what there was before
         along = found.context.until(deadline).along(found.best)
         found = dataclasses.replace(found, context=along)
     context = found.context.whole(deadline, _MOST_WINDOWS)

@@ -30,13 +30,14 @@ from orbisim.motion.linear import IntervalMap, linearize
 from orbisim.recording.command_clock import Lead
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
-from orbisim.shooting.halving import difference, halving
+from orbisim.shooting.halving import coarsest, difference, halving
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
 from orbisim.shooting.timestep import (
     Stepping,
     exact,
     held,
+    is_exact,
     peak,
     stepped,
     stepping,
@@ -83,11 +84,36 @@ def _back(context: Context, judged: Judged, declared: Stepping | None) -> Other 
 
 
 def _exact(bench: Bench) -> Bench | None:
-    """In exact steps; None if those that there are do, or none are (a stiff scene)."""
-    other = exact(bench)
-    if other is None or not _inexact(bench, 1.0) or _inexact(other, 1.0):
+    """In exact steps, as few as are; None if those that there are do, or none are (stiff)."""
+    if is_exact(bench) or not _inexact(bench, 1.0):
         return None
-    return other
+    most = round(typical_interval(bench) / taken(bench))
+    tried = (exact(bench, 2**k) for k in range(int(np.log2(most)) + 1))
+    return next((other for other in tried if not _inexact(other, 1.0)), None)
+
+
+def roughly(context: Context, judged: Judged, given: Stepping) -> Other | None:
+    """The same explanation in as few steps as hardly change it, beside what is left and may still
+    be in the end; None where these, finer or exact ones are what there is.
+
+    Args:
+      given: how the scene as it was given is stepped.
+    """
+    there, now = as_given(context, given).bench, stepping(context.bench.scene)
+    if stepping(there.scene) != given._replace(dry=now.dry):
+        return None
+    most = _MATTERS * max(judged.ratio / _FALLS, 1.0)
+    bench = coarsest(there, most, judged.hypothesis)
+    found = None if stepping(bench.scene) == now else _again(context, judged, lambda _: bench)
+    return None if found is None else _taken(found)
+
+
+def as_given(context: Context, given: Stepping) -> Context:
+    """In the steps of the scene as it was given, where there are longer ones of its integrator."""
+    now = stepping(context.bench.scene)
+    if now.integrator != given.integrator or now.timestep <= given.timestep:
+        return context
+    return context.trying(stepped(context.bench, given.timestep))
 
 
 def earlier(context: Context, judged: Judged) -> Other | None:
@@ -309,6 +335,8 @@ def _squares(gains: dict[float, float]) -> dict[float, float]:
 _MATTERS = 0.25
 """Error of a step, over what is left (at least the noise), that matters: three hundredths of that
 are the step's then. While effects are missing, a coarser one does, and simulates faster."""
+_FALLS = 10.0
+"""Times by which what is left is expected to fall: real machines' models leave a tenth of it."""
 _HELD, _SHORTEST, _LIKE = 8, 8, 32
 """Steps a sampling interval that are tried first, as a simulated machine's own; shares of these:
 the shortest, which is as good as exact, and by which steps differ that are tried."""

@@ -47,7 +47,7 @@ class Found:
 
     Attributes:
       context: data and noise as they were known in the end.
-      stepping: of the scene as it was given.
+      given: how the scene as it was given is stepped. stepping: how it is in the search.
       declared: the declared scene, fitted, with step and controls as in the end. best: the best
         explanation.
       screening: of the declared scene; None if nothing had to be explained.
@@ -56,6 +56,7 @@ class Found:
     """
 
     context: Context
+    given: Stepping
     stepping: Stepping
     declared: Judged
     best: Judged

@@ -15,7 +15,7 @@ import dataclasses
 import itertools
 
 from orbisim.diagnosis.context import Context, Progress, begun
-from orbisim.diagnosis.discretization import earlier, settled
+from orbisim.diagnosis.discretization import as_declared, as_given, earlier, roughly, settled
 from orbisim.diagnosis.explanations import EVEN, TO_THE_END, Found, done, quiet
 from orbisim.diagnosis.moves import best_move
 from orbisim.diagnosis.reselection import reselected
@@ -47,12 +47,14 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
         declared = unlimited.judge.judge(Hypothesis(), 1)
     if declared is None:
         raise FloatingPointError("the scene cannot be simulated along the recordings")
-    found = Found(context, stepping(bench.scene), declared, declared, late=late)
+    given = stepping(bench.scene)
+    found = Found(context, given, given, declared, declared, late=late)
     if late or quiet(settings, declared):
         return found
     try:
         found = dataclasses.replace(found, context=context.with_tunables())
         say("screening effects")
+        found = _roughly(found)
         found = _in_best_form(found)
         for number in itertools.count(1):
             later = _round(found, number)
@@ -60,10 +62,32 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
                 return later
             ended, found = _ended(found, later), later
             if ended:
-                return named(found)
+                return named(_in_given_steps(found))
     except TimeIsUpError:
         return dataclasses.replace(found, late=True)
     return found
+
+
+def _roughly(found: Found) -> Found:
+    """In as few steps as hardly matter: simulation is what takes time."""
+    other = roughly(found.context, found.best, found.given)
+    if other is None:
+        return found
+    there = stepping(other[0].bench.scene)
+    return in_form(dataclasses.replace(found, stepping=there), other)
+
+
+def _in_given_steps(found: Found) -> Found:
+    """In the steps of the scene as it was given, where there are longer ones, or others that are
+    worth no more."""
+    found = dataclasses.replace(found, context=as_given(found.context, found.given))
+    if found.stepping == found.given:
+        return found
+    try:
+        other = as_declared(found.context, found.best, found.given)
+    except TimeIsUpError:
+        return dataclasses.replace(found, late=True)
+    return found if other is None else in_form(found, other)
 
 
 def _ended(found: Found, later: Found) -> bool:
@@ -122,7 +146,7 @@ def _anew(found: Found) -> Found:
     effects selected anew. What was done before the time was up is kept."""
     there = found
     try:
-        found = _in_best_form(there)
+        found = _in_best_form(_roughly(there))
         if found.best is not there.best:
             found = without_vague(found)
         return reselected(found)

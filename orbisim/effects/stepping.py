@@ -31,6 +31,8 @@ class BatchStepper:
         if self._runner is None:
             return
         self._stage = int(stage_of(self._runner.derived))
+        self._by_control = self._stage == int(mujoco.mjtStage.mjSTAGE_ACC)
+        self._known = self._stage == _NOTHING
         self._expanded = {name: batch.expand(name) for name in self._runner.fields}
         self._base = {
             name: np.repeat(getattr(model, name)[None], batch.nsim, axis=0)
@@ -40,11 +42,16 @@ class BatchStepper:
         names = ("time", "qpos", "qvel", *self._runner.derived)
         self._read = {name: batch.bind(name) for name in names}
 
-    def step(self, control: Any, nstep: int, ids: Any = None) -> None:
+    def step(self, control: Any, nstep: int, ids: Any = None, more: bool = False) -> None:
         """Advances worlds by `nstep` timesteps under a constant control [nworld, nu].
+
+        What hooks read is computed at the end of a timestep for the next one, which a persistent
+        batch then goes on from: to compute it apart takes as long as half a timestep.
 
         Args:
           ids: the worlds, as increasing numbers; all if None.
+          more: whether further calls follow, of the same worlds or some of them, before which
+            nothing but applied forces and timesteps is changed.
         """
         batch, runner = self._batch, self._runner
         if ids is not None:
@@ -55,18 +62,23 @@ class BatchStepper:
             return
         applied = {name: values.copy() for name, values in self._pushed.items()}
         self._ctrl[:] = control
-        if runner.derived:
+        if not self._known:
             batch.forward(ids, self._stage)
-        for _ in range(nstep):
+        ends = self._stage if more and not self._by_control else _NOTHING
+        for number in range(nstep):
             inputs = runner.inputs(self._read.__getitem__, control, applied, self._base)
             self._ctrl[:] = inputs.ctrl
             self._pushed["qfrc_applied"][:] = inputs.qfrc
             self._pushed["xfrc_applied"][:] = inputs.xfrc
             for name, values in inputs.fields.items():
                 self._expanded[name][:] = values
-            batch.step(ids, 1, self._stage)
+            batch.step(ids, 1, self._stage if number + 1 < nstep else ends)
+        self._known = ends == self._stage
         for name, values in applied.items():
             self._pushed[name][:] = values
+
+
+_NOTHING = int(mujoco.mjtStage.mjSTAGE_NONE)
 
 
 class Timesteps:

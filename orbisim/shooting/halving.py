@@ -8,7 +8,7 @@ import numpy.typing as npt
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.shooter import Variant
-from orbisim.shooting.timestep import stepped, taken
+from orbisim.shooting.timestep import stepped, taken, typical_interval
 from orbisim.shooting.windows import evenly
 
 Floats = npt.NDArray[np.float64]
@@ -18,6 +18,19 @@ def halving(bench: Bench, hypothesis: Hypothesis | None = None) -> float:
     """By how many times the noise free runs of the scene differ from those with half its timestep:
     see `difference`."""
     return difference(bench, stepped(bench, taken(bench) / 2.0), hypothesis)
+
+
+def coarsest(bench: Bench, most: float, hypothesis: Hypothesis | None = None) -> Bench:
+    """With as few steps between samples as make free runs differ by `most` times the noise at most
+    (`difference`); as it is where that saves less than half of them, or bodies touch: what a
+    contact does depends on the step by definition."""
+    interval, count = typical_interval(bench), 1
+    while not bench.contacts and 2 * count <= round(interval / taken(bench)):
+        other = stepped(bench, interval / count)
+        if difference(bench, other, hypothesis) <= most:
+            return other
+        count *= 2
+    return bench
 
 
 def difference(bench: Bench, other: Bench, hypothesis: Hypothesis | None = None) -> float:

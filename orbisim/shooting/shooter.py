@@ -14,7 +14,7 @@ import numpy.typing as npt
 from orbisim.effects.base import Hook
 from orbisim.effects.carry import hooks_of
 from orbisim.effects.measurement import TRUE, Measurement
-from orbisim.effects.running import same_physics, side_by_side
+from orbisim.effects.running import derived_of, same_physics, side_by_side
 from orbisim.effects.stepping import BatchStepper, Timesteps
 from orbisim.host.cpus import threads_for
 from orbisim.host.deadline import NEVER, Deadline
@@ -312,7 +312,8 @@ class Shooter:
         model, clock = variant.scene.model, variant.measurement.clock
         place = Layout(self.declared.model, model)
         threads = threads_for(len(self), len(self) * model.nv * self.substeps)
-        batch = mujoco.batch.Batch(model, len(self), threads)
+        hooks = hooks or hooks_of(model)
+        batch = mujoco.batch.Batch(model, len(self), threads, persistent=bool(derived_of(hooks)))
         qpos, qvel = self._moved(start)
         batch.bind("qpos")[:] = model.qpos0
         batch.bind("qpos")[:, place.q] = qpos
@@ -327,8 +328,7 @@ class Shooter:
         if model.na or model.nhistory:
             act, history = self._hidden(model)
             batch.bind("act")[:], batch.bind("history")[:] = act, history
-        hooks, timesteps = hooks or hooks_of(model), Timesteps(model, batch)
-        stepper = BatchStepper(model, batch, hooks)
+        timesteps, stepper = Timesteps(model, batch), BatchStepper(model, batch, hooks)
         applied, qpos, qvel = (batch.bind(n) for n in ("qfrc_applied", "qpos", "qvel"))
         last = np.minimum(self.windows.reach(), self.horizon)
         for k, count in self._spans(last, one_by_one=bool(hooks)):
@@ -342,7 +342,8 @@ class Shooter:
             if hooks:
                 for part in range(self.parts):
                     applied[:, place.v] = self.force[:, k, part]
-                    stepper.step(self.ctrl[:, k, part], self.substeps // self.parts, every)
+                    steps = self.substeps // self.parts
+                    stepper.step(self.ctrl[:, k, part], steps, every, more=True)
                 found_q[:, 0], found_v[:, 0] = qpos[:, place.q], qvel[:, place.v]
             else:
                 force = np.zeros((len(ids), count, self.parts, model.nv))

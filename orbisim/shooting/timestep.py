@@ -125,19 +125,21 @@ _SAME = 0.95
 """Of a timestep: what is closer than that to it is a clock that jitters."""
 
 
-def exact(bench: Bench) -> Bench | None:
+def exact(bench: Bench, count: int) -> Bench:
     """With the classical Runge-Kutta method, whose error falls as the fourth power of the step, in
-    the steps that there are; None where it is there. Longer ones would do for what is smooth, but
-    not for stops."""
-    if stepping(bench.scene).integrator == _RK4:
-        return None
-    return stepped(bench, taken(bench), _RK4)
+    so many steps between samples."""
+    return stepped(bench, typical_interval(bench) / count, _RK4)
+
+
+def is_exact(bench: Bench) -> bool:
+    """Whether it has the steps of `exact`."""
+    return stepping(bench.scene).integrator == _RK4
 
 
 def held(bench: Bench, timestep: float) -> Bench | None:
     """In steps over which forces are held, by MuJoCo's implicitfast integrator, a whole number in a
     sampling interval; None for those of another integrator than `exact` ones."""
-    if stepping(bench.scene).integrator != _RK4:
+    if not is_exact(bench):
         return None
     interval, integrator = typical_interval(bench), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
     return stepped(bench, interval / max(round(interval / timestep), 1), integrator)
@@ -146,7 +148,7 @@ def held(bench: Bench, timestep: float) -> Bench | None:
 def _early(bench: Bench) -> float:
     """By how much a force acts too early, s: MuJoCo's Euler and implicit integrators move a body by
     the velocity that a step ends with."""
-    return 0.0 if stepping(bench.scene).integrator == _RK4 else taken(bench) / 2.0
+    return 0.0 if is_exact(bench) else taken(bench) / 2.0
 
 
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 import orbisim
+from orbisim.diagnosis.conclusion import attribute
 from orbisim.diagnosis.context import Context, begun
 from orbisim.diagnosis.discretization import (
+    _exact,
     _untimed,
     as_declared,
     asked,
@@ -19,6 +21,7 @@ from orbisim.diagnosis.discretization import (
     settled,
 )
 from orbisim.diagnosis.explanations import Found, done
+from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.simplification import simplified
 from orbisim.effects import EffectInstance
@@ -309,7 +312,7 @@ def test_early_commands_take_the_place_of_a_late_sensor_that_reaches_the_noise()
     late = EffectInstance("sensor_delay", "hinge", {"delay": 0.007})
     named = context.judge.judge(Hypothesis((late,)), begin=context.judge.begin(declared))
     assert named is not None and done(context, named)
-    found = Found(context, timestep.stepping(scene), declared, named)
+    found = Found(context, *[timestep.stepping(scene)] * 2, declared, named)
     found = simplified(dataclasses.replace(found, screening=context.screen(named)), 2)
     assert not found.best.hypothesis.effects and found.context.bench.lead
     assert found.context.bench.lead.share == pytest.approx(0.7, abs=0.05)
@@ -366,11 +369,35 @@ def test_steps_take_the_place_of_what_they_were_named_for_beside_an_effect() -> 
     context, both = _in_exact_steps(scene, runs, 0.005, spring, inertia)
     alone = context.judge.judge(Hypothesis((spring,)))
     assert alone is not None and 2.0 < both.ratio < 0.9 * alone.ratio
-    simpler = simplified(Found(context, timestep.stepping(scene), both, both), 2)
+    simpler = simplified(Found(context, *[timestep.stepping(scene)] * 2, both, both), 2)
     assert [one.effect for one in simpler.best.hypothesis.effects] == ["joint_spring"]
     assert simpler.best.ratio < 1.05
     taken = timestep.stepping(simpler.context.bench.scene)
     assert taken.integrator != RK4 and taken.timestep == pytest.approx(0.001, rel=0.05)
+
+
+def test_a_search_takes_as_few_steps_as_hardly_matter_and_ends_in_those_given() -> None:
+    friction = EffectInstance("coulomb_friction", "hinge", {"torque": 0.05})
+    scene = _scene(0.001)  # ten a sample
+    runs = inject_effect(scene, friction, duration=2.0, episodes=3, noise=3e-3, seed=1)
+    bench = make_bench(scene, prepare_all(runs, scene), 0.5)
+    effects = Settings(effects=("coulomb_friction", "viscous_damping"))
+    found = search(bench, effects)
+    assert found.given == timestep.stepping(scene)
+    assert found.stepping.timestep >= 2 * found.given.timestep
+    final = attribute(bench, effects)
+    assert timestep.stepping(final.bench.scene) == found.given
+    assert [one.effect for one in final.hypothesis.effects] == ["coulomb_friction"]
+    assert final.hypothesis.effects[0].values["torque"] == pytest.approx(0.05, rel=0.1)
+
+
+def test_exact_steps_are_as_few_as_are_exact() -> None:
+    runs = inject_effect(_scene(0.0005), [], duration=2.0, episodes=3, noise=1e-4, seed=1)
+    scene = _scene(0.001)
+    found = _exact(make_bench(scene, prepare_all(runs, scene), 0.5))
+    assert found is not None and timestep.is_exact(found)
+    assert timestep.stepping(found.scene).timestep == pytest.approx(0.01)
+    assert _exact(found) is None
 
 
 def test_a_step_is_halved_where_another_integrator_is_not_stable() -> None:

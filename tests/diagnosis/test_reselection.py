@@ -38,7 +38,7 @@ def found_of(
     declared, best = (context.judge.judge(Hypothesis(some)) for some in ((), named))
     assert declared is not None and best is not None
     context = context.along(best)
-    return Found(context, stepping(arm), declared, best)
+    return Found(context, *[stepping(arm)] * 2, declared, best)
 
 
 def names(found: Found) -> set[tuple[str, str]]:

@@ -118,7 +118,7 @@ def test_a_needless_effect_is_dropped(arm: orbisim.Scene) -> None:
     declared = context.judge.judge(Hypothesis())
     both = context.judge.judge(Hypothesis((FRICTION, idle)))
     assert declared is not None and both is not None and both.ratio > 3
-    found = concluded(Found(context, stepping(context.bench.scene), declared, both), NEVER)
+    found = concluded(Found(context, *[stepping(context.bench.scene)] * 2, declared, both), NEVER)
     assert names(found.hypothesis) == {("coulomb_friction", "shoulder")}
     ((gone, reason),) = found.rejected
     assert gone.effect == "armature" and "an explanation without it" in reason
@@ -382,7 +382,7 @@ def test_what_was_fitted_in_time_is_compared_and_kept(
     monkeypatch.setattr(module, "earlier", lambda *_: None)
     monkeypatch.setattr(module, "best_move", lambda *_: (best, [tried], False))
     monkeypatch.setattr(module, "_fairly", lambda *_: late.check())
-    found = module._round(Found(context, stepping(context.bench.scene), declared, declared), 1)
+    found = module._round(Found(context, *[stepping(context.bench.scene)] * 2, declared, declared), 1)
     assert found.late and found.best is best and found.tried == (tried,)
 
 
@@ -399,7 +399,7 @@ def test_controls_that_lead_are_not_lost_where_the_time_is_up(
     monkeypatch.setattr(module, "done", lambda *_: False)
     monkeypatch.setattr(module, "earlier", lambda *_: (context, better))
     monkeypatch.setattr(module, "best_move", lambda *_: (None, [], True))
-    found = module._round(Found(context, stepping(context.bench.scene), declared, declared), 1)
+    found = module._round(Found(context, *[stepping(context.bench.scene)] * 2, declared, declared), 1)
     assert found.late and found.best is better
 
 
@@ -411,7 +411,7 @@ def test_what_cannot_be_told_from_nothing_is_not_the_answer_where_the_time_is_up
     declared, both = (context.judge.judge(Hypothesis(e)) for e in ((), (FRICTION, idle)))
     assert declared is not None and both is not None
     found = _as_found(
-        Found(context, stepping(context.bench.scene), declared, both, late=True), Deadline(0.0)
+        Found(context, *[stepping(context.bench.scene)] * 2, declared, both, late=True), Deadline(0.0)
     )
     assert names(found.hypothesis) == {("coulomb_friction", "shoulder")}
     (torque,) = found.hypothesis.values(arm)
@@ -440,7 +440,7 @@ def test_where_the_time_was_up_what_was_sure_at_first_is_the_answer(arm: orbisim
     assert declared is not None and sure is not None
     tried = Tried(sure, 1, worth(context.bench, declared, sure))
     found = Found(
-        context, stepping(context.bench.scene), declared, declared, tried=(tried,), late=True
+        context, *[stepping(context.bench.scene)] * 2, declared, declared, tried=(tried,), late=True
     )
     assert _best_first(found) == [sure]
     assert _best_first(dataclasses.replace(found, best=sure)) == [sure]

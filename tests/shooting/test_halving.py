@@ -12,9 +12,9 @@ import orbisim
 from orbisim.effects import EffectInstance
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
-from orbisim.shooting.halving import halving
+from orbisim.shooting.halving import coarsest, difference, halving
 from orbisim.shooting.hypothesis import Hypothesis
-from orbisim.shooting.timestep import Stepping, with_stepping
+from orbisim.shooting.timestep import Stepping, stepped, stepping, with_stepping
 from orbisim.testing import inject_effect
 
 RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
@@ -46,6 +46,19 @@ def test_dry_friction_needs_shorter_steps_than_the_scene() -> None:
     friction = EffectInstance("coulomb_friction", "hinge", {"torque": 0.05})
     alone, beside = halving(exact), halving(exact, Hypothesis((friction,)))
     assert alone < 0.1 and beside > 1.0
+
+
+def test_the_fewest_steps_are_those_that_change_no_more_than_they_may() -> None:
+    bench = _bench(0.001)  # ten a sample
+    at_two, at_four = (difference(bench, stepped(bench, 0.01 / count)) for count in (2, 4))
+    assert at_two > at_four > 0
+    found = coarsest(bench, 1.01 * at_four)
+    assert stepping(found.scene).timestep == pytest.approx(0.0025)
+    most = coarsest(bench, 100 * at_two)
+    assert stepping(most.scene).timestep == pytest.approx(0.01)
+    assert coarsest(bench, 0.9 * at_four) is bench  # eight would save a fifth
+    touching = dataclasses.replace(bench, contacts=True)
+    assert coarsest(touching, 100 * at_two) is touching
 
 
 def test_windows_with_impacts_count_only_where_most_have_some() -> None:

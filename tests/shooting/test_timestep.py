@@ -13,6 +13,7 @@ from orbisim.shooting.timestep import (
     Stepping,
     exact,
     held,
+    is_exact,
     peak,
     stepping,
     taken,
@@ -71,16 +72,15 @@ def test_the_scene_itself_keeps_its_timestep(arm: orbisim.Scene) -> None:
     assert arm.model.opt.timestep == before
 
 
-def test_exact_steps_are_those_that_there_are(arm: orbisim.Scene) -> None:
+def test_exact_steps_divide_the_sampling_interval(arm: orbisim.Scene) -> None:
     runs = inject_effect(arm, [], rate=100.0, duration=1.0, episodes=1, noise=1e-3, seed=0)
     euler = with_stepping(arm, Stepping(0.003, int(mujoco.mjtIntegrator.mjINT_EULER)))
     bench = make_bench(euler, prepare_all(runs, euler), 0.3)
-    other = exact(bench)
-    assert other is not None
+    other = exact(bench, 4)
+    assert is_exact(other) and not is_exact(bench)
     found = stepping(other.scene)
     assert found.integrator == int(mujoco.mjtIntegrator.mjINT_RK4)
     assert found.timestep == pytest.approx(0.0025)  # four make an interval of 10 ms
-    assert exact(other) is None
     assert held(bench, 0.001) is None
     own = held(other, 0.001)
     assert own is not None
