@@ -11,7 +11,8 @@ So other steps, and controls that lead their samples, are moves like any other, 
 effect. Steps, and changes by a clock that the log shows, come before effects: what no
 machine has is no reason to name what it may have. A share of an interval by which controls lead may
 stand in for a little of an effect that is missing: it is taken if no effect does more. All are
-undone where the scene or the log as it was is worth no less.
+undone where the scene or the log as it was is worth no less. While much is left, a search takes
+as few steps between samples as hardly show beside that (`roughly`).
 """
 
 from __future__ import annotations
@@ -26,12 +27,10 @@ from orbisim.diagnosis.context import Context
 from orbisim.diagnosis.worth import gains, worth
 from orbisim.effects import find
 from orbisim.evidence import EFFECT
-from orbisim.motion.linear import IntervalMap, linearize
 from orbisim.recording.command_clock import Lead
-from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
-from orbisim.shooting.halving import coarsest, difference, halving
-from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.forms import command_clock, linearized
+from orbisim.shooting.halving import MATTERS, coarsest, difference, matters
 from orbisim.shooting.judge import Judged
 from orbisim.shooting.timestep import (
     Stepping,
@@ -59,7 +58,7 @@ def settled(context: Context, judged: Judged, declared: Stepping | None = None) 
     found = _back(context, judged, declared) or _exactly(context, judged)
     found = _followed(*(found or (context, judged))) or found
     now = found or (context, judged)
-    clock = _clock(now[0].bench)
+    clock = command_clock(now[0].bench)
     return _surest(*now, _led(*now, clock, (0.0, -_NEAR, _NEAR)) if clock else ()) or found
 
 
@@ -85,11 +84,11 @@ def _back(context: Context, judged: Judged, declared: Stepping | None) -> Other 
 
 def _exact(bench: Bench) -> Bench | None:
     """In exact steps, as few as are; None if those that there are do, or none are (stiff)."""
-    if is_exact(bench) or not _inexact(bench, 1.0):
+    if is_exact(bench) or not matters(bench, 1.0):
         return None
     most = round(typical_interval(bench) / taken(bench))
     tried = (exact(bench, 2**k) for k in range(int(np.log2(most)) + 1))
-    return next((other for other in tried if not _inexact(other, 1.0)), None)
+    return next((other for other in tried if not matters(other, 1.0)), None)
 
 
 def roughly(context: Context, judged: Judged, given: Stepping) -> Other | None:
@@ -102,7 +101,7 @@ def roughly(context: Context, judged: Judged, given: Stepping) -> Other | None:
     there, now = as_given(context, given).bench, stepping(context.bench.scene)
     if stepping(there.scene) != given._replace(dry=now.dry):
         return None
-    most = _MATTERS * max(judged.ratio / _FALLS, 1.0)
+    most = MATTERS * max(judged.ratio / _FALLS, 1.0)
     bench = coarsest(there, most, judged.hypothesis)
     found = None if stepping(bench.scene) == now else _again(context, judged, lambda _: bench)
     return None if found is None else _taken(found)
@@ -185,17 +184,20 @@ def as_declared(context: Context, judged: Judged, declared: Stepping) -> Other |
         step, most = 2 * taken(bench), taken(bench, declared.timestep)
         if stepping(bench.scene).integrator != declared.integrator:
             step = min(taken(bench), most)
-        if step > _SLACK * most:
+        if step > most and not np.isclose(step, most):
             return None
         step = declared.timestep if np.isclose(step, most) else step
         return stepped(bench, step, declared.integrator)
+
+    def logged(bench: Bench) -> Bench | None:
+        return bench.led(Lead()) if bench.lead else None
 
     def softer(bench: Bench) -> Bench | None:
         known = stepping(bench.scene)
         return stepped(bench, known.timestep, dry=False) if known.dry > declared.dry else None
 
     found = None
-    for change in (_logged, softer, coarser):
+    for change in (logged, softer, coarser):
         while (one := _again(context, judged, change)) is not None:
             if not worth(context.bench, judged, one[1]).total - EFFECT > 0:
                 break
@@ -221,7 +223,7 @@ def _again(
 def _taken(one: Other) -> Other:
     """With derivatives along the form that was tried."""
     context, judged = one
-    return context.on(_linearized(context.bench)), judged
+    return context.on(linearized(context.bench)), judged
 
 
 def _finer(context: Context, judged: Judged) -> Other | None:
@@ -231,7 +233,7 @@ def _finer(context: Context, judged: Judged) -> Other | None:
     The error of MuJoCo's other integrators falls as the step does (what they hold over a step, they
     hold for a time of its length): half the step changes as much as it leaves. Where most windows
     have impacts no step is finer: what a contact does depends on it by definition."""
-    if not _inexact(context.bench, judged.ratio, judged.hypothesis):
+    if not matters(context.bench, judged.ratio, judged.hypothesis):
         return None
     step, best, bench, fitted = taken(context.bench), 0.0, context.bench, None
     for _ in range(_HALVINGS):
@@ -240,7 +242,7 @@ def _finer(context: Context, judged: Judged) -> Other | None:
         if not gain > best:
             break
         best, bench, fitted = gain, finer, fit
-        if not _inexact(finer, judged.ratio, judged.hypothesis):
+        if not matters(finer, judged.ratio, judged.hypothesis):
             break
     return fitted or (_again(context, judged, lambda _: bench) if best > 0 else None)
 
@@ -255,7 +257,7 @@ def _held(context: Context, judged: Judged) -> Other | None:
     other = held(context.bench, long)
     if other is None or context.bench.rugged:
         return None
-    if not difference(context.bench, other) > _MATTERS * max(judged.ratio, 1.0):
+    if not difference(context.bench, other) > MATTERS * max(judged.ratio, 1.0):
         return None
     ends = long / _SHORTEST, 2.0 * long
     return _best(context, judged, held, (long / 2.0, long), (0.0,), ends, long / _LIKE, 1)
@@ -274,15 +276,6 @@ def _drier(context: Context, judged: Judged) -> Other | None:
     if not stepping(other.scene).dry:
         return None
     return _again(context, judged, lambda _: other)
-
-
-def _inexact(bench: Bench, ratio: float, hypothesis: Hypothesis | None = None) -> bool:
-    """Whether the error of the step matters beside so much, over the noise (at least the noise).
-
-    Args:
-      hypothesis: as of `halving`.
-    """
-    return not bench.rugged and not 2.0 * halving(bench, hypothesis) <= _MATTERS * max(ratio, 1.0)
 
 
 def _gain(context: Context, judged: Judged, bench: Bench | None) -> tuple[float, Other | None]:
@@ -332,9 +325,6 @@ def _squares(gains: dict[float, float]) -> dict[float, float]:
     return {place: -float(np.exp(-gain)) for place, gain in gains.items()}
 
 
-_MATTERS = 0.25
-"""Error of a step, over what is left (at least the noise), that matters: three hundredths of that
-are the step's then. While effects are missing, a coarser one does, and simulates faster."""
 _FALLS = 10.0
 """Times by which what is left is expected to fall: real machines' models leave a tenth of it."""
 _HELD, _SHORTEST, _LIKE = 8, 8, 32
@@ -342,19 +332,6 @@ _HELD, _SHORTEST, _LIKE = 8, 8, 32
 the shortest, which is as good as exact, and by which steps differ that are tried."""
 _HALVINGS = 5
 """At once: a simulation takes as many times as long."""
-
-
-def _clock(bench: Bench) -> Lead | None:
-    """The clock that logs show of when controls change, if that is not asked already, and they do.
-    When a command acts is not when it is logged. Logs of one machine have one period, and most
-    follow it; in the others commands change seldom."""
-    periods = [one.command_period for one in bench.samples if one.command_period is not None]
-    if bench.lead is None or bench.lead or not periods:
-        return None
-    # as many follow an alias (rates of it and of the clock add up to the log's), with more ticks
-    # at which nothing changes: so the longest
-    most, period = max((sum(o.clocked(one) for o in bench.samples), one) for one in periods)
-    return Lead(clock=True, period=period) if 2 * most > len(bench.samples) else None
 
 
 def _begun(context: Context, judged: Judged, lead: Lead, tried: Sequence[float]) -> Other | None:
@@ -397,26 +374,6 @@ def _most(lead: Lead) -> float:
     return 0.5 if lead.clock else 1.0
 
 
-def _logged(bench: Bench) -> Bench | None:
-    return bench.led(Lead()) if bench.lead else None
-
-
-def leading(bench: Bench, lead: Lead) -> Bench:
-    """The same data with controls that lead their samples."""
-    return _linearized(bench.led(lead))
-
-
-def asked(bench: Bench) -> Bench:
-    """The same, with the question whether controls change between samples; itself where they
-    change seldom: when a step comes, a window says better than a mean does."""
-    for one in bench.samples:
-        values = np.concatenate([one.ctrl, one.force], axis=1)
-        changes = np.any(np.diff(values, axis=0) != 0, axis=1)
-        if changes.mean() > _OFTEN:
-            return dataclasses.replace(bench, lead=Lead())
-    return bench
-
-
 _SHARES = (-0.5, 0.05, 0.5)
 """Of an interval, tried first: commands that arrive late, half a step of a simulation with ten
 steps a sample, and changes anywhere between two samples."""
@@ -426,24 +383,3 @@ _NEAR = 0.1
 """Of an interval, by which other shares than the one that there is are tried first."""
 _CLOSE = 0.003
 """Of an interval, that free runs do not tell apart: 15 us at 200 Hz."""
-_SLACK = 1.01
-"""Of rounding, in a comparison of steps."""
-_OFTEN = 0.1
-"""Share of the samples at which a control has changed: commands at 10 Hz in a log of 100 Hz."""
-
-
-def along(bench: Bench, scene: Scene) -> Bench:
-    """The same data, along another form of the declared scene."""
-    return bench if scene is bench.scene else _linearized(dataclasses.replace(bench, scene=scene))
-
-
-def read_as(bench: Bench, like: Bench) -> Bench:
-    """Other data, in the form of a bench: its scene, and how it reads controls."""
-    if like.lead and bench.lead != like.lead:
-        return leading(dataclasses.replace(bench, scene=like.scene), like.lead)
-    return along(bench, like.scene)
-
-
-def _linearized(bench: Bench) -> Bench:
-    flow = IntervalMap(bench.scene, bench.samples, bench.rows, deadline=bench.deadline)
-    return dataclasses.replace(bench, intervals=linearize(flow))

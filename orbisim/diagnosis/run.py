@@ -16,7 +16,6 @@ from orbisim.diagnosis.both import Runs, by_runs, worth_in_both
 from orbisim.diagnosis.checks import between_samples, disabled, doubts, restepped
 from orbisim.diagnosis.combinations import combined_in_runs
 from orbisim.diagnosis.conclusion import Attribution, attribute
-from orbisim.diagnosis.discretization import asked, read_as
 from orbisim.diagnosis.findings import (
     effects_of,
     errors_of,
@@ -55,6 +54,7 @@ from orbisim.scene import Scene, load_scene
 from orbisim.sensing.faults import Sensed
 from orbisim.shooting.bench import Bench, Noise, make_bench
 from orbisim.shooting.cutting import touches, windows_enough
+from orbisim.shooting.forms import asked, read_as
 from orbisim.shooting.history import history_dependent
 from orbisim.shooting.horizon import telling_window
 from orbisim.shooting.timestep import Stepping, stepping, with_stepping, within_samples

@@ -20,6 +20,20 @@ def halving(bench: Bench, hypothesis: Hypothesis | None = None) -> float:
     return difference(bench, stepped(bench, taken(bench) / 2.0), hypothesis)
 
 
+def matters(bench: Bench, ratio: float, hypothesis: Hypothesis | None = None) -> bool:
+    """Whether the error of the step matters beside so much, over the noise (at least the noise).
+
+    Args:
+      hypothesis: as of `halving`.
+    """
+    return not bench.rugged and not 2.0 * halving(bench, hypothesis) <= MATTERS * max(ratio, 1.0)
+
+
+MATTERS = 0.25
+"""Error of a step, over what is left (at least the noise), that matters: three hundredths of that
+are the step's then. While effects are missing, a coarser one does, and simulates faster."""
+
+
 def coarsest(bench: Bench, most: float, hypothesis: Hypothesis | None = None) -> Bench:
     """With as few steps between samples as make free runs differ by `most` times the noise at most
     (`difference`); as it is where that saves less than half of them, or bodies touch: what a

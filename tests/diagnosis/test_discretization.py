@@ -16,7 +16,6 @@ from orbisim.diagnosis.discretization import (
     _exact,
     _untimed,
     as_declared,
-    asked,
     earlier,
     settled,
 )
@@ -29,6 +28,7 @@ from orbisim.motion.samples import prepare_all
 from orbisim.recording.command_clock import Lead
 from orbisim.shooting import timestep
 from orbisim.shooting.bench import Bench, make_bench
+from orbisim.shooting.forms import asked
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
 from orbisim.testing import inject_effect

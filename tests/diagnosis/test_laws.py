@@ -40,7 +40,9 @@ def found(arm: orbisim.Scene, truth: EffectInstance, duration: float) -> tuple[B
     return (
         bench,
         judged,
-        simplification.named(Found(context, *[stepping(context.bench.scene)] * 2, judged, judged)).law,
+        simplification.named(
+            Found(context, *[stepping(context.bench.scene)] * 2, judged, judged)
+        ).law,
     )
 
 
@@ -78,7 +80,9 @@ def test_what_leaves_but_noise_by_itself_keeps_its_name(
     assert declared is not None and alone is not None and both is not None
     assert (
         "'elbow' alone"
-        in simplification.named(Found(context, *[stepping(context.bench.scene)] * 2, declared, both)).law
+        in simplification.named(
+            Found(context, *[stepping(context.bench.scene)] * 2, declared, both)
+        ).law
     )
     tried = Tried(alone, 1, worth(context.bench, declared, alone))
     kept = simplification.named(
@@ -109,5 +113,7 @@ def test_a_scale_and_an_offset_are_no_names_for_an_eccentric_encoder(arm: orbisi
     both = context.judge.judge(Hypothesis((scale, offset)), 8)
     assert declared is not None and both is not None
     assert worth(context.bench, declared, both).sure > 0
-    law = simplification.named(Found(context, *[stepping(context.bench.scene)] * 2, declared, both)).law
+    law = simplification.named(
+        Found(context, *[stepping(context.bench.scene)] * 2, declared, both)
+    ).law
     assert "smooth function of the position" in law and "'elbow' alone" in law

@@ -382,7 +382,9 @@ def test_what_was_fitted_in_time_is_compared_and_kept(
     monkeypatch.setattr(module, "earlier", lambda *_: None)
     monkeypatch.setattr(module, "best_move", lambda *_: (best, [tried], False))
     monkeypatch.setattr(module, "_fairly", lambda *_: late.check())
-    found = module._round(Found(context, *[stepping(context.bench.scene)] * 2, declared, declared), 1)
+    found = module._round(
+        Found(context, *[stepping(context.bench.scene)] * 2, declared, declared), 1
+    )
     assert found.late and found.best is best and found.tried == (tried,)
 
 
@@ -399,7 +401,9 @@ def test_controls_that_lead_are_not_lost_where_the_time_is_up(
     monkeypatch.setattr(module, "done", lambda *_: False)
     monkeypatch.setattr(module, "earlier", lambda *_: (context, better))
     monkeypatch.setattr(module, "best_move", lambda *_: (None, [], True))
-    found = module._round(Found(context, *[stepping(context.bench.scene)] * 2, declared, declared), 1)
+    found = module._round(
+        Found(context, *[stepping(context.bench.scene)] * 2, declared, declared), 1
+    )
     assert found.late and found.best is better
 
 
@@ -411,7 +415,8 @@ def test_what_cannot_be_told_from_nothing_is_not_the_answer_where_the_time_is_up
     declared, both = (context.judge.judge(Hypothesis(e)) for e in ((), (FRICTION, idle)))
     assert declared is not None and both is not None
     found = _as_found(
-        Found(context, *[stepping(context.bench.scene)] * 2, declared, both, late=True), Deadline(0.0)
+        Found(context, *[stepping(context.bench.scene)] * 2, declared, both, late=True),
+        Deadline(0.0),
     )
     assert names(found.hypothesis) == {("coulomb_friction", "shoulder")}
     (torque,) = found.hypothesis.values(arm)

@@ -22,6 +22,7 @@ from orbisim.host.deadline import NEVER
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.timestep import stepping
 from orbisim.testing import inject_effect
 
 BIAS = EffectInstance("torque_bias", "elbow", {"offset": 0.2})
@@ -79,7 +80,7 @@ def test_what_some_windows_did_not_determine_all_windows_do(arm: orbisim.Scene) 
     held = Hypothesis((wrong,), frozen=frozenset({(0, "offset")}))
     declared, best = context.judge.judge(Hypothesis()), context.judge.judge(held)
     assert declared is not None and best is not None
-    found = concluded(Found(context, 0.002, declared, best), NEVER)
+    found = concluded(Found(context, *[stepping(context.bench.scene)] * 2, declared, best), NEVER)
     assert found.hypothesis.effects[0].values["offset"] == pytest.approx(0.2, rel=0.01)
     assert found.evidence[0] > 100 and not found.rejected
 
