@@ -313,7 +313,8 @@ class Shooter:
         place = Layout(self.declared.model, model)
         threads = threads_for(len(self), len(self) * model.nv * self.substeps)
         hooks = hooks or hooks_of(model)
-        batch = mujoco.batch.Batch(model, len(self), threads, persistent=bool(derived_of(hooks)))
+        kept = bool(derived_of(hooks)) and self.horizon * self.substeps > _WORTH_KEEPING
+        batch = mujoco.batch.Batch(model, len(self), threads, persistent=kept)
         qpos, qvel = self._moved(start)
         batch.bind("qpos")[:] = model.qpos0
         batch.bind("qpos")[:, place.q] = qpos
@@ -471,6 +472,9 @@ _AT_ONCE = 512
 _INPUTS = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_QFRC_APPLIED.value
 _IN_ONE_CALL = 50_000
 """Timesteps of all worlds between two looks at the clock: a second of worlds with contacts."""
+_WORTH_KEEPING = 64
+"""Timesteps of a window from which on each world keeps its data: to make these takes as long as
+some 60 steps save by going on from what the last one computed."""
 _EVEN = 1e-4
 """Share of an interval by which times are off an even grid that is none: rounding of stamps. What a
 joint moves in it is a ten-thousandth of what it moves between two samples."""
