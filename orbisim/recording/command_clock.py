@@ -12,6 +12,7 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linprog
+from scipy.spatial import ConvexHull
 
 from orbisim.recording.stamps import regular_interval
 
@@ -116,14 +117,14 @@ def _counted(gaps: Floats, period: float) -> Ints:
 def _ticking(ticks: Ints, low: Floats, high: Floats, unit: float, period: float) -> Floats | None:
     """[N]: times of ticks, in the middle of what intervals leave open; None where no regular clock
     ticks in all of them, or too much is left open."""
-    ones, number = np.ones(len(ticks)), ticks - ticks[len(ticks) // 2]
-    origin = float(low[len(ticks) // 2])
+    number, origin = ticks - ticks[len(ticks) // 2], float(low[len(ticks) // 2])
     late, early = (high - origin) / unit, (low - origin) / unit
     # phase, period and slack: low - slack < phase + number * period <= high + slack
-    rows = np.concatenate(
-        [np.stack([ones, number, -ones], 1), np.stack([-ones, -number, -ones], 1)]
-    )
-    limits = np.concatenate([late, -early])
+    rows, limits = np.empty((0, 3)), np.empty(0)
+    for sign, values in ((1, late), (-1, -early)):
+        some = _outermost(number, values)
+        one = np.stack([np.full(len(some), sign), sign * number[some], np.full(len(some), -1)], 1)
+        rows, limits = np.concatenate([rows, one]), np.concatenate([limits, values[some]])
     free: list[tuple[float | None, float | None]] = [(None, None), (0.0, None), (0.0, None)]
     if period > 0:
         free[1] = ((1 - _KNOWN) * period / unit, (1 + _KNOWN) * period / unit)
@@ -139,6 +140,13 @@ def _ticking(ticks: Ints, low: Floats, high: Floats, unit: float, period: float)
             return None
         ends.append((both[0].fun - both[1].fun) / 2)
     return np.asarray(origin + unit * np.interp(number, [number[0], number[-1]], ends))
+
+
+def _outermost(number: Ints, values: Floats) -> Ints:
+    """Points whose convex hull all of them lie in: a line that passes these passes all."""
+    level = values - np.polyval(np.polyfit(number, values, 1), number)
+    points = np.stack([number / np.ptp(number), level], axis=1)
+    return np.asarray(ConvexHull(points, qhull_options="QJ").vertices)  # may lie in a line
 
 
 _FEWEST = 20
