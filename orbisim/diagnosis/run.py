@@ -181,6 +181,12 @@ def _by_motion(
     fewer = thinned(fit, window, notes)
     bare = within_samples(scene.without_images(), fewer, notes)  # compiled thousands of times
     bench = make_bench(bare, prepare_all(bounded(fewer, notes), bare), window)
+    if bench.looked_at < 1:
+        notes.append(
+            "bodies touch, and steps through contacts take long: windows from "
+            f"{bench.looked_at:.0%} of the recordings are looked at, spread evenly; what acts in "
+            "the rest alone is not seen"
+        )
     if forces is not None and _settled(bench, forces):
         return forces
     if all(map(operator.is_, fewer, fit)):  # else samples are close, and controls are means already

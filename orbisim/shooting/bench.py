@@ -75,6 +75,13 @@ class Bench:
         return np.array([not near[i][r : r + windows.length + 1].any() for i, r in first], bool)
 
     @property
+    def looked_at(self) -> float:
+        """Share of the usable sampling intervals that windows are cut from: steps through contacts
+        take long, and of many some are left out."""
+        usable = sum(np.count_nonzero(one.usable[:-1] & one.usable[1:]) for one in self.samples)
+        return sum(len(rows) for rows in self.rows) / max(usable, 1)
+
+    @property
     def rugged(self) -> bool:
         """Whether most windows have impacts: what the others say is not typical then."""
         return bool(self.smooth.mean() < 0.5)
