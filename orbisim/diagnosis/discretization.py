@@ -326,7 +326,7 @@ def _squares(gains: dict[float, float]) -> dict[float, float]:
 
 
 _FALLS = 10.0
-"""Times by which what is left is expected to fall: real machines' models leave a tenth of it."""
+"""Times by which what is left may fall: real machines' models leave a fortieth to a quarter."""
 _HELD, _SHORTEST, _LIKE = 8, 8, 32
 """Steps a sampling interval that are tried first, as a simulated machine's own; shares of these:
 the shortest, which is as good as exact, and by which steps differ that are tried."""
