@@ -62,7 +62,9 @@ def test_other_data_are_read_in_the_form_of_a_bench(scene: orbisim.Scene) -> Non
     finer = with_stepping(scene, Stepping(0.001, stepping(scene).integrator))
     assert in_scene(bench, scene) is bench and read_as(bench, bench) is bench
     there = in_scene(bench, finer)
-    assert there.scene is finer and not np.array_equal(there.intervals.defect, bench.intervals.defect)
+    assert there.scene is finer and not np.array_equal(
+        there.intervals.defect, bench.intervals.defect
+    )
     early = leading(there, Lead(0.5))
     other = read_as(bench, early)
     assert other.scene is finer and other.lead == Lead(0.5)
