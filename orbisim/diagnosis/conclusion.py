@@ -82,6 +82,7 @@ def attribute(
       deadline: of the final fits, after that; none if None.
     """
     found = search(bench, settings, say)
+    # a search may have left out steps; what is reported is of those given
     found = dataclasses.replace(found, context=as_given(found.context, found.given))
     try:
         say("final fit")

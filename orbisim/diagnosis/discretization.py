@@ -12,7 +12,7 @@ effect. Steps, and changes by a clock that the log shows, come before effects: w
 machine has is no reason to name what it may have. A share of an interval by which controls lead may
 stand in for a little of an effect that is missing: it is taken if no effect does more. All are
 undone where the scene or the log as it was is worth no less. While much is left, a search takes
-as few steps between samples as hardly show beside that (`roughly`).
+as few steps between samples as hardly show beside that (`coarsened`).
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def _exact(bench: Bench) -> Bench | None:
     return next((other for other in tried if not matters(other, 1.0)), None)
 
 
-def roughly(context: Context, judged: Judged, given: Stepping) -> Other | None:
+def coarsened(context: Context, judged: Judged, given: Stepping) -> Other | None:
     """The same explanation in as few steps as hardly change it, beside what is left and may still
     be in the end; None where these, finer or exact ones are what there is.
 

@@ -47,7 +47,8 @@ class Found:
 
     Attributes:
       context: data and noise as they were known in the end.
-      given: how the scene as it was given is stepped. stepping: how it is in the search.
+      given: how the scene was stepped when it was given. stepping: how it is in the search, in
+        fewer steps where these hardly show.
       declared: the declared scene, fitted, with step and controls as in the end. best: the best
         explanation.
       screening: of the declared scene; None if nothing had to be explained.

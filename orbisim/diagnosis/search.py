@@ -15,7 +15,7 @@ import dataclasses
 import itertools
 
 from orbisim.diagnosis.context import Context, Progress, begun
-from orbisim.diagnosis.discretization import as_declared, as_given, earlier, roughly, settled
+from orbisim.diagnosis.discretization import as_declared, coarsened, earlier, settled
 from orbisim.diagnosis.explanations import EVEN, TO_THE_END, Found, done, quiet
 from orbisim.diagnosis.moves import best_move
 from orbisim.diagnosis.reselection import reselected
@@ -54,7 +54,7 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
     try:
         found = dataclasses.replace(found, context=context.with_tunables())
         say("screening effects")
-        found = _roughly(found)
+        found = _coarsened(found)
         found = _in_best_form(found)
         for number in itertools.count(1):
             later = _round(found, number)
@@ -68,9 +68,9 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
     return found
 
 
-def _roughly(found: Found) -> Found:
+def _coarsened(found: Found) -> Found:
     """In as few steps as hardly matter: simulation is what takes time."""
-    other = roughly(found.context, found.best, found.given)
+    other = coarsened(found.context, found.best, found.given)
     if other is None:
         return found
     there = stepping(other[0].bench.scene)
@@ -78,9 +78,7 @@ def _roughly(found: Found) -> Found:
 
 
 def _in_given_steps(found: Found) -> Found:
-    """In the steps of the scene as it was given, where there are longer ones, or others that are
-    worth no more."""
-    found = dataclasses.replace(found, context=as_given(found.context, found.given))
+    """In the steps of the scene as it was given, instead of others that are worth no more."""
     if found.stepping == found.given:
         return found
     try:
@@ -146,7 +144,7 @@ def _anew(found: Found) -> Found:
     effects selected anew. What was done before the time was up is kept."""
     there = found
     try:
-        found = _in_best_form(_roughly(there))
+        found = _in_best_form(_coarsened(there))
         if found.best is not there.best:
             found = without_vague(found)
         return reselected(found)
