@@ -57,7 +57,9 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
         found = _coarsened(found)
         found = _in_best_form(found)
         for number in itertools.count(1):
-            later = _round(found, number)
+            found.context.say(f"round {number}: {found.best.ratio:.3g} times the noise")
+            found = found if number == 1 else _anew(found)
+            later = found if found.late else _moved(found, number)
             if later.late:
                 return later
             ended, found = _ended(found, later), later
@@ -89,7 +91,7 @@ def _in_given_steps(found: Found) -> Found:
 
 
 def _ended(found: Found, later: Found) -> bool:
-    """Whether a round has changed nothing, or no more than values where nothing is left or other
+    """Whether a move has changed nothing, or no more than values where nothing is left or other
     values are worth nothing: a further round would try the same once more."""
     if later.best is found.best:
         return True
@@ -108,18 +110,12 @@ def _form(found: Found) -> list[object]:
     return [places, [one for one, _ in hypothesis.factors], stepping(bench.scene), bench.lead]
 
 
-def _round(found: Found, number: int) -> Found:
-    """One move more, in the form of the data that predicts best without it, and what the move makes
-    superfluous gone; where no addition is surely worth it, one that puts others in the place of
-    what is there. The same if there is none."""
-    found.context.say(f"round {number}: {found.best.ratio:.3g} times the noise")
-    if number > 1:
-        found = _anew(found)
+def _moved(found: Found, number: int) -> Found:
+    """One move more, and what it makes superfluous gone; where no addition is surely worth it, one
+    that puts others in the place of what is there. The same if there is none."""
     full = len(found.best.hypothesis.effects) >= found.context.settings.most_effects
-    if not found.late and (done(found.context, found.best) or full):
+    if done(found.context, found.best) or full:
         return simplified(found, number)
-    if found.late:
-        return found
     lead = earlier(found.context, found.best)
     if lead is not None and done(*lead):
         return in_form(found, lead)

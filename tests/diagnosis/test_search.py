@@ -382,7 +382,7 @@ def test_what_was_fitted_in_time_is_compared_and_kept(
     monkeypatch.setattr(module, "earlier", lambda *_: None)
     monkeypatch.setattr(module, "best_move", lambda *_: (best, [tried], False))
     monkeypatch.setattr(module, "_fairly", lambda *_: late.check())
-    found = module._round(
+    found = module._moved(
         Found(context, *[stepping(context.bench.scene)] * 2, declared, declared), 1
     )
     assert found.late and found.best is best and found.tried == (tried,)
@@ -401,7 +401,7 @@ def test_controls_that_lead_are_not_lost_where_the_time_is_up(
     monkeypatch.setattr(module, "done", lambda *_: False)
     monkeypatch.setattr(module, "earlier", lambda *_: (context, better))
     monkeypatch.setattr(module, "best_move", lambda *_: (None, [], True))
-    found = module._round(
+    found = module._moved(
         Found(context, *[stepping(context.bench.scene)] * 2, declared, declared), 1
     )
     assert found.late and found.best is better
