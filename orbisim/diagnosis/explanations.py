@@ -11,12 +11,10 @@ from orbisim.diagnosis.context import Context
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.worth import gains, retuning_costs, worth
-from orbisim.effects import EffectInstance, effect_names, find
+from orbisim.effects import EffectInstance, effect_names
 from orbisim.evidence import Gain
-from orbisim.motion.samples import extent
-from orbisim.shooting.bench import Bench
 from orbisim.shooting.hypothesis import Hypothesis
-from orbisim.shooting.judge import Judge, Judged
+from orbisim.shooting.judge import Judged
 from orbisim.shooting.timestep import Stepping
 
 
@@ -123,25 +121,6 @@ def fitted_from(
     if judged is None or not judged.hypothesis.factors:
         return judged
     return _pruned(context, judged)
-
-
-def possible_of(bench: Bench, judge: Judge, judged: Judged, iterations: int) -> Judged | None:
-    """Without effects whose numbers no machine has, and fitted again: one of many that stands for
-    something else is no reason to lose the others."""
-    known = extent(bench.samples)
-    while True:
-        kept = [
-            number
-            for number, one in enumerate(judged.hypothesis.effects)
-            if find(one.effect).log_prior(bench.scene.model, one, known) > -np.inf
-        ]
-        if len(kept) == len(judged.hypothesis.effects):
-            return judged
-        fewer = tuple(judged.hypothesis.effects[number] for number in kept)
-        again = judge.judge(Hypothesis(fewer), iterations) if fewer else None
-        if again is None:
-            return None
-        judged = again
 
 
 def _pruned(context: Context, judged: Judged) -> Judged:

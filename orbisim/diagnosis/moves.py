@@ -7,7 +7,7 @@ made.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -25,9 +25,9 @@ from orbisim.diagnosis.explanations import (
 )
 from orbisim.diagnosis.force_search import attribute_forces, common_forces
 from orbisim.diagnosis.glances import generalizations
-from orbisim.diagnosis.proposals import additions, begin
+from orbisim.diagnosis.proposals import additions, begin, events
 from orbisim.diagnosis.reselection import fitted_set
-from orbisim.diagnosis.suspects import Screening
+from orbisim.diagnosis.suspects import Screening, Suspect
 from orbisim.diagnosis.together import propose
 from orbisim.diagnosis.worth import gains, worth
 from orbisim.effects import EffectInstance, find
@@ -49,10 +49,15 @@ def best_move(found: Found, number: int) -> tuple[Judged | None, list[Tried], bo
     fitted: list[Judged] = []
     best: Judged | None = None
     late = False
+    try:
+        screening = _screened(found, number)
+    except TimeIsUpError:
+        return None, [], True
     share = _OF_TIME * context.deadline.left
     until = Deadline.after(share)
+    added, happened = (functools.partial(one, screening) for one in (_added, _happened))
     windows, *sets = (functools.partial(_together, o) for o in (_by_windows, _usual, _by_forces))
-    kinds: list[Kind] = [_added, _tuned, windows, _retuned, *sets]
+    kinds: list[Kind] = [added, _tuned, windows, happened, _retuned, *sets]
     for kind in kinds:
         if best is not None and _enough_for_now(context, current, best):
             break
@@ -102,21 +107,42 @@ _MUCH = 0.5
 """Share of the loss above the noise that a move may leave to be made without looking at others."""
 
 
-def _added(found: Found, number: int, fitted: Sequence[Judged]) -> Iterator[Judged]:
-    """With an effect more."""
+def _screened(found: Found, number: int) -> Screening:
+    """What is left, screened."""
     context, current = found.context, found.best
-    screening = found.screening
-    if number > 1:
-        context.say(f"screening what is left ({current.ratio:.3g} times the noise)")
-        screening = context.screen(current)
-    assert screening is not None
-    contacts = context.bench.contacts
+    if number == 1 and found.screening is not None:
+        return found.screening
+    context.say(f"screening what is left ({current.ratio:.3g} times the noise)")
+    return context.screen(current)
+
+
+def _added(
+    screening: Screening, found: Found, number: int, fitted: Sequence[Judged]
+) -> Iterator[Judged]:
+    """With an effect more, of those that a regression ranks."""
     first = [one.last for one in found.tried if one.round == 1 and one.last is not None][:FEW]
+    candidates = additions(found.context, found.best, screening, first)
+    yield from _each(screening, found, number, candidates)
+
+
+def _happened(
+    screening: Screening, found: Found, number: int, fitted: Sequence[Judged]
+) -> Iterator[Judged]:
+    """With an event more: no regression ranks these, and each takes as long to try as ten of those
+    that one does."""
+    candidates = events(found.context, found.best, screening.shares)
+    yield from _each(screening, found, number, candidates)
+
+
+def _each(
+    screening: Screening, found: Found, number: int, candidates: Iterable[Suspect]
+) -> Iterator[Judged]:
+    """With one of some effects more each; the best of them fitted again, and what they lead to."""
+    context, current = found.context, found.best
+    contacts = context.bench.contacts
     own: list[Judged] = []
-    for candidate in additions(context, current, screening, first):
-        if any(done(context, one) for one in own) and (
-            candidate.slow or len(own) >= (2 * FEW if contacts else FEW)
-        ):
+    for candidate in candidates:
+        if len(own) >= (2 * FEW if contacts else FEW) and any(done(context, one) for one in own):
             break
         instance = candidate.instance
         context.say(f"round {number}: fitting {instance.effect} at {instance.target}")

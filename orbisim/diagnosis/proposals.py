@@ -31,7 +31,7 @@ Floats = npt.NDArray[np.float64]
 def additions(
     context: Context, current: Judged, screening: Screening, first: Sequence[EffectInstance]
 ) -> Iterator[Suspect]:
-    """Effects to add: those that the screening ranks, best first, then events.
+    """Effects to add: those that the screening ranks, best first.
 
     Args:
       first: what did best where nothing was added yet: an added joint, whose state nothing reads,
@@ -45,7 +45,6 @@ def additions(
     listed = shortlist(context, current, suspects)
     yield from listed
     yield from unranked(context, suspects, listed)
-    yield from events(context, current, screening.shares)
 
 
 def unranked(
@@ -103,7 +102,7 @@ def events(context: Context, current: Judged, shares: Floats) -> Iterator[Suspec
                 every = [EffectInstance(name, target, dict(one)) for one in values]
                 best = _least(context, current, every)
                 if best is not None:
-                    yield Suspect(best, slow=effect.structural)
+                    yield Suspect(best)
 
 
 _SHARE = 0.08

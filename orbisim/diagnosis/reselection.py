@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from orbisim.diagnosis.context import Context
 from orbisim.diagnosis.discretization import settled
-from orbisim.diagnosis.explanations import Found, possible_of
+from orbisim.diagnosis.explanations import Found
 from orbisim.diagnosis.simplification import Sure, in_form, pruned
 from orbisim.diagnosis.together import propose_anew
 from orbisim.diagnosis.worth import worth
@@ -37,7 +37,9 @@ def reselected(found: Found) -> Found:
         if other is None or _places(other) == _places(best.hypothesis):
             return found
         for judged in fitted_set(context, other, best):
-            form = settled(context, judged, found.stepping) or (context, judged)
+            form = context, judged
+            if _places(judged.hypothesis) != _places(best.hypothesis):
+                form = settled(*form, found.stepping) or form
             if worth(form[0].bench, best, form[1]).sure > 0:
                 return in_form(found, (form[0].until(whole), form[1]))
     except TimeIsUpError:
@@ -70,9 +72,8 @@ def fitted_set(
 
     start = None if begin is None else judge.begin(begin)
     judged = judge.judge(together, _ITERATIONS, begin=start)
-    possible = None if judged is None else possible_of(bench, judge, judged, _ITERATIONS)
-    if possible is not None:
-        yield from _last(pruned(context, possible, refit))
+    if judged is not None:
+        yield from _last(pruned(context, judged, refit))
 
 
 def _last(every: Iterator[Sure]) -> Iterator[Judged]:

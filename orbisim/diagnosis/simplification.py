@@ -22,11 +22,12 @@ from orbisim.diagnosis.explanations import (
     winner,
 )
 from orbisim.diagnosis.proposals import exchanges, laws
-from orbisim.diagnosis.worth import apart, gains, vague, worth
+from orbisim.diagnosis.worth import apart, vague, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.unnamed import POWERS
 from orbisim.evidence import NEAR, Gain
 from orbisim.host.deadline import TimeIsUpError
+from orbisim.motion.samples import extent
 from orbisim.scene import Scene
 from orbisim.shooting.fits import Fit
 from orbisim.shooting.hypothesis import Hypothesis
@@ -113,31 +114,51 @@ Refit = Callable[[Hypothesis, Judged], Judged | None]
 
 
 def plain(context: Context, judged: Judged, refit: Refit) -> Judged:
-    """The best of nested explanations: effects go, the least apart from nothing beside the others
-    first, in linear approximation, as to fit each of a dozen without takes long. With one, two,
-    four, ... effects (or what is left in the end) each is fitted. What another refines stays as
-    long as that does."""
+    """The best of nested explanations: effects go, those with numbers that no machine has first,
+    then the least apart from nothing beside the others, in linear approximation, as to fit each of
+    a dozen without takes long. With one, two, four, ... effects, and with all that are possible,
+    each is fitted, until more of them are worth no more and even all leave no less. What another
+    refines stays as long as that does."""
     scene, hypothesis = context.bench.scene, judged.hypothesis
-    fit, path = judged.fit, list[Hypothesis]()
+    fit, path, most = judged.fit, list[Hypothesis](), len(hypothesis.effects)
     while len(hypothesis.effects) > 1:
-        refined = _refined(hypothesis)
-        known = [
-            np.inf if n in refined else apart(scene, hypothesis, fit, n)
-            for n in range(len(hypothesis.effects))
-        ]
-        least = int(np.argmin(known))
-        if not np.isfinite(known[least]):
+        impossible = _impossible(context, hypothesis)
+        least = impossible[:1] or _least(scene, hypothesis, fit)
+        if not least:
             break
-        fit, hypothesis = _dropped(scene, fit, hypothesis, least)
+        fit, hypothesis = _dropped(scene, fit, hypothesis, least[0])
         path.append(hypothesis)
-    some = {len(hypothesis.effects) * 2**k for k in range(len(path))}
-    tried = [refit(less, judged) for less in path if len(less.effects) in some]
-    simpler = [one for one in tried if one is not None]
-    if not simpler:
+        most = len(hypothesis.effects) if impossible else most
+    some = {len(hypothesis.effects) * 2**k for k in range(len(path))} | {most}
+    best: Judged | None = None
+    for less in reversed(path):
+        one = refit(less, judged) if len(less.effects) in some else None
+        if one is None:
+            continue
+        if best is None or worth(context.bench, best, one).total > 0:
+            best = one
+        elif not judged.loss < best.loss:
+            break
+    if best is None or not worth(context.bench, judged, best).total > 0:
         return judged
-    worths = gains(context.bench, judged, simpler)
-    best = max(range(len(simpler)), key=lambda i: worths[i].total)
-    return simpler[best] if worths[best].total > 0 else judged
+    return best
+
+
+def _impossible(context: Context, hypothesis: Hypothesis) -> list[int]:
+    """Numbers of the effects with numbers that no machine has, the last first."""
+    model, known = context.bench.scene.model, extent(context.bench.samples)
+    effects = reversed(list(enumerate(hypothesis.effects)))
+    return [n for n, one in effects if find(one.effect).log_prior(model, one, known) == -np.inf]
+
+
+def _least(scene: Scene, hypothesis: Hypothesis, fit: Fit) -> list[int]:
+    """Number of the effect that is the least apart from nothing; none where no derivative says
+    anything of any that may go."""
+    refined = _refined(hypothesis)
+    own = [n for n in range(len(hypothesis.effects)) if n not in refined]
+    known = {n: apart(scene, hypothesis, fit, n) for n in own}
+    least = min(known, key=lambda n: known[n], default=None)
+    return [] if least is None or not np.isfinite(known[least]) else [least]
 
 
 def _refined(hypothesis: Hypothesis) -> set[int]:

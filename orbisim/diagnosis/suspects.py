@@ -25,14 +25,12 @@ class Suspect:
       moved: what the free parameters of the effects that are there already change by then; None if
         that is not known.
       sized: the effect so many times as large; None if that cannot be.
-      slow: whether a fit takes long: it adds a joint, and no screening ranked it.
     """
 
     instance: EffectInstance
     bic: float = 0.0
     moved: Floats | None = None
     sized: Callable[[float], EffectInstance | None] = lambda _: None
-    slow: bool = False
 
     @property
     def place(self) -> tuple[str, str]:
