@@ -20,7 +20,14 @@ from orbisim.diagnosis.explanations import EVEN, TO_THE_END, Found, done, quiet
 from orbisim.diagnosis.moves import best_move
 from orbisim.diagnosis.reselection import reselected
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.simplification import in_form, named, removed, simplified, without_vague
+from orbisim.diagnosis.simplification import (
+    in_form,
+    named,
+    removed,
+    simplified,
+    untuned,
+    without_vague,
+)
 from orbisim.diagnosis.worth import gains, worth
 from orbisim.evidence import EFFECT
 from orbisim.host.deadline import NEVER, TimeIsUpError
@@ -165,7 +172,10 @@ def _made(found: Found, number: int, best: Judged) -> Found:
         declared = found.declared if current.hypothesis.effects else fair
         return dataclasses.replace(found, best=fair, declared=declared)
     context, best = _renewed(context, best)
-    return removed(dataclasses.replace(found, context=context, best=best), number)
+    found = dataclasses.replace(found, context=context, best=best)
+    if not current.hypothesis.factors:
+        found = untuned(found, number)
+    return removed(found, number)
 
 
 def _fairly(context: Context, current: Judged, better: Judged) -> Judged | None:

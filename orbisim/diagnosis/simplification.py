@@ -21,7 +21,7 @@ from orbisim.diagnosis.explanations import (
     names_of,
     winner,
 )
-from orbisim.diagnosis.proposals import exchanges, laws
+from orbisim.diagnosis.proposals import begin, exchanges, laws
 from orbisim.diagnosis.worth import apart, vague, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.effects.unnamed import POWERS
@@ -39,7 +39,7 @@ def simplified(found: Found, number: int) -> Found:
     where these are better, and timestep and controls as they were where that is worth no less."""
     if not found.best.hypothesis.effects:
         return found
-    for change in (_as_declared, _timed, _exchanged, removed):
+    for change in (_as_declared, _timed, _exchanged, untuned, removed):
         try:
             found = change(found, number)
         except TimeIsUpError:
@@ -283,6 +283,25 @@ def _exchanged(found: Found, number: int) -> Found:
             lost = Tried(best, number, gain, f"it explains less than {names_of(better)}")
             found, best = dataclasses.replace(found, tried=(*found.tried, lost)), better
     return dataclasses.replace(found, best=best)
+
+
+def untuned(found: Found, number: int) -> Found:
+    """With declared parameters as they are, and no effect or one in the place of how they were
+    retuned, if that is worth more: a dozen factors make up for a part of nearly any effect that is
+    missing, whatever it is worth alone."""
+    context, best = found.context, found.best
+    if not best.hypothesis.factors or not best.hypothesis.effects:
+        return found
+    context.say("looking for an effect instead of retuned parameters")
+    fewer = fitted_from(context, dataclasses.replace(best.hypothesis, factors=()), best)
+    if fewer is None:
+        return found
+    suspects = context.screen(fewer).suspects[:FEW]
+    starts = (begin(context, fewer, one) for one in suspects)
+    others = [fewer, *_all(context, starts, best)]
+    others += map(context.judge.closer, best_few(context, best, others[1:]))
+    better = winner(context, best, others)
+    return found if better is None else dataclasses.replace(found, best=better)
 
 
 def _all(context: Context, every: Iterable[Hypothesis], start: Judged) -> list[Judged]:
