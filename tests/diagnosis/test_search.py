@@ -31,7 +31,7 @@ from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Beginning, Judged
 from orbisim.shooting.retune import SPREAD, Tunable, retuned
-from orbisim.shooting.timestep import stepping
+from orbisim.shooting.timestep import stepped, stepping
 from orbisim.testing import inject_effect
 
 ASSETS = Path(__file__).parents[2] / "mjcf_assets"
@@ -363,6 +363,32 @@ def test_what_cannot_be_told_from_nothing_goes_but_not_what_is_refined(
     kept = plain(context, judged, refit).hypothesis
     assert ("coulomb_friction", "shoulder") in names(kept)
     assert ("armature", "shoulder") not in names(kept)
+
+
+def test_a_form_that_is_settled_before_a_move_is_no_reason_for_another_round(
+    arm: orbisim.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In other steps the second round finds no move: a third would only try the same once more."""
+    rounds: list[int] = []
+
+    def moved(found: Found, number: int) -> Found:
+        rounds.append(number)
+        if number > 1:
+            return found
+        best = found.context.judge.judge(Hypothesis((FRICTION,)))
+        assert best is not None
+        return dataclasses.replace(found, best=best)
+
+    def anew(found: Found) -> Found:
+        finer = stepped(found.context.bench, stepping(found.context.bench.scene).timestep / 2)
+        return dataclasses.replace(found, context=found.context.trying(finer))
+
+    for name, stand_in in (("_moved", moved), ("_anew", anew)):
+        monkeypatch.setattr(searching, name, stand_in)
+    for name in ("_coarsened", "_in_best_form", "_in_given_steps", "named"):
+        monkeypatch.setattr(searching, name, lambda found: found)
+    found = search(bench_of(arm, FRICTION), Settings())
+    assert rounds == [1, 2] and names(found.best.hypothesis) == {("coulomb_friction", "shoulder")}
 
 
 def test_what_was_fitted_in_time_is_compared_and_kept(
