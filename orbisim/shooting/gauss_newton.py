@@ -88,7 +88,6 @@ class Problem:
         self.centre = np.array([u.centre for u in unknowns])
         self.precision = np.array([u.precision for u in unknowns])
         self.hints, self.robust = hints, robust
-        self.led = False
         self.scale = hints.lenient
 
     def solve(self, start: Floats | None, iterations: int, tolerance: float) -> Fit:
@@ -106,8 +105,10 @@ class Problem:
         self.scale = self.half(here.cost)
         damping, brakes = 1e-4, np.full(len(shooter), 1e-9)
         free, at = self.hints.free, here
-        self.led = shooter.leads(self.build(values))
-        hinted = free is not None and free.shape[2] == xi.shape[1] and not self.led
+        hinted = free is not None and free.shape[2] == xi.shape[1]
+        # what starts do to a late sensor is not what they do to the motion
+        delay = self.build(values).measurement.delay
+        rough = self.hints.rough or (delay is not None and bool(delay.any()))
         if free is None or not hinted:
             free = self.start_jacobian(here)
         active = np.ones(len(shooter), bool)
@@ -138,10 +139,10 @@ class Problem:
             gain = (before - after) / max(before, 1e-300)
             here, damping = found, max(damping / 10, 1e-9)
             iteration += 1
-            if gain < tolerance and not (hinted and self.hints.rough):
+            if gain < tolerance and not (hinted and rough):
                 iteration, known = iterations, slopes  # so short a step hardly changes them
                 continue
-            if hinted and self.hints.rough and (gain < 0.2 or iteration == 2):
+            if hinted and rough and (gain < 0.2 or iteration == 2):
                 hinted, free, at = False, self.start_jacobian(here), here
             elif not hinted and (self.hints.exact or iteration == 2):
                 free, at = self._updated(free, at, here)
@@ -325,7 +326,7 @@ class Problem:
         base = self.shooter.scaled(here.simulated)
         slopes, steps = np.zeros((*base.shape, len(values))), dict[int, float]()
         for p, unknown in enumerate(self.unknowns):
-            if p in self.hints.slopes and not self.led:
+            if p in self.hints.slopes:
                 slopes[..., p] = self.hints.slopes[p]
             else:
                 steps[p] = unknown.step_from(float(values[p]))

@@ -436,16 +436,10 @@ class Judge:
     def _moves(self, judged: Judged) -> tuple[Own, Own] | None:
         """What the numbers of an explanation change in the windows that it was fitted to and in the
         check windows, those without impacts; None where differences have to show what starts do:
-        where most windows have impacts, sensors are late or joints are added."""
+        where most windows have impacts or joints are added."""
         hypothesis, declared = judged.hypothesis, self.bench.scene
-        late = self.fitted.leads(hypothesis.variant(declared))
         some, others = self._smooth, self._check_smooth
-        if (
-            not (len(some) and len(others))
-            or self.bench.rugged
-            or late
-            or is_structural(hypothesis)
-        ):
+        if not (len(some) and len(others)) or self.bench.rugged or is_structural(hypothesis):
             return None
         build = lambda values: hypothesis.at(declared, values).variant(declared)  # noqa: E731
         unknowns = hypothesis.unknowns(declared)

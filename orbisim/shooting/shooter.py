@@ -140,43 +140,44 @@ class Shooter:
             if len(which):
                 out[which] = self.some(which).simulate(variant, start[which])
             return out
-        if not self.leads(variant):
-            return self._simulated(variant, start)
-        out = np.zeros(self.shape)
-        for which, part in self._begun():
-            runs = part._simulated(variant, start[which])
-            led = runs.shape[1] > self.shape[1]
-            out[which] = runs[:, -self.shape[1] :] if led else part._unknown(variant, runs)
-        return out
+        return self._simulated(variant, start)
 
-    def _begun(self) -> Iterator[tuple[Ints, Shooter]]:
-        """Windows before which the recordings go back, begun earlier; and the others."""
-        room = self.room()
-        if room.any():
-            yield (which := np.flatnonzero(room)), self._earlier(which)
-        if not room.all():
-            yield (which := np.flatnonzero(~room)), self.some(which)
+    def _read(self, measurement: Measurement, out: Floats) -> Floats:
+        """What is measured of true deviations [W, K + 1, 2 nv].
 
-    def _unknown(self, variant: Variant, runs: Floats) -> Floats:
-        """With what late sensors measured at the windows' beginnings in the place of what they read
-        there in simulation: that was before anything that is known."""
-        delay = variant.measurement.delay
-        assert delay is not None
+        A late sensor reads, at a window's beginning, what was before, which nothing says: there the
+        readings are taken as those that were measured, and what is off in the others of the same
+        window and sensor counts more, by as much as there are fewer. What is off in the mean square
+        is then no less for a longer delay. Where most of a window is read from beyond it, the
+        readings stay extrapolated (`Measurement`).
+        """
+        if not measurement:
+            return out
+        runs = measurement.of(self.absolute, out, self.time)
+        delay = np.zeros(out.shape[-1]) if measurement.delay is None else measurement.delay
+        ends = np.arange(len(self)), np.minimum(self.windows.reach(), self.horizon)
+        near = np.median(np.diff(self.time, axis=1)) / 2.0  # beyond a window a line is good so far
         for k, column in enumerate(self.measured):
-            early = self.seen[..., k] & (self.time < self.time[:, :1] + delay[column])
-            runs[..., column] = np.where(
-                early, self.target[..., k] / self.weight[k], runs[..., column]
-            )
+            if not delay[column]:
+                continue
+            at, seen = self.time - delay[column], self.seen[..., k]
+            known = (at > self.time[:, :1] - near) & (at < self.time[ends][:, None] + near)
+            every, left = seen.sum(axis=1), (seen & known).sum(axis=1)
+            some = 2 * left > every
+            more = np.sqrt(every / np.maximum(left, 1))[:, None]
+            target = self.target[..., k] / self.weight[k]
+            inferred = np.where(known, target + more * (runs[..., column] - target), target)
+            runs[..., column] = np.where(some[:, None], inferred, runs[..., column])
         return runs
 
     def _simulated(
         self, variant: Variant, start: Floats, hooks: list[Hook] | None = None
     ) -> Floats:
-        measurement, out = variant.measurement, np.zeros(self.shape)
+        out = np.zeros(self.shape)
         out[:, 0] = start[:, : 2 * self.nv]
         for span, qpos, qvel in self._run(variant, start, hooks):
             out[:, span] = self._deviation(span, qpos, qvel)
-        return measurement.of(self.absolute, out, self.time) if measurement else out
+        return self._read(variant.measurement, out)
 
     def simulate_each(self, variants: Sequence[Variant], start: Floats) -> list[Floats]:
         """As `simulate`, of several scenes from the same starts. Those that differ only in how they
@@ -197,7 +198,7 @@ class Shooter:
             out = part._simulated(true, np.tile(start, (runs, 1)), joined)
             for k, i in enumerate(same):
                 own, seen = variants[i].measurement, out.reshape(runs, *self.shape)[k % runs]
-                found[i] = own.of(self.absolute, seen, self.time) if own else seen
+                found[i] = self._read(own, seen)
         return [one for one in found if one is not None]
 
     def _alike(
@@ -210,8 +211,7 @@ class Shooter:
             for same in groups if hooks[i] or one.measurement else ():
                 first = variants[same[0]]
                 kinds = [[type(hook) for hook in hooks[k]] for k in (i, same[0])]
-                late = self.leads(one) or self.leads(first)
-                timed = one.measurement.clock == first.measurement.clock and not late
+                timed = one.measurement.clock == first.measurement.clock
                 if (
                     kinds[0] == kinds[1]
                     and timed
@@ -222,47 +222,6 @@ class Shooter:
             else:
                 groups.append([i])
         return groups
-
-    def leads(self, variant: Variant) -> bool:
-        """Whether simulation begins before the windows, where recordings do: a late sensor shows at
-        their beginning what was before. Starts are then those of the simulation."""
-        delay = variant.measurement.delay
-        return delay is not None and bool((delay > 0).any())
-
-    @property
-    def lead(self) -> int:
-        """By how many samples it does."""
-        step = float(np.median(np.diff(self.time, axis=1)))
-        return max(1, min(round(_LEAD / step), self.windows.length))
-
-    def room(self) -> Bools:
-        """[W]: whether the recording goes back so far from the window's beginning, without gaps."""
-        lead, longest = self.lead, _GAP * float(np.median(np.diff(self.time, axis=1)))
-        found = np.zeros(len(self), bool)
-        for w, (i, r) in enumerate(zip(self.windows.recording, self.row, strict=True)):
-            one, before = self.samples[i], slice(r - lead, r + 1)
-            if r >= lead and one.usable[before].all():
-                found[w] = np.diff(one.time[before]).max() < longest
-        return found
-
-    def _earlier(self, which: Ints) -> Shooter:
-        """Some of the windows, begun earlier; what they measure before is not looked at."""
-        part, lead = self.some(which), self.lead
-        chosen = list(zip(part.windows.recording, part.row, strict=True))
-        part.row = part.row - lead
-        for name in ("time", "qpos", "qvel", "absolute"):
-            before = np.array([getattr(self.samples[i], name)[r - lead : r] for i, r in chosen])
-            setattr(part, name, np.concatenate([before, getattr(part, name)], axis=1))
-        for n, name in enumerate(("ctrl", "force")):
-            before = np.array([self.inputs[i][n][r - lead : r] for i, r in chosen])
-            setattr(part, name, np.concatenate([before, getattr(part, name)], axis=1))
-        whole, horizon = part.windows, part.windows.horizon
-        part.windows = Windows(
-            whole.first, whole.length + lead, whole.recording,
-            None if horizon is None else horizon + lead,
-        )  # fmt: skip
-        part.horizon = self.horizon + lead
-        return part
 
     def moved(self, variant: Variant, start: Floats, step: float, which: Ints) -> Floats:
         """As `simulate` of some windows, with each number of their starts moved by a step in turn:
@@ -279,15 +238,6 @@ class Shooter:
 
     def states(self, variant: Variant, start: Floats) -> tuple[Floats, Floats]:
         """True states of free runs: qpos [W, K + 1, nq] and qvel [W, K + 1, nv]."""
-        if not self.leads(variant):
-            return self._states(variant, start)
-        qpos, qvel = self.qpos.copy(), self.qvel.copy()
-        for which, part in self._begun():
-            found = part._states(variant, start[which])
-            qpos[which], qvel[which] = (x[:, -self.shape[1] :] for x in found)
-        return qpos, qvel
-
-    def _states(self, variant: Variant, start: Floats) -> tuple[Floats, Floats]:
         first = self._moved(start)
         qpos, qvel = self.qpos.copy(), self.qvel.copy()
         qpos[:, 0], qvel[:, 0] = first
@@ -478,10 +428,6 @@ some 60 steps save by going on from what the last one computed."""
 _EVEN = 1e-4
 """Share of an interval by which times are off an even grid that is none: rounding of stamps. What a
 joint moves in it is a ten-thousandth of what it moves between two samples."""
-_LEAD = 0.25
-"""How much earlier, s, a simulation begins where sensors are late."""
-_GAP = 1.5
-"""Typical sampling intervals that are a gap."""
 _LOST = 1e6
 """Weighted residual of what has diverged: finite, so that windows can still be compared."""
 
