@@ -296,7 +296,7 @@ def untuned(found: Found, number: int) -> Found:
     fewer = fitted_from(context, dataclasses.replace(best.hypothesis, factors=()), best)
     if fewer is None:
         return found
-    suspects = context.screen(fewer).suspects[:FEW]
+    suspects = context.along(fewer).screen(fewer).suspects[:FEW]
     starts = (begin(context, fewer, one) for one in suspects)
     others = [fewer, *_all(context, starts, best)]
     others += map(context.judge.closer, best_few(context, best, others[1:]))
