@@ -61,8 +61,9 @@ def unranked(
 def begin(context: Context, current: Judged, candidate: Suspect) -> Hypothesis:
     """Where a fit with an effect more begins: with the effects before as they are or, if that
     leaves less, moved; and with the effect smaller than suspected where that leaves more than there
-    is without it: with more friction than the true one a joint sticks, and a fit does not find
-    back. Where bodies touch, the shortlist has seen to its size."""
+    is without it, as small as is tried where all sizes do: with more friction than the true one a
+    joint sticks, and a fit does not find back. Where bodies touch, the shortlist has seen to its
+    size."""
     plus, start = current.hypothesis.plus, context.judge.begin(current)
 
     def glance(one: Hypothesis) -> float:
@@ -72,8 +73,9 @@ def begin(context: Context, current: Judged, candidate: Suspect) -> Hypothesis:
     if not contacts and not find(candidate.instance.effect).structural:
         most = glance(current.hypothesis)
         if glance(hypothesis) > most:
-            smaller = (one for share in _SMALLER if (one := candidate.sized(share)) is not None)
-            hypothesis = next((h for one in smaller if glance(h := plus(one)) < most), hypothesis)
+            sizes = [one for share in _SMALLER if (one := candidate.sized(share)) is not None]
+            smaller = [plus(one) for one in sizes] or [hypothesis]
+            hypothesis = next((one for one in smaller if glance(one) < most), smaller[-1])
     moved = candidate.moved
     if moved is None or not moved.any() or is_structural(hypothesis):
         return hypothesis
