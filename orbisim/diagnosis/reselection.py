@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from orbisim.diagnosis.context import Context
 from orbisim.diagnosis.discretization import settled
-from orbisim.diagnosis.explanations import Found
+from orbisim.diagnosis.explanations import Found, done
 from orbisim.diagnosis.simplification import Sure, in_form, pruned
 from orbisim.diagnosis.together import propose_anew
 from orbisim.diagnosis.worth import worth
@@ -32,8 +32,11 @@ def reselected(found: Found) -> Found:
     found.context.say("effects selected anew")
     context = found.context.until(Deadline.after(_OF_TIME * whole.left))
     settings = context.settings
+    # where nothing is left, only what takes no more effects can be worth more
+    left = not done(context, best)
+    most = settings.most_effects if left else len(best.hypothesis.effects)
     try:
-        other = propose_anew(context.bench, best, settings.effects, settings.most_effects)
+        other = propose_anew(context.bench, best, settings.effects, most)
         if other is None or _places(other) == _places(best.hypothesis):
             return found
         for judged in fitted_set(context, other, best):

@@ -142,6 +142,9 @@ def propose_anew(
     """As if the effects of an explanation had not been chosen yet, along its own free runs: chosen
     along the recordings, where late sensors and missing forces bend the motion, several may stand
     for one. None where an added joint hides the motion, or nothing is chosen.
+
+    Args:
+      only: as of `propose`. most: effects at most, those that bring most.
     """
     there = judged.hypothesis
     kept = tuple(one for one in there.effects if find(one.effect).stated)
@@ -153,7 +156,7 @@ def propose_anew(
     flow = local.flow(base)
     intervals = linearize(flow)
     known = _beyond(local, there, MotionView(flow, local.samples, missing_force(intervals)))
-    found = propose(local, intervals, only, most, base, known)
+    found = propose(local, intervals, only, most, base, known)[: max(most - len(kept), 0)]
     return dataclasses.replace(base, effects=(*kept, *found)).in_parts() if found else None
 
 

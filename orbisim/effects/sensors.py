@@ -153,6 +153,12 @@ class SensorDelay(MeasurementEffect):
         early = _EARLY if instance.values["delay"] < 0 else 0.0
         return super().log_prior(model, instance, extent) + early
 
+    def equivalents(self, model: mujoco.MjModel, instance: EffectInstance) -> list[EffectInstance]:
+        """Where commands may be late, too, one sensor that is early is another one that is late."""
+        delay = instance.values["delay"]
+        others = [one for one in self.targets(model) if one != instance.target]
+        return [EffectInstance(self.name, one, {"delay": -delay}) for one in others if delay < 0]
+
     def screen(self, view: MotionRegressors, target: str) -> list[Candidate]:
         if target not in names_of_kind(view.model, "joint"):
             return []

@@ -84,3 +84,12 @@ def test_unknown_targets_and_values_out_of_bounds(scene: Scene) -> None:
         effect.check(scene.model, EffectInstance("sensor_delay", "elbo", {"delay": 0.1}))
     with pytest.raises(InputError, match="within -1 to 1 s"):
         effect.check(scene.model, EffectInstance("sensor_delay", "elbow", {"delay": 2.0}))
+
+
+def test_a_sensor_that_is_early_is_another_one_that_is_late(scene: Scene) -> None:
+    effect = find("sensor_delay")
+    first, *others = effect.targets(scene.model)
+    early = EffectInstance("sensor_delay", first, {"delay": -0.003})
+    late = [EffectInstance("sensor_delay", one, {"delay": 0.003}) for one in others]
+    assert others and effect.equivalents(scene.model, early) == late
+    assert effect.equivalents(scene.model, late[0]) == []
