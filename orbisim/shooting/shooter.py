@@ -148,7 +148,7 @@ class Shooter:
         A late sensor reads, at a window's beginning, what was before, which nothing says: there the
         readings are taken as those that were measured, and what is off in the others of the same
         window and sensor counts more, by as much as there are fewer. What is off in the mean square
-        is then no less for a longer delay. Where most of a window is read from beyond it, the
+        is then no less for a longer delay. Where nearly all of a window is read from beyond it, the
         readings stay extrapolated (`Measurement`).
         """
         if not measurement:
@@ -163,7 +163,7 @@ class Shooter:
             at, seen = self.time - delay[column], self.seen[..., k]
             known = (at > self.time[:, :1] - near) & (at < self.time[ends][:, None] + near)
             every, left = seen.sum(axis=1), (seen & known).sum(axis=1)
-            some = 2 * left > every
+            some = _KNOWN * left > every
             more = np.sqrt(every / np.maximum(left, 1))[:, None]
             target = self.target[..., k] / self.weight[k]
             inferred = np.where(known, target + more * (runs[..., column] - target), target)
@@ -428,6 +428,9 @@ some 60 steps save by going on from what the last one computed."""
 _EVEN = 1e-4
 """Share of an interval by which times are off an even grid that is none: rounding of stamps. What a
 joint moves in it is a ten-thousandth of what it moves between two samples."""
+_KNOWN = 4
+"""What a late sensor reads of a window, over what of it is known, at most: fewer readings cannot
+stand for all."""
 _LOST = 1e6
 """Weighted residual of what has diverged: finite, so that windows can still be compared."""
 
