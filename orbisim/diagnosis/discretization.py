@@ -233,7 +233,8 @@ def _finer(context: Context, judged: Judged) -> Other | None:
     The error of MuJoCo's other integrators falls as the step does (what they hold over a step, they
     hold for a time of its length): half the step changes as much as it leaves. Where most windows
     have impacts no step is finer: what a contact does depends on it by definition."""
-    if not matters(context.bench, judged.ratio, judged.hypothesis):
+    between = bool(context.bench.lead) and not context.bench.rugged  # commands change within steps
+    if not between and not matters(context.bench, judged.ratio, judged.hypothesis):
         return None
     step, best, bench, fitted = taken(context.bench), 0.0, context.bench, None
     for _ in range(_HALVINGS):

@@ -42,6 +42,11 @@ class Measurement:
     def __bool__(self) -> bool:
         return self.bias is not None
 
+    @property
+    def shifted(self) -> bool:
+        """Whether any reading is late, or early."""
+        return self.delay is not None and bool(self.delay.any())
+
     def of(self, reference: Floats, deviation: Floats, time: Floats) -> Floats:
         """Measured minus reference coordinates.
 

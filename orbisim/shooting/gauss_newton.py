@@ -107,8 +107,7 @@ class Problem:
         free, at = self.hints.free, here
         hinted = free is not None and free.shape[2] == xi.shape[1]
         # what starts do to a late sensor is not what they do to the motion
-        delay = self.build(values).measurement.delay
-        rough = self.hints.rough or (delay is not None and bool(delay.any()))
+        rough = self.hints.rough or self.build(values).measurement.shifted
         if free is None or not hinted:
             free = self.start_jacobian(here)
         active = np.ones(len(shooter), bool)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import orbisim
+from orbisim.diagnosis import discretization
 from orbisim.diagnosis.conclusion import attribute
 from orbisim.diagnosis.context import Context, begun
 from orbisim.diagnosis.discretization import (
@@ -148,7 +149,7 @@ def _loss_without_impacts(bench: Bench, judged: Judged) -> float:
 
 
 def test_of_late_sensors_nothing_is_foreseen() -> None:
-    """What a start does before its window is not known by derivatives."""
+    """What a start does to what a late sensor reads is not what it does to the motion."""
     scene = _scene(0.005)
     late = EffectInstance("sensor_delay", "hinge", {"delay": 0.01})
     runs = inject_effect(scene, late, duration=2.0, episodes=2, noise=5e-4, seed=1)
@@ -157,6 +158,19 @@ def test_of_late_sensors_nothing_is_foreseen() -> None:
     judged = context.judge.judge(Hypothesis((late,)))
     assert judged is not None
     assert context.judge.foreseen(judged, context.judge) is None
+
+
+@pytest.mark.parametrize("share", [0.0, -0.9])
+def test_where_commands_change_within_steps_shorter_ones_are_tried(
+    share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However little the step matters else: each blurs a change over its length."""
+    scene = _scene(0.005)
+    runs = inject_effect(scene, [], duration=2.0, episodes=2, noise=5e-4, seed=1)
+    context, judged = _judged(make_bench(scene, prepare_all(runs, scene), 0.5).led(Lead(share)))
+    monkeypatch.setattr(discretization, "matters", lambda *_: False)
+    monkeypatch.setattr(discretization, "_gain", lambda *_: (0.1, (context, judged)))
+    assert (discretization._finer(context, judged) is not None) == bool(share)
 
 
 def test_a_step_that_is_right_stays() -> None:
