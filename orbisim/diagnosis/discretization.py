@@ -18,6 +18,7 @@ as few steps between samples as hardly show beside that (`coarsened`).
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import mujoco
@@ -134,7 +135,7 @@ def _led(context: Context, judged: Judged, lead: Lead, tried: Sequence[float]) -
         near = (share for share in more if abs(share) <= _most(lead))
         other = _begun(context, one, lead, (*tried, *near))
         if other is not None and other[0].bench.lead:
-            there, found = _followed(*other) or other
+            there, found = _followed(*other, within=bool(more)) or other
             yield there, there.judge.closer(found)
 
 
@@ -151,13 +152,16 @@ def _untimed(bench: Bench, judged: Judged) -> Iterator[tuple[Judged, Sequence[fl
         yield dataclasses.replace(judged, hypothesis=fewer), [share]
 
 
-def _followed(context: Context, judged: Judged) -> Other | None:
+def _followed(context: Context, judged: Judged, within: bool = False) -> Other | None:
     """With other steps and another lead in turns, as long as one surely predicts better: a lead
     makes up for a part of a step that is too long, so that each is looked for again with the other.
+
+    Args:
+      within: as of `_finer`.
     """
-    found = None
+    found, finer = None, functools.partial(_finer, within=within)
     while True:
-        tried = [form(context, judged) for form in (_finer, _held, _drier, _retimed)]
+        tried = [form(context, judged) for form in (finer, _held, _drier, _retimed)]
         better = _surest(context, judged, tried)
         if better is None:
             return found
@@ -226,15 +230,21 @@ def _taken(one: Other) -> Other:
     return context.on(linearized(context.bench)), judged
 
 
-def _finer(context: Context, judged: Judged) -> Other | None:
+def _finer(context: Context, judged: Judged, within: bool = False) -> Other | None:
     """The same explanation with half of the step, a quarter, ... as long as that is better and the
     error of the step matters; None where the step as it is predicts best.
 
     The error of MuJoCo's other integrators falls as the step does (what they hold over a step, they
     hold for a time of its length): half the step changes as much as it leaves. Where most windows
-    have impacts no step is finer: what a contact does depends on it by definition."""
-    between = bool(context.bench.lead) and not context.bench.rugged  # commands change within steps
-    if not between and not matters(context.bench, judged.ratio, judged.hypothesis):
+    have impacts no step is finer: what a contact does depends on it by definition.
+
+    Args:
+      within: whether it is compared with what has no commands that change within steps, which blur
+        them however little they do else.
+    """
+    if context.bench.rugged:
+        return None
+    if not within and not matters(context.bench, judged.ratio, judged.hypothesis):
         return None
     step, best, bench, fitted = taken(context.bench), 0.0, context.bench, None
     for _ in range(_HALVINGS):

@@ -160,17 +160,17 @@ def test_of_late_sensors_nothing_is_foreseen() -> None:
     assert context.judge.foreseen(judged, context.judge) is None
 
 
-@pytest.mark.parametrize("share", [0.0, -0.9])
+@pytest.mark.parametrize("within", [False, True])
 def test_where_commands_change_within_steps_shorter_ones_are_tried(
-    share: float, monkeypatch: pytest.MonkeyPatch
+    within: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However little the step matters else: each blurs a change over its length."""
     scene = _scene(0.005)
     runs = inject_effect(scene, [], duration=2.0, episodes=2, noise=5e-4, seed=1)
-    context, judged = _judged(make_bench(scene, prepare_all(runs, scene), 0.5).led(Lead(share)))
+    context, judged = _judged(make_bench(scene, prepare_all(runs, scene), 0.5).led(Lead(-0.9)))
     monkeypatch.setattr(discretization, "matters", lambda *_: False)
     monkeypatch.setattr(discretization, "_gain", lambda *_: (0.1, (context, judged)))
-    assert (discretization._finer(context, judged) is not None) == bool(share)
+    assert (discretization._finer(context, judged, within) is not None) == within
 
 
 def test_a_step_that_is_right_stays() -> None:
