@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.diagnosis.screening import candidates_of
-from orbisim.diagnosis.selection import Selected, data_of, groups_of, select
+from orbisim.diagnosis.selection import Selected, groups_of, select
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.effects.catalogue import asked_once
 from orbisim.effects.screening import Candidate
@@ -22,6 +22,7 @@ from orbisim.motion.samples import Samples, extent
 from orbisim.scene import Scene
 from orbisim.shooting.along import along
 from orbisim.shooting.bench import Bench
+from orbisim.shooting.blocks import data_of
 from orbisim.shooting.holding import holding
 from orbisim.shooting.hypothesis import Hypothesis, bounded_instance
 from orbisim.shooting.judge import Judged, is_structural

@@ -6,10 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from orbisim.diagnosis.selection import Group, data_of, groups_of, select
+from orbisim.diagnosis.selection import Group, groups_of, select
 from orbisim.effects import EffectInstance
 from orbisim.effects.screening import Candidate, Column
 from orbisim.evidence import EFFECT, Blocks, like_parts
+from orbisim.shooting.blocks import data_of
 from orbisim.shooting.regress import Normal
 
 ROWS, COLUMNS, BLOCKS = 80, 24, 10
