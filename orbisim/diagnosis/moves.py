@@ -7,7 +7,7 @@ made.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -55,7 +55,7 @@ def best_move(found: Found, number: int) -> tuple[Judged | None, list[Tried], bo
         return None, [], True
     share = _OF_TIME * context.deadline.left
     until = Deadline.after(share)
-    added, happened = (functools.partial(one, screening) for one in (_added, _happened))
+    added, happened = (functools.partial(_each, o, screening) for o in (_ranked, _happened))
     windows, *sets = (functools.partial(_together, o) for o in (_by_windows, _usual, _by_forces))
     kinds: list[Kind] = [added, _tuned, windows, happened, _retuned, *sets]
     for kind in kinds:
@@ -116,32 +116,29 @@ def _screened(found: Found, number: int) -> Screening:
     return context.screen(current)
 
 
-def _added(
-    screening: Screening, found: Found, number: int, fitted: Sequence[Judged]
-) -> Iterator[Judged]:
-    """With an effect more, of those that a regression ranks."""
+def _ranked(screening: Screening, found: Found) -> Iterator[Suspect]:
+    """Effects that a regression ranks."""
     first = [one.last for one in found.tried if one.round == 1 and one.last is not None][:FEW]
-    candidates = additions(found.context, found.best, screening, first)
-    yield from _each(screening, found, number, candidates)
+    return additions(found.context, found.best, screening, first)
 
 
-def _happened(
-    screening: Screening, found: Found, number: int, fitted: Sequence[Judged]
-) -> Iterator[Judged]:
-    """With an event more: no regression ranks these, and each takes as long to try as ten of those
-    that one does."""
-    candidates = events(found.context, found.best, screening.shares)
-    yield from _each(screening, found, number, candidates)
+def _happened(screening: Screening, found: Found) -> Iterator[Suspect]:
+    """Events: no regression ranks these, and each takes as long to try as ten of those above."""
+    return events(found.context, found.best, screening.shares)
 
 
 def _each(
-    screening: Screening, found: Found, number: int, candidates: Iterable[Suspect]
+    proposed: Callable[[Screening, Found], Iterator[Suspect]],
+    screening: Screening,
+    found: Found,
+    number: int,
+    fitted: Sequence[Judged],
 ) -> Iterator[Judged]:
-    """With one of some effects more each; the best of them fitted again, and what they lead to."""
+    """With an effect more each; the best of them fitted again, and what they lead to."""
     context, current = found.context, found.best
     contacts = context.bench.contacts
     own: list[Judged] = []
-    for candidate in candidates:
+    for candidate in proposed(screening, found):
         if len(own) >= (2 * FEW if contacts else FEW) and any(done(context, one) for one in own):
             break
         instance = candidate.instance

@@ -33,8 +33,7 @@ def reselected(found: Found) -> Found:
     context = found.context.until(Deadline.after(_OF_TIME * whole.left))
     settings = context.settings
     # where nothing is left, only what takes no more effects can be worth more
-    left = not done(context, best)
-    most = settings.most_effects if left else len(best.hypothesis.effects)
+    most = len(best.hypothesis.effects) if done(context, best) else settings.most_effects
     try:
         other = propose_anew(context.bench, best, settings.effects, most)
         if other is None or _places(other) == _places(best.hypothesis):

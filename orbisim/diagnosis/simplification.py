@@ -154,11 +154,9 @@ def _impossible(context: Context, hypothesis: Hypothesis) -> list[int]:
 def _least(scene: Scene, hypothesis: Hypothesis, fit: Fit) -> list[int]:
     """Number of the effect that is the least apart from nothing; none where no derivative says
     anything of any that may go."""
-    refined = _refined(hypothesis)
-    own = [n for n in range(len(hypothesis.effects)) if n not in refined]
-    known = {n: apart(scene, hypothesis, fit, n) for n in own}
-    least = min(known, key=lambda n: known[n], default=None)
-    return [] if least is None or not np.isfinite(known[least]) else [least]
+    refined, every = _refined(hypothesis), range(len(hypothesis.effects))
+    known = {n: apart(scene, hypothesis, fit, n) for n in every if n not in refined}
+    return [n for n in sorted(known, key=lambda n: known[n])[:1] if np.isfinite(known[n])]
 
 
 def _refined(hypothesis: Hypothesis) -> set[int]:

@@ -15,7 +15,7 @@ import orbisim
 from orbisim.diagnosis import search as searching
 from orbisim.diagnosis import worth as worths
 from orbisim.diagnosis.conclusion import _as_found, _best_first, _finally, attribute, concluded
-from orbisim.diagnosis.context import begun
+from orbisim.diagnosis.context import Context, begun
 from orbisim.diagnosis.explanations import TO_THE_END, Found, Tried, best_few
 from orbisim.diagnosis.moves import _generalized
 from orbisim.diagnosis.proposals import events, exchanges
@@ -29,7 +29,7 @@ from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
-from orbisim.shooting.judge import Beginning, Judged
+from orbisim.shooting.judge import Beginning, Judge, Judged
 from orbisim.shooting.retune import SPREAD, Tunable, retuned
 from orbisim.shooting.timestep import stepped, stepping
 from orbisim.testing import inject_effect
@@ -389,6 +389,44 @@ def test_a_form_that_is_settled_before_a_move_is_no_reason_for_another_round(
         monkeypatch.setattr(searching, name, lambda found: found)
     found = search(bench_of(arm, FRICTION), Settings())
     assert rounds == [1, 2] and names(found.best.hypothesis) == {("coulomb_friction", "shoulder")}
+
+
+def test_what_starts_through_impacts_leave_is_nothing_that_is_missing(
+    arm: orbisim.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where bodies touch and the declared scene is near the noise, it is restarted before anything
+    is looked for; a scene that is far off is not, as that takes long and shows nothing."""
+    bench = dataclasses.replace(bench_of(arm), contacts=True)
+    context = begun(bench, Settings(), lambda _: None)
+    declared = context.judge.judge(Hypothesis())
+    assert declared is not None
+    restarted: list[int] = []
+
+    def closer(self: Judge, judged: Judged, iterations: int = 5, restarts: int = 1) -> Judged:
+        restarted.append(restarts)
+        return declared
+
+    screened = Exception("screened")
+
+    def screen(*_: Any) -> None:
+        raise screened
+
+    monkeypatch.setattr(Judge, "closer", closer)
+    monkeypatch.setattr(Context, "screen", screen)
+    for ratio, restarts in ((1.4, [TO_THE_END]), (2.0, [])):
+        restarted.clear()
+        poor = dataclasses.replace(
+            declared, ratio=ratio, fitted=ratio**2 * declared.fitted,
+            checked=ratio**2 * declared.checked,
+        )  # fmt: skip
+        monkeypatch.setattr(Judge, "judge", lambda *_, poor=poor, **__: poor)
+        if restarts:
+            found = search(bench, Settings())
+            assert found.best is declared and not found.tried
+        else:
+            with pytest.raises(Exception, match="screened"):
+                search(bench, Settings())
+        assert restarted == restarts * len(restarted)
 
 
 def test_what_was_fitted_in_time_is_compared_and_kept(
