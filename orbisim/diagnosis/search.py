@@ -20,14 +20,7 @@ from orbisim.diagnosis.explanations import EVEN, TO_THE_END, Found, done, quiet
 from orbisim.diagnosis.moves import best_move
 from orbisim.diagnosis.reselection import reselected
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.simplification import (
-    in_form,
-    named,
-    removed,
-    simplified,
-    untuned,
-    without_vague,
-)
+from orbisim.diagnosis.simplification import in_form, named, not_vague, removed, simplified, untuned
 from orbisim.diagnosis.worth import gains, worth
 from orbisim.evidence import EFFECT, NEAR
 from orbisim.host.deadline import NEVER, TimeIsUpError
@@ -82,7 +75,8 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
 
 def _to_the_end(context: Context, judged: Judged) -> Judged:
     """The declared scene where it is near the noise and bodies touch, restarted as long as that
-    leaves less: what starts through impacts leave is nothing that is missing."""
+    leaves less: what starts through impacts leave is nothing that is missing. If more than noise
+    is left, the search begins where it was: beside a scene's own best starts no suspect shows."""
     for _ in range(_FURTHER if context.bench.contacts and judged.ratio <= NEAR else 0):
         further = context.judge.closer(judged, restarts=TO_THE_END)
         if further is judged or worth(context.bench, judged, further).total < EVEN:
@@ -163,7 +157,7 @@ def _anew(found: Found) -> Found:
     try:
         found = _in_best_form(_coarsened(there))
         if found.best is not there.best:
-            found = without_vague(found)
+            found = not_vague(found)
         return reselected(found)
     except TimeIsUpError:
         return dataclasses.replace(found, late=True)

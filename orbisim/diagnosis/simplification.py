@@ -21,6 +21,7 @@ from orbisim.diagnosis.explanations import (
     names_of,
     winner,
 )
+from orbisim.diagnosis.glances import shortlist
 from orbisim.diagnosis.proposals import begin, exchanges, laws
 from orbisim.diagnosis.worth import apart, vague, worth
 from orbisim.effects import EffectInstance, find
@@ -87,7 +88,7 @@ def removed(found: Found, number: int) -> Found:
     return dataclasses.replace(found, best=best, late=late)
 
 
-def without_vague(found: Found) -> Found:
+def not_vague(found: Found) -> Found:
     """Without effects that cannot be told from nothing, and fitted again; with all where that is
     worth less."""
     context, best = found.context, found.best
@@ -120,7 +121,8 @@ def plain(context: Context, judged: Judged, refit: Refit) -> Judged:
     each is fitted, until more of them are worth no more and even all leave no less. What another
     refines stays as long as that does."""
     scene, hypothesis = context.bench.scene, judged.hypothesis
-    fit, path, most = judged.fit, list[Hypothesis](), len(hypothesis.effects)
+    fit, path = judged.fit, list[Hypothesis]()
+    full = most = len(hypothesis.effects)
     while len(hypothesis.effects) > 1:
         impossible = _impossible(context, hypothesis)
         least = impossible[:1] or _least(scene, hypothesis, fit)
@@ -128,7 +130,7 @@ def plain(context: Context, judged: Judged, refit: Refit) -> Judged:
             break
         fit, hypothesis = _dropped(scene, fit, hypothesis, least[0])
         path.append(hypothesis)
-        most = len(hypothesis.effects) if impossible else most
+        most -= bool(impossible) and len(path) == full - most + 1
     some = {len(hypothesis.effects) * 2**k for k in range(len(path))} | {most}
     best: Judged | None = None
     for less in reversed(path):
@@ -294,12 +296,16 @@ def untuned(found: Found, number: int) -> Found:
     fewer = fitted_from(context, dataclasses.replace(best.hypothesis, factors=()), best)
     if fewer is None:
         return found
-    suspects = context.along(fewer).screen(fewer).suspects[:FEW]
-    starts = (begin(context, fewer, one) for one in suspects)
-    others = [fewer, *_all(context, starts, best)]
-    others += map(context.judge.closer, best_few(context, best, others[1:]))
-    better = winner(context, best, others)
-    return found if better is None else dataclasses.replace(found, best=better)
+    others, late = [fewer], found.late
+    try:
+        suspects = context.along(fewer).screen(fewer).suspects
+        room = FEW if len(fewer.hypothesis.effects) < context.settings.most_effects else 0
+        for suspect in shortlist(context, fewer, suspects)[:room]:
+            others += _all(context, [begin(context, fewer, suspect)], best)
+        others += map(context.judge.closer, best_few(context, best, others[1:]))
+    except TimeIsUpError:
+        late = True
+    return dataclasses.replace(found, best=winner(context, best, others) or best, late=late)
 
 
 def _all(context: Context, every: Iterable[Hypothesis], start: Judged) -> list[Judged]:

@@ -156,7 +156,7 @@ class Shooter:
         runs = measurement.of(self.absolute, out, self.time)
         delay = np.zeros(out.shape[-1]) if measurement.delay is None else measurement.delay
         ends = np.arange(len(self)), np.minimum(self.windows.reach(), self.horizon)
-        near = np.median(np.diff(self.time, axis=1)) / 2.0  # beyond a window a line is good so far
+        near = np.median(np.diff(self.time, axis=1)) / 2.0  # `Measurement` is good so far beyond
         for k, column in enumerate(self.measured):
             if not delay[column]:
                 continue

@@ -12,7 +12,7 @@ from orbisim.diagnosis.context import begun
 from orbisim.diagnosis.explanations import Found
 from orbisim.diagnosis.reselection import reselected
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.simplification import without_vague
+from orbisim.diagnosis.simplification import not_vague
 from orbisim.effects import EffectInstance
 from orbisim.host.deadline import Deadline
 from orbisim.motion.samples import prepare_all
@@ -67,9 +67,9 @@ def test_what_cannot_be_told_from_nothing_goes(arm: orbisim.Scene) -> None:
     there = found_of(arm, (LATE, DAMPING), (LATE, DAMPING, scale))
     best = there.context.judge.judge(there.best.hypothesis)  # with the noise as it is known now
     assert best is not None
-    found = without_vague(dataclasses.replace(there, best=best))
+    found = not_vague(dataclasses.replace(there, best=best))
     assert names(found) == {(one.effect, one.target) for one in (LATE, DAMPING)}
-    assert without_vague(found) is found
+    assert not_vague(found) is found
 
 
 def test_what_is_there_stays(arm: orbisim.Scene) -> None:

@@ -16,6 +16,7 @@ from orbisim.diagnosis.explanations import Found
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.simplification import plain, untuned
 from orbisim.effects import EffectInstance
+from orbisim.host.deadline import TimeIsUpError
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import make_bench
 from orbisim.shooting.hypothesis import Hypothesis
@@ -129,4 +130,22 @@ def test_parameters_that_are_off_stay_retuned(arm: orbisim.Scene) -> None:
     assert tuned is not None and declared is not None and tuned.hypothesis.factors
     given = stepping(context.bench.scene)
     found = Found(context, given, given, declared, tuned)
-    assert untuned(found, 1) is found
+    assert untuned(found, 1).best is tuned
+
+
+def test_where_no_effect_has_room_none_takes_the_place_of_retuned_parameters(
+    arm: orbisim.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context = context_of(arm, FRICTION, ROTOR)
+    full = dataclasses.replace(context, settings=Settings(most_effects=1))
+    tuned = context.judge.judge(Hypothesis((FRICTION,)).tuned(context.tunables))
+    assert tuned is not None and tuned.hypothesis.factors
+    given = stepping(context.bench.scene)
+    assert untuned(Found(full, given, given, tuned, tuned), 1).best is tuned
+
+    def late(*_: Any) -> None:
+        raise TimeIsUpError
+
+    monkeypatch.setattr(simplification, "shortlist", late)
+    found = untuned(Found(context, given, given, tuned, tuned), 1)
+    assert found.late and found.best is tuned

@@ -1,7 +1,5 @@
 """Windows that are simulated: of late sensors, from moved starts, and some of them."""
 
-import dataclasses
-
 import mujoco
 import numpy as np
 import pytest
@@ -55,20 +53,25 @@ def test_what_a_late_sensor_read_before_a_window_is_no_reason_for_or_against_it(
     outside = np.arange(own.shape[1]) < unknown
     outside = outside[::-1] if delay < 0 else outside
     np.testing.assert_allclose(own[:, outside], 0.0, atol=1e-9)
-    bare = dataclasses.replace(variant, measurement=variant.measurement)
-    read = bare.measurement.of(
+    read = variant.measurement.of(
         shooter.absolute, shooter.simulate(Variant(bench.scene), start), shooter.time
     )
     plain = shooter.residual(read).reshape(*own.shape, -1)[..., 0][:, ~outside]
     np.testing.assert_allclose((own**2).mean(axis=1), (plain**2).mean(axis=1), rtol=1e-9)
 
 
-def test_a_delay_of_most_of_a_window_is_no_perfect_reading(bench: Bench) -> None:
+@pytest.mark.parametrize(("delay", "extrapolated"), [(0.3, False), (0.45, True)])
+def test_a_few_readings_do_not_stand_for_a_whole_window(
+    bench: Bench, delay: float, extrapolated: bool
+) -> None:
+    """Of windows of 0.5 s, the last 0.05 s: what is before is then extrapolated."""
     shooter = bench.shooter(bench.fit)
-    variant = Hypothesis((LATE.replace(delay=0.45),)).variant(bench.scene)
-    residual = shooter.residual(shooter.simulate(variant, np.zeros((len(shooter), 4))))
-    own = residual.reshape(len(shooter), shooter.windows.length + 1, -1)[..., 0]
-    assert (np.sqrt((own[:, 1:] ** 2).mean(axis=1)) > 10).all()
+    start = np.zeros((len(shooter), 2 * shooter.nv))
+    variant = Hypothesis((LATE.replace(delay=delay),)).variant(bench.scene)
+    read = variant.measurement.of(
+        shooter.absolute, shooter.simulate(Variant(bench.scene), start), shooter.time
+    )
+    assert np.array_equal(shooter.simulate(variant, start), read) == extrapolated
 
 
 def test_starts_that_are_moved_together_are_moved_one_by_one(bench: Bench) -> None:
