@@ -78,6 +78,15 @@ def test_no_lattice_in_real_numbers():
         assert lattice_step(np.asarray(values, np.float32)) == 0
 
 
+def test_uniform_motion_is_no_lattice():
+    rng = np.random.default_rng(0)
+    t = np.arange(110) * 8e-3
+    rested = np.maximum(t - 0.1013, 0.0)
+    for y in (3.5 * t, 3.5 * rested, 3.5 * t + 5e-5 * rng.standard_normal(110)):
+        assert lattice_step(y) == 0
+    assert noise_std(t, 3.5 * t + 5e-5 * rng.standard_normal(110)) == pytest.approx(5e-5, rel=0.2)
+
+
 def test_no_noise_is_nearly_none():
     t = np.arange(1000) * 2e-3
     assert noise_std(t, swing(t)) < 1e-9
