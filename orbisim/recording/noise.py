@@ -26,11 +26,14 @@ _CONVERGED = 0.9
 _STRETCHES, _STRETCH = 32, 4096
 """Pieces of a long signal that are looked at, and their samples."""
 _AGAIN = 0.01
-"""Share of the levels of a lattice that are read more than once where it is coarse. Of real numbers
-none is but by chance (of a thousand in single precision some 0.03); at rest one is."""
-_EXACT, _VARIOUS = 1e-6, 0.1
-"""By how much multiples are not whole, at most, and the share of those that are not one, at least,
-where hardly any level is read twice."""
+"""Share of the levels that are read more than once, from which on they are those of a lattice. Of
+real numbers none is but by chance (of a thousand in single precision some 0.03); at rest one is."""
+_EXACT = 1e-6
+"""Of a step, by which multiples may be off where hardly any level is read again: what rounds is off
+by the rounding of stored numbers, a uniform motion by its noise."""
+_VARIOUS = 0.1
+"""Share of the differences that are more than one step there: of a uniform motion without noise
+only those across missing samples are."""
 _CLIP = 4.0
 """Scales beyond which a difference is an event, not noise."""
 
@@ -76,8 +79,8 @@ def lattice_step(values: npt.ArrayLike) -> float:
     Samples of a uniform motion are equally far apart as well, to within the noise. On a lattice
     some values are read again, or differ by various multiples that are whole to rounding.
     """
-    thinned = _thinned(np.asarray(values, np.float64).ravel())
-    levels, times = np.unique(thinned, return_counts=True)
+    readings = _thinned(np.asarray(values, np.float64).ravel())
+    levels, times = np.unique(readings, return_counts=True)
     if len(levels) < 3:
         return float(levels[-1] - levels[0]) if len(levels) == 2 else 0.0
     single = levels.astype(np.float32)

@@ -79,12 +79,23 @@ def test_no_lattice_in_real_numbers():
 
 
 def test_uniform_motion_is_no_lattice():
+    """With and without noise, from rest, and with samples that are missing."""
     rng = np.random.default_rng(0)
     t = np.arange(110) * 8e-3
-    rested = np.maximum(t - 0.1013, 0.0)
-    for y in (3.5 * t, 3.5 * rested, 3.5 * t + 5e-5 * rng.standard_normal(110)):
+    rested, seen = np.maximum(t - 0.1013, 0.0), np.arange(110) % 25 > 0
+    noisy = 3.5 * t + 5e-5 * rng.standard_normal(110)
+    for y in (3.5 * t, 3.5 * t[seen], 3.5 * rested, noisy, noisy[seen]):
         assert lattice_step(y) == 0
-    assert noise_std(t, 3.5 * t + 5e-5 * rng.standard_normal(110)) == pytest.approx(5e-5, rel=0.2)
+    assert noise_std(t, noisy) == pytest.approx(5e-5, rel=0.2)
+
+
+def test_a_lattice_of_which_no_value_is_read_again():
+    """Motion so fast that steps are left out; with a thousandth of a step of noise it is none."""
+    step = 1.5e-3
+    counts = np.cumsum(np.random.default_rng(0).integers(1, 6, 300))
+    assert lattice_step(step * counts) == pytest.approx(step)
+    noisy = step * (counts + 1e-3 * np.random.default_rng(1).standard_normal(300))
+    assert lattice_step(noisy) == 0
 
 
 def test_no_noise_is_nearly_none():
