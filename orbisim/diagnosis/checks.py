@@ -17,7 +17,8 @@ from orbisim.shooting.bench import Bench
 from orbisim.shooting.halving import halving
 from orbisim.shooting.judge import Judged
 from orbisim.shooting.remainder import told_as_noise
-from orbisim.shooting.timestep import stepping, typical_interval
+from orbisim.shooting.stepping import stepping
+from orbisim.shooting.timestep import typical_interval
 
 
 def coarse_timestep(bench: Bench, residual: float) -> str | None:

@@ -33,17 +33,8 @@ from orbisim.shooting.bench import Bench
 from orbisim.shooting.forms import command_clock, linearized
 from orbisim.shooting.halving import MATTERS, coarsest, difference, matters
 from orbisim.shooting.judge import Judged
-from orbisim.shooting.timestep import (
-    Stepping,
-    exact,
-    held,
-    is_exact,
-    peak,
-    stepped,
-    stepping,
-    taken,
-    typical_interval,
-)
+from orbisim.shooting.stepping import Stepping, stepping
+from orbisim.shooting.timestep import exact, held, is_exact, peak, stepped, taken, typical_interval
 
 Other = tuple[Context, Judged]
 

@@ -57,7 +57,7 @@ from orbisim.shooting.cutting import touches, windows_enough
 from orbisim.shooting.forms import asked, read_as
 from orbisim.shooting.history import history_dependent
 from orbisim.shooting.horizon import telling_window
-from orbisim.shooting.timestep import Stepping, stepping, with_stepping, within_samples
+from orbisim.shooting.stepping import Stepping, stepping, with_stepping, within_samples
 
 Source = Recording | str | Path
 

@@ -27,7 +27,7 @@ from orbisim.host.deadline import NEVER, TimeIsUpError
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
-from orbisim.shooting.timestep import stepping
+from orbisim.shooting.stepping import stepping
 
 
 def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> Found:

@@ -15,7 +15,7 @@ from orbisim.effects import EffectInstance
 from orbisim.errors import RecordingError
 from orbisim.recording import Recording
 from orbisim.shooting.history import HistoryDependent
-from orbisim.shooting.timestep import Stepping, with_stepping
+from orbisim.shooting.stepping import Stepping, with_stepping
 from orbisim.testing import inject_effect
 
 ARM = Path(__file__).parents[2] / "mjcf_assets" / "arm2"

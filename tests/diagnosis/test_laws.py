@@ -18,7 +18,7 @@ from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
-from orbisim.shooting.timestep import stepping
+from orbisim.shooting.stepping import stepping
 from orbisim.testing import inject_effect
 
 SPRING = EffectInstance("joint_spring", "elbow", {"stiffness": 0.3, "rest_position": 0.0})

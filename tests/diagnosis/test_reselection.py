@@ -18,7 +18,7 @@ from orbisim.host.deadline import Deadline
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import make_bench
 from orbisim.shooting.hypothesis import Hypothesis
-from orbisim.shooting.timestep import stepping
+from orbisim.shooting.stepping import stepping
 from orbisim.testing import inject_effect
 
 CLOCK = EffectInstance("clock_skew", "recording", {"factor": 1.05})

@@ -31,7 +31,8 @@ from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Beginning, Judge, Judged
 from orbisim.shooting.retune import SPREAD, Tunable, retuned
-from orbisim.shooting.timestep import stepped, stepping
+from orbisim.shooting.stepping import stepping
+from orbisim.shooting.timestep import stepped
 from orbisim.testing import inject_effect
 
 ASSETS = Path(__file__).parents[2] / "mjcf_assets"

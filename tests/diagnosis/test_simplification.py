@@ -22,7 +22,7 @@ from orbisim.shooting.bench import make_bench
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
 from orbisim.shooting.retune import Tunable, retuned
-from orbisim.shooting.timestep import stepping
+from orbisim.shooting.stepping import stepping
 from orbisim.testing import inject_effect
 
 FRICTION = EffectInstance("coulomb_friction", "shoulder", {"torque": 0.3})

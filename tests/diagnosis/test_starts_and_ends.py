@@ -22,7 +22,7 @@ from orbisim.host.deadline import NEVER
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
-from orbisim.shooting.timestep import stepping
+from orbisim.shooting.stepping import stepping
 from orbisim.testing import inject_effect
 
 BIAS = EffectInstance("torque_bias", "elbow", {"offset": 0.2})

@@ -18,7 +18,7 @@ from orbisim.shooting.fits import Unknown
 from orbisim.shooting.gauss_newton import gauss_newton
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.shooter import Variant
-from orbisim.shooting.timestep import Stepping, stepping, with_stepping
+from orbisim.shooting.stepping import Stepping, stepping, with_stepping
 
 SLED = """<mujoco><option timestep="{step}" integrator="{integrator}" gravity="0 0 0"/><worldbody>
   <body><joint name="rail" type="slide"/><geom size=".1" mass="1"/></body></worldbody>

@@ -11,7 +11,7 @@ from orbisim.recording import Recording
 from orbisim.recording.command_clock import Lead
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.forms import asked, command_clock, in_scene, leading, read_as
-from orbisim.shooting.timestep import Stepping, stepping, with_stepping
+from orbisim.shooting.stepping import Stepping, stepping, with_stepping
 from orbisim.testing import inject_effect
 
 PENDULUM = """<mujoco><option timestep="0.002"/><worldbody>
