@@ -15,7 +15,7 @@ from orbisim.effects import EffectInstance, effect_names
 from orbisim.evidence import Gain
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
-from orbisim.shooting.timestep import Stepping
+from orbisim.shooting.stepping import Stepping
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -65,16 +65,25 @@ class Found:
     late: bool = False
 
 
-def enough(settings: Settings, judged: Judged) -> float:
-    """Residual over noise below which there is nothing to explain, given how much data there is."""
-    return settings.enough + 3.0 / np.sqrt(2.0 * max(judged.fit.count, 1))
+def enough(settings: Settings, judged: Judged, signals: int = 1) -> float:
+    """Residual over noise below which there is nothing to explain, given how much data there is.
+
+    Args:
+      signals: how many have their part of the data.
+    """
+    return settings.enough + 3.0 * np.sqrt(signals / (2.0 * max(judged.fit.count, 1)))
 
 
 def quiet(settings: Settings, declared: Judged) -> bool:
-    """Whether there is nothing to explain: the declared scene predicts all windows to within noise.
+    """Whether there is nothing to explain: the declared scene predicts all windows, and each signal
+    over all of them, to within noise.
 
-    Where bodies touch, an effect may show in a few windows only, which `Judged.ratio` leaves out.
+    Where bodies touch, an effect may show in a few windows only, which `Judged.ratio` leaves out,
+    or along one axis, beside others of which impacts leave little known.
     """
+    some = declared.signals
+    if some.max(initial=0.0) > enough(settings, declared, len(some)):
+        return False
     return max(declared.ratio, declared.pooled) <= enough(settings, declared)
 
 
@@ -114,10 +123,16 @@ def names_of(judged: Judged) -> str:
 def fitted_from(
     context: Context, hypothesis: Hypothesis, start: Judged, polish: bool = True
 ) -> Judged | None:
-    """Fitted; of retuned parameters only those that pay."""
+    """Fitted; of retuned parameters only those that pay. A fit through impacts that begins at a
+    poor size may end at one: one that leaves no less than before begins once more with little."""
     iterations = 4 if context.bench.contacts else 5
     begin = context.judge.begin(start)
     judged = context.judge.judge(hypothesis, iterations, polish, begin)
+    if context.bench.contacts and not (judged and judged.loss < start.loss):
+        little = hypothesis.little(context.bench.scene, start.hypothesis)
+        again = None if little is None else context.judge.judge(little, iterations, False, begin)
+        if again is not None and not (judged and judged.loss <= again.loss):
+            judged = again
     if judged is None or not judged.hypothesis.factors:
         return judged
     return _pruned(context, judged)

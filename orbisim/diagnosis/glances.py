@@ -14,8 +14,7 @@ from orbisim.diagnosis.context import Context
 from orbisim.diagnosis.suspects import Suspect, in_turns
 from orbisim.effects import EffectInstance, effect_names, find
 from orbisim.host.deadline import Deadline
-from orbisim.scene import Scene
-from orbisim.shooting.hypothesis import bounded_instance, clean
+from orbisim.shooting.hypothesis import clean, sized
 from orbisim.shooting.judge import Judged, is_structural
 
 
@@ -119,19 +118,17 @@ _LEAST = 8
 
 
 def usual(context: Context, possible: Sequence[EffectInstance]) -> list[Suspect]:
-    """Effects on bodies and at contacts at usual sizes, whatever a regression says: payloads and
-    forces in proportion to masses, friction less and more than declared; and what does the same as
-    a suspect, and more."""
-    places = {(e.effect, e.target) for e in possible if find(e.effect).kind in ("body", "geom")}
+    """Effects on bodies, at contacts and on all at usual sizes, whatever a regression says:
+    payloads and forces in proportion to masses, friction less and more than declared, a tilt to
+    either side; and what does the same as a suspect, and more."""
+    places = {(e.effect, e.target) for e in possible if find(e.effect).kind in _USUAL}
     scene, made = context.bench.scene, []
     for name, target in sorted(places):
         every = find(name).trials(scene.model, target)
         made += [EffectInstance(name, target, dict(values)) for values in every]
     first = {(e.effect, e.target): e for e in reversed(possible)}
     made += [more for one in first.values() for more in generalizations(context, one)]
-    return [
-        Suspect(clean(scene, one), sized=functools.partial(_scaled, scene, one)) for one in made
-    ]
+    return [Suspect(clean(scene, one), sized=functools.partial(sized, scene, one)) for one in made]
 
 
 def generalizations(context: Context, special: EffectInstance) -> list[EffectInstance]:
@@ -146,16 +143,6 @@ def generalizations(context: Context, special: EffectInstance) -> list[EffectIns
     ]
 
 
-def _scaled(scene: Scene, one: EffectInstance, size: float) -> EffectInstance | None:
-    """An effect that changes so many times as much; None if that cannot be."""
-    effect = find(one.effect)
-    neutral = effect.neutral(scene.model, one.target)
-    away = {name: value - neutral.get(name, 0.0) for name, value in one.values.items()}
-    further = effect.scaled(away, size)
-    values = {name: value + neutral.get(name, 0.0) for name, value in further.items()}
-    return bounded_instance(scene, dataclasses.replace(one, values=values))
-
-
 def varied(found: Sequence[Suspect], most: int) -> list[Suspect]:
     """The first few forms of each effect at a target."""
     count: Counter[tuple[str, str]] = Counter()
@@ -167,6 +154,8 @@ def varied(found: Sequence[Suspect], most: int) -> list[Suspect]:
     return kept
 
 
+_USUAL = ("body", "geom", "world")
+"""Kinds of effects of which regressions through impacts say little."""
 _GLANCES = 100
 """Forms of suspects that are simulated once."""
 _FIRST = 40

@@ -503,6 +503,18 @@ class GravityTilt(Effect):
         parts = [Parameter(axis, "m/s^2", -100.0, 100.0, 0.5) for axis in AXES]
         return (Parameter("angle", "deg", 0.0, 180.0, 3.0, usual=_TILTED), *parts)
 
+    def neutral(self, model: mujoco.MjModel, target: str) -> Values:
+        """The declared direction."""
+        return {"angle": 0.0, **dict(zip(AXES, map(float, model.opt.gravity), strict=True))}
+
+    def trials(self, model: mujoco.MjModel, target: str) -> list[Mapping[str, float]]:
+        """A quarter of what is usual, to four sides."""
+        size = float(np.tan(np.radians(_TILTED / 4.0)))
+        return [
+            self.complete(model, target, {"tilt_1": size * first, "tilt_2": size * second})
+            for first, second in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
+        ]
+
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
         spec.option.gravity = [instance.values[axis] for axis in AXES]
 

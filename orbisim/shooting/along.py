@@ -14,10 +14,9 @@ import numpy.typing as npt
 from orbisim.motion.linear import IntervalMap, linearize
 from orbisim.motion.samples import Samples
 from orbisim.shooting.bench import Bench
-from orbisim.shooting.cutting import start_size
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.shooter import Shooter
-from orbisim.shooting.windows import Windows
+from orbisim.shooting.windows import Windows, start_size
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -65,7 +64,8 @@ def along(
     starts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
     inside = lengths[:, None] if windows.horizon is None else windows.horizon[kept]
     horizon = np.broadcast_to(np.minimum(inside, lengths[:, None]), (len(kept), 2 * shooter.nv))
-    cut = Windows(starts, longest, np.arange(len(kept)), horizon)
+    scatter = None if windows.scatter is None else windows.scatter[kept, : longest + 1]
+    cut = Windows(starts, longest, np.arange(len(kept)), horizon, scatter)
     everything = np.ones(len(cut), bool)
     local = dataclasses.replace(
         bench,

@@ -19,13 +19,13 @@ from orbisim.shooting.cutting import (
     TOO_SHORT,
     every_third,
     most_intervals,
-    near_jump,
     predictable_windows,
     spread_windows,
     touches,
     without_lost,
 )
 from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.shooting.impacts import near_jump
 from orbisim.shooting.noise import between_impacts, estimate_noise
 from orbisim.shooting.shooter import Shooter
 from orbisim.shooting.windows import Windows

@@ -14,6 +14,7 @@ from orbisim.motion.linear import Intervals
 from orbisim.motion.samples import Samples
 from orbisim.recording import Recording, bind
 from orbisim.scene import Scene
+from orbisim.shooting.impacts import foreseen, near_jump
 from orbisim.shooting.shooter import Shooter, Variant
 from orbisim.shooting.windows import Windows, cut_windows, runs_of
 
@@ -109,20 +110,6 @@ def _fitting(recording: Ints, row: Ints, length: int) -> int:
     return max(choices, key=lambda k: (round(float((runs // k * k).sum()) / runs.sum(), 2), k))
 
 
-def near_jump(one: Samples) -> Bools:
-    """[T]: whether an impact is so close that the reference is not to be trusted as a start."""
-    jump = np.append(one.jumps.any(axis=1), False)
-    near = jump.copy()
-    for shift in range(1, _JUMP_REACH + 1):
-        near[shift:] |= jump[:-shift]
-        near[:-shift] |= jump[shift:]
-    return near
-
-
-_JUMP_REACH = 3
-"""Samples to either side of an impact over which smoothing blurs it."""
-
-
 def predictable_windows(
     scene: Scene, samples: Sequence[Samples], intervals: Intervals, noise: Noise, length: int
 ) -> Windows:
@@ -143,7 +130,7 @@ def predictable_windows(
         raise InputError(TOO_SHORT)
     every = Windows(np.array(first), length, intervals.recording[first])
     shooter = Shooter(scene, samples, intervals, every, noise)
-    every = dataclasses.replace(every, horizon=_horizons(shooter, noise))
+    every = foreseen(shooter, intervals, every, noise)
     every = wrongly_lost(shooter, every, noise)
     worth = _worth(shooter, every, noise)
     telling = every.reach() >= max(4, length // 3)
@@ -192,25 +179,6 @@ def _apart(windows: Windows, run: Ints, worth: Floats) -> Bools:
     return keep
 
 
-def _horizons(shooter: Shooter, noise: Noise) -> Ints:
-    """[W, 2 nv]: samples until what the noise leaves unknown of the start has grown so much,
-    through impacts, that nothing can be said: runs from starts that differ by the noise part."""
-    measured, nv = np.isfinite(np.concatenate(noise)), len(noise[0])
-    size = start_size(noise, float(np.median(np.diff(shooter.time, axis=1))))
-    rng = np.random.default_rng(0)
-    variant, still = Variant(shooter.declared), np.zeros((len(shooter), 2 * nv))
-    base = shooter.simulate(variant, still)
-    growth, bend = np.zeros(shooter.shape), np.zeros(shooter.shape)
-    for _ in range(_PROBES):
-        start = _KNOWN * size * rng.standard_normal(still.shape)
-        one, other = ((shooter.simulate(variant, s) - base) / size for s in (start, -start))
-        growth += np.nan_to_num(one - other, nan=np.inf) ** 2 / (4 * _PROBES)
-        bend += np.nan_to_num(one + other, nan=np.inf) ** 2 / (4 * _PROBES)
-    lost = (growth > _GROWTH**2) | (bend > _BEND**2)
-    horizon = np.where(lost.any(axis=1), lost.argmax(axis=1) - 1, shooter.windows.length)
-    return np.where(measured, np.maximum(horizon, _SURE), 0)
-
-
 def wrongly_lost(shooter: Shooter, windows: Windows, noise: Noise) -> Windows:
     """With whole windows where most would end early, and data are far from all that the scene says:
     the impacts that make it unpredictable may never have happened."""
@@ -224,38 +192,17 @@ def wrongly_lost(shooter: Shooter, windows: Windows, noise: Noise) -> Windows:
         return windows
     measured = np.isfinite(np.concatenate(noise))
     whole = np.where(measured, windows.length, 0)
-    return dataclasses.replace(windows, horizon=np.where(far[:, None], whole, windows.horizon))
+    horizon = np.where(far[:, None], whole, windows.horizon)
+    scatter = windows.scatter
+    if scatter is not None:
+        scatter = np.where(far[:, None, None], 0.0, scatter)
+    return dataclasses.replace(windows, horizon=horizon, scatter=scatter)
 
 
 _MOST_SHORT = 0.5
 """Share of the windows that is most of them."""
 _APART = 100.0
 """In units of the noise."""
-
-
-def start_size(noise: Noise, step: float) -> Floats:
-    """[2 nv]: what the noise leaves unknown of a window's start; velocities that are not measured
-    by differences of positions.
-
-    Args:
-      step: typical time between samples, s.
-    """
-    sigma = np.concatenate(noise)
-    from_positions = np.concatenate([noise[0], noise[0] / (4 * step)])
-    size = np.where(np.isfinite(sigma), sigma, from_positions)
-    return np.where(np.isfinite(size), size, np.nanmax(size))
-
-
-_PROBES = 3
-"""Pairs of runs from starts apart by the noise; each pair moves all coordinates at random."""
-_GROWTH = 60.0
-"""Growth of a start's error, in units of the noise, beyond which nothing can be predicted."""
-_BEND = 1.0
-"""Asymmetry of a pair of runs, in units of the noise, beyond which derivatives say nothing."""
-_KNOWN = 0.5
-"""Error of a start over the noise of one sample: a fit knows it better than a sample does."""
-_SURE = 1
-"""Samples that every window predicts in any case."""
 
 
 def without_lost(windows: Windows, intervals: Intervals) -> Windows:

@@ -30,8 +30,7 @@ from orbisim.evidence import gain_of
 from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.linear import Intervals
 from orbisim.motion.samples import Samples
-from orbisim.shooting.cutting import start_size
-from orbisim.shooting.windows import cut_windows, evenly
+from orbisim.shooting.windows import cut_windows, evenly, start_size
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

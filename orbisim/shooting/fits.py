@@ -74,6 +74,7 @@ class Unknown:
 
     Attributes:
       name: for messages. start: where to begin. low, high: bounds. step: for differences.
+      widest: for differences where impacts leave less known; the step if None.
       centre, precision: of a Gaussian prior; precision 0 for none.
     """
 
@@ -84,10 +85,15 @@ class Unknown:
     step: float
     centre: float = 0.0
     precision: float = 0.0
+    widest: float | None = None
 
-    def step_from(self, value: float) -> float:
-        """The difference step, backwards where forwards would leave the bounds."""
-        return -self.step if value + self.step > self.high else self.step
+    def step_from(self, value: float, step: float | None = None) -> float:
+        """The difference step (or another), backwards where forwards would leave the bounds, and
+        no wider than there is room."""
+        step = self.step if step is None else step
+        if value + step <= self.high:
+            return step
+        return -min(step, value - self.low) if value - self.low > self.step else -self.step
 
     def ran_off(self, value: float) -> bool:
         """Whether a fit went to a bound that only says how far numbers go."""

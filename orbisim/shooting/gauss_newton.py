@@ -6,8 +6,9 @@ with the parameters, instead of at one noisy sample.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,7 @@ from orbisim.errors import OrbiSimError
 from orbisim.motion.hidden import Layout
 from orbisim.shooting.fits import Fit, Hints, Unknown
 from orbisim.shooting.shooter import Shooter, Variant
+from orbisim.shooting.windows import KNOWN
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -70,6 +72,25 @@ def start_derivatives(shooter: Shooter, variant: Variant, start: Floats) -> Floa
     return problem.start_jacobian(problem.trial(np.zeros(0), start))
 
 
+def proposed(
+    shooter: Shooter,
+    build: Callable[[Floats], Variant],
+    unknowns: Sequence[Unknown],
+    hints: Hints,
+    start: Floats,
+    robust: float | None,
+) -> Floats:
+    """[P]: the first step of a fit's parameters, within their bounds, from window starts [W, 2 nv]
+    that are the best for where they begin."""
+    problem = Problem(shooter, build, unknowns, hints, robust)
+    values = np.clip(problem.begin, problem.low, problem.high)
+    here = problem.trial(values, problem.widened(values, start))
+    problem.scale = problem.half(here.cost)
+    left, weighted = problem.shares(here, problem.slopes(here), problem.start_jacobian(here))
+    step = problem.parameter_step(values, left, weighted, _DAMPED)
+    return np.asarray(np.clip(values + step, problem.low, problem.high) - values)
+
+
 class Problem:
     """Parameters and window starts to fit, and the steps towards the fit."""
 
@@ -103,7 +124,7 @@ class Problem:
         for other in [] if self.hints.near else self._others(values, xi, start is not None):
             here = self._better(here, self.trial(values, other))
         self.scale = self.half(here.cost)
-        damping, brakes = 1e-4, np.full(len(shooter), 1e-9)
+        damping, brakes = _DAMPED, np.full(len(shooter), 1e-9)
         free, at = self.hints.free, here
         hinted = free is not None and free.shape[2] == xi.shape[1]
         # what starts do to a late sensor is not what they do to the motion
@@ -321,20 +342,71 @@ class Problem:
 
     def slopes(self, here: Trial) -> Floats:
         """Derivatives of the weighted simulated data by the parameters, [W, data, P]."""
-        values, xi = here.values, here.xi
-        base = self.shooter.scaled(here.simulated)
-        slopes, steps = np.zeros((*base.shape, len(values))), dict[int, float]()
-        for p, unknown in enumerate(self.unknowns):
-            if p in self.hints.slopes:
-                slopes[..., p] = self.hints.slopes[p]
-            else:
-                steps[p] = unknown.step_from(float(values[p]))
-        variants = [self.build(values + step * (np.arange(len(values)) == p))
-                    for p, step in steps.items()]  # fmt: skip
-        runs = self.shooter.simulate_each(variants, xi)
-        for (p, step), after in zip(steps.items(), runs, strict=True):
-            slopes[..., p] = (self.shooter.scaled(after) - base) / step
+        values = here.values
+        slopes = np.zeros((*here.residual.shape, len(values)))
+        for p, known in self.hints.slopes.items():
+            slopes[..., p] = known
+        steps = {
+            p: self._step_by(here, p, self._width(p, float(values[p])))
+            or unknown.step_from(values[p])
+            for p, unknown in enumerate(self.unknowns)
+            if p not in self.hints.slopes
+        }
+        changes = self._changes(here, steps)
+        if self.shooter.whitening is not None:
+            self._widen(here, steps, changes)
+        for p, change in changes.items():
+            slopes[..., p] = change / steps[p]
         return slopes
+
+    def _width(self, p: int, value: float) -> float:
+        """Of the difference by a parameter: its step, or, where impacts scatter, a tenth of what it
+        is and as much as the data feel (`_widen`)."""
+        one = self.unknowns[p]
+        if self.shooter.whitening is None:
+            return one.step
+        return max(one.step, min(_TENTH * abs(value), one.widest or 0.0))
+
+    def _step_by(self, here: Trial, p: int, width: float) -> float | None:
+        """A difference by a parameter so wide, to one side or the other; None if neither leads to a
+        possible scene (a negative inertia, say)."""
+        step = self.unknowns[p].step_from(float(here.values[p]), width)
+        if self.shooter.whitening is None:
+            return step
+        for one in (step, -step):
+            moved = here.values + one * (np.arange(len(here.values)) == p)
+            if self.low[p] <= moved[p] <= self.high[p]:
+                with contextlib.suppress(OrbiSimError):
+                    self.build(moved)
+                    return one
+        return None
+
+    def _changes(self, here: Trial, steps: Mapping[int, float]) -> dict[int, Floats]:
+        """By how much the weighted simulated data change over steps of some parameters."""
+        base = self.shooter.scaled(here.simulated)
+        number = np.arange(len(here.values))
+        variants = [self.build(here.values + step * (number == p)) for p, step in steps.items()]
+        runs = self.shooter.simulate_each(variants, here.xi)
+        scaled = (self.shooter.scaled(after) - base for after in runs)
+        return dict(zip(steps, scaled, strict=True))
+
+    def _widen(self, here: Trial, steps: dict[int, float], changes: dict[int, Floats]) -> None:
+        """Steps as wide as the data feel, where impacts scatter, with what changes over them: a
+        difference over less is that of one impact's details."""
+        for _ in range(_WIDENED):
+            more: dict[int, float] = {}
+            for p, change in changes.items():
+                each = np.sqrt((change**2).sum(axis=1) / np.maximum(self.shooter.data, 1))
+                felt, now = float(np.quantile(each, _FEW_FEEL)), abs(steps[p])
+                wider = now * min(_FELT / max(felt, 1e-12), _AT_A_TIME)
+                wider = min(wider, max(self.unknowns[p].widest or 0.0, now))
+                if felt < _FELT / 2 and wider > now:
+                    step = self._step_by(here, p, wider)
+                    more |= {} if step is None else {p: step}
+            if not more:
+                break
+            steps |= more
+            changes |= self._changes(here, more)
 
     def _updated(self, free: Floats, at: Trial, here: Trial) -> tuple[Floats, Trial]:
         """Derivatives by the starts, taken anew where the motion has changed since they were."""
@@ -353,12 +425,22 @@ class Problem:
         """Derivatives of the weighted simulated data by the window starts, [W, data, 2 nv]."""
         shooter, count = self.shooter, len(self.shooter)
         which = np.arange(count) if only is None else np.flatnonzero(only)
-        runs = shooter.moved(self.build(here.values), here.xi, _START_STEP, which)
+        steps = self._start_steps(here.xi.shape[1])
+        runs = shooter.moved(self.build(here.values), here.xi, steps, which)
         part, base = shooter.some(which), shooter.scaled(here.simulated)
         jacobian = np.zeros((*base.shape, len(runs)))
         for j, after in enumerate(runs):
-            jacobian[which, :, j] = (part.scaled(after) - base[which]) / _START_STEP
+            jacobian[which, :, j] = (part.scaled(after) - base[which]) / steps[j]
         return np.clip(jacobian, -1e12, 1e12)
+
+    def _start_steps(self, columns: int) -> Floats:
+        """[columns]: steps of differences by starts. Where impacts scatter, over as much as a start
+        is unknown: a difference over less is that of one impact's details."""
+        steps = np.full(columns, _START_STEP)
+        if self.shooter.whitening is not None:
+            size = self.shooter.start_size
+            steps[: len(size)] = np.maximum(KNOWN * size, _START_STEP)
+        return steps
 
     def projected(
         self, residual: Floats, slopes: Floats, free: Floats, weighed_by: Floats | None = None
@@ -486,6 +568,17 @@ _HUGE = 1e150
 """Of what a window says of parameters: squares of such numbers are finite, larger ones overflow."""
 _START_STEP = 1e-6
 """Step of differences by starts: well above the rounding of a run, well below what bends it."""
+_TENTH = 0.1
+"""Of a number: the cost through impacts is rugged, and a slope over less holds no further."""
+_FELT = 2.0
+"""Change of a window's data over a difference that they feel, over the noise: details of impacts
+change them by up to the noise, however little a number is moved."""
+_FEW_FEEL = 0.75
+"""Share of the windows that may feel less: a body at rest feels little."""
+_WIDENED, _AT_A_TIME = 4, 1e3
+"""How often a difference is widened at most, and by how much at once."""
+_DAMPED = 1e-4
+"""Of the parameters' first step, over their information."""
 _SHORTER = 7
 """How many steps are tried, each damped ten times as much: friction that makes a joint stick hardly
 grows where it does not yet, so that the first may be ten times too long."""

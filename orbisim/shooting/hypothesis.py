@@ -60,6 +60,19 @@ class Hypothesis:
         )
         return dataclasses.replace(self, effects=(*self.effects, instance), factors=kept)
 
+    def little(self, declared: Scene, other: Hypothesis) -> Hypothesis | None:
+        """With next to nothing of the effects that another one does not have; None if there are
+        none, or if that cannot be."""
+        there = {(one.effect, one.target) for one in other.effects}
+        fewer = [
+            one if (one.effect, one.target) in there else sized(declared, one, _LITTLE)
+            for one in self.effects
+        ]
+        effects = tuple(one for one in fewer if one is not None)
+        if len(effects) < len(self.effects) or effects == self.effects:
+            return None
+        return dataclasses.replace(self, effects=effects)
+
     def in_parts(self) -> Hypothesis:
         """With the simpler effects that others refine beside these, instead of within them."""
         effects: dict[tuple[str, str], EffectInstance] = {}
@@ -145,21 +158,20 @@ class Hypothesis:
             step = 1e-4 * max(abs(value), 0.05 * abs(scale), 1e-9)
             if effect.stepwise(e, name):
                 step = max(step, _COARSE * abs(value))
-            elif effect.kind == "geom":
-                step = max(step, _IMPACTS * abs(value))
-            found.append(Unknown(f"{e.effect}({e.target}).{name}", value, low, high, step))
+            widest = max(step, min(abs(scale), (high - low) / 4))
+            label = f"{e.effect}({e.target}).{name}"
+            found.append(Unknown(label, value, low, high, step, widest=widest))
         found += [
-            Unknown(str(one), factor, 1 - REACH, 1 + REACH, 1e-4, 1.0, 1 / SPREAD**2)
+            Unknown(str(one), factor, 1 - REACH, 1 + REACH, 1e-4, 1.0, 1 / SPREAD**2, REACH / 2)
             for one, factor in self.factors
         ]
         return found
 
 
+_LITTLE = 0.01
+"""Of an effect, that is next to nothing."""
 _COARSE = 0.03
 """Relative step of differences by parameters that act in steps."""
-_IMPACTS = 0.1
-"""The same by numbers of contacts: through impacts the cost is rugged, and the slope over a smaller
-step holds no further than that."""
 
 
 def _with(
@@ -207,3 +219,16 @@ def bounded_instance(scene: Scene, instance: EffectInstance) -> EffectInstance |
     except (OrbiSimError, KeyError):
         return None
     return instance
+
+
+def sized(scene: Scene, one: EffectInstance, size: float) -> EffectInstance | None:
+    """An effect that changes so many times as much, within its bounds; None if that cannot be."""
+    effect = find(one.effect)
+    neutral = effect.neutral(scene.model, one.target)
+    if not one.values.keys() >= set(effect.free_parameters(scene.model, one.target)):
+        free = {name: size * value for name, value in _free_values(scene, one).items()}
+        return completed(scene, one, free)
+    away = {name: value - neutral.get(name, 0.0) for name, value in one.values.items()}
+    further = effect.scaled(away, size)
+    values = {name: value + neutral.get(name, 0.0) for name, value in further.items()}
+    return bounded_instance(scene, dataclasses.replace(one, values=values))

@@ -18,12 +18,12 @@ from orbisim.motion.samples import extent
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.chance import Chance
 from orbisim.shooting.fits import WEAK, Fit, Hints, Unknown
-from orbisim.shooting.gauss_newton import gauss_newton, start_derivatives
+from orbisim.shooting.gauss_newton import gauss_newton, proposed, start_derivatives
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.one_run import Own, glanced, moved_along, own_slopes
 from orbisim.shooting.retune import Tunable
 from orbisim.shooting.shooter import Shooter, Variant
-from orbisim.shooting.timestep import stepping
+from orbisim.shooting.stepping import stepping
 from orbisim.shooting.windows import Windows, evenly
 
 Floats = npt.NDArray[np.float64]
@@ -41,6 +41,8 @@ class Judged:
       check_fit: window starts on the check windows.
       windows: those that it was fitted to.
       fitted: as `checked`, of the windows that it was fitted to.
+      signals: [ny] residual over noise of each measured signal, pooled over all windows, where
+        impacts leave less known of some than of others; empty elsewhere.
       counting: says `independent`, when it is asked.
     """
 
@@ -52,6 +54,7 @@ class Judged:
     check_fit: Fit
     windows: Windows
     fitted: Floats = dataclasses.field(default_factory=lambda: np.zeros(0))
+    signals: Floats = dataclasses.field(default_factory=lambda: np.zeros(0))
     counting: Callable[[], float] | None = None
 
     @functools.cached_property
@@ -242,7 +245,7 @@ class Judge:
         pooled = float(np.mean([*fit_means, *means]))
         return Judged(
             fitted, fit, means, float(np.sqrt(square)), float(np.sqrt(pooled)),
-            checked, self.fitted.windows, fit_means,
+            checked, self.fitted.windows, fit_means, self._by_signal(fit, checked),
             functools.cache(functools.partial(self._independent, fitted, fit, fit_means)),
         )  # fmt: skip
 
@@ -262,6 +265,24 @@ class Judge:
         weight = 1 / (1 + means / max(float(np.median(means)), 1.0))
         there = [(one.effect, one.target) for one in hypothesis.effects]
         return chance.independent(design, fit.residual, weight, there)
+
+    def _by_signal(self, fit: Fit, checked: Fit) -> Floats:
+        """See `Judged.signals`; large residuals count as they do in the fit."""
+        if self.fitted.whitening is None:
+            return np.zeros(0)
+        parts = [(self.fitted, fit)]
+        if self.check is not self.fitted:
+            parts.append((self.check, checked))
+        square = np.zeros(len(self.fitted.measured))
+        data = np.zeros(len(square))
+        for shooter, one in parts:
+            size = np.abs(one.residual.reshape(shooter.seen.shape))
+            k = np.inf if self.robust is None else self.robust
+            cost = size**2 - np.maximum(size - k, 0.0) ** 2  # Huber's
+            own = shooter.seen.sum(axis=(0, 1))
+            square += cost.sum(axis=(0, 1))
+            data += own * (1 - 2 * shooter.nv * len(shooter) / max(own.sum(), 1))
+        return np.asarray(np.sqrt(square / np.maximum(data, 1.0)))
 
     def _typical(self, shooter: Shooter, means: Floats, trimmed: bool = True) -> float:
         """Mean over windows; with contacts, without the worst few.
@@ -583,8 +604,8 @@ class Judge:
         self, hypothesis: Hypothesis, fit: Fit, iterations: int, restarts: int
     ) -> tuple[Hypothesis, Fit]:
         """Fitted again from where windows start if nothing but starts is fitted, wherever that is
-        better, as long as it brings something; numbers of contacts are searched around where they
-        are, too: through impacts the cost is rugged, and a fit of everything ends where the starts
+        better, as long as it brings something; its numbers are moved by steps of their own, too:
+        through impacts the cost is rugged, and a fit of everything ends where the starts
         of some windows are poor. Starts are looked for from the references once."""
         free = hypothesis.free(self.bench.scene)
         cold = self._scored(hypothesis, self.fitted, None, None) if free else fit
@@ -603,30 +624,35 @@ class Judge:
     def _moved(
         self, hypothesis: Hypothesis, alone: Fit, values: Floats
     ) -> tuple[Hypothesis, Beginning]:
-        """With one number of a contact a little less or more, and as much again, as long as its
-        starts alone leave less then, by what they do there: along the motion that there was, a
-        start says nothing of one that slides further.
+        """With its numbers moved by a step of a fit (`proposed`), or by more or less of it, as long
+        as starts alone leave less then: through impacts, what a start does along the motion that
+        there was says nothing of one that slides further, and a step with starts corrected by that
+        seems to leave more however good it is.
 
         Args:
           alone: starts alone fitted. values: of the hypothesis.
         """
+        declared = self.bench.scene
+        unknowns = hypothesis.unknowns(declared)
+        build = lambda moved: hypothesis.at(declared, moved).variant(declared)  # noqa: E731
         best = hypothesis, alone
-        for k, (number, _) in enumerate(hypothesis.free(self.bench.scene)):
-            if find(hypothesis.effects[number].effect).kind != "geom":
-                continue
-            for shares in _AROUND:
-                along = hypothesis, alone
-                for share in shares:
-                    moved = values.copy()
-                    moved[k] *= share
-                    other = hypothesis.at(self.bench.scene, moved)
-                    tried = self._scored(other, self.fitted, along[1].start, None)
-                    if not tried.square < along[1].square:
-                        break
-                    along = other, tried
-                best = min(best, along, key=lambda one: one[1].square)
-                if best[1] is not alone:
+        try:
+            hints = self._hints(None)
+            step = proposed(self.fitted, build, unknowns, hints, alone.start, self.robust)
+        except (OrbiSimError, np.linalg.LinAlgError):
+            step = np.zeros(len(values))
+        for shares in _FURTHER_OR_LESS if step.any() else ():
+            for share in shares:
+                try:
+                    other = hypothesis.at(declared, values + share * step)
+                    tried = self._scored(other, self.fitted, best[1].start, None)
+                except (OrbiSimError, np.linalg.LinAlgError):  # no such scene
                     break
+                if not tried.square < best[1].square:
+                    break
+                best = other, tried
+            if best[1] is not alone:
+                break
         begin = self._beginning(best[0], best[1].start, None)
         return best[0], begin
 
@@ -762,8 +788,8 @@ _ALIKE = 1e-3
 """Difference of the losses of two fits that end alike: the share of the cost that ends a fit."""
 _FURTHER = 3
 """Iterations of a fit that goes on from better starts."""
-_AROUND = ((1.03, 1.08), (0.97, 0.92))
-"""Values of a contact's number that a restart tries, over what it is, upwards and downwards."""
+_FURTHER_OR_LESS = ((1.0, 2.0, 4.0), (0.3,), (0.1,))
+"""Of a fit's step, that a restart tries: ever more as long as that leaves less, or else less."""
 _BESIDE = 0.1
 """How far beside a number of an effect its cost is looked at, over what it is: as far as numbers of
 fits through impacts that begin elsewhere differ, and beyond the holes that single impacts make."""

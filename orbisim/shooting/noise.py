@@ -15,8 +15,8 @@ import scipy.linalg
 
 from orbisim.motion.linear import Intervals
 from orbisim.motion.samples import Samples
-from orbisim.shooting.cutting import near_jump, start_size
-from orbisim.shooting.windows import Windows, cut_windows, evenly, hats_at
+from orbisim.shooting.impacts import near_jump
+from orbisim.shooting.windows import Windows, cut_windows, evenly, hats_at, start_size
 
 Floats = npt.NDArray[np.float64]
 

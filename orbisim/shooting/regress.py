@@ -17,7 +17,7 @@ import numpy.typing as npt
 from orbisim.effects.screening import Column
 from orbisim.motion.linear import Intervals
 from orbisim.motion.samples import Samples
-from orbisim.shooting.windows import Windows, chosen
+from orbisim.shooting.windows import Windows, chosen, whitening_of
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -194,8 +194,11 @@ def _part(
             x[:, :, free:-1] += inputs[at]
             x[:, :, -1] -= intervals.defect[at]
     seen &= chosen(windows.predictable(), data.measured)
-    flat = (design * seen[..., None]).reshape(w, -1, width)
-    left = (target * seen).reshape(w, -1)
+    design, target = design * seen[..., None], target * seen
+    whitening = whitening_of(windows, data.measured, seen)
+    if whitening is not None:
+        design, target = whitening(design), whitening(target)
+    flat, left = design.reshape(w, -1, width), target.reshape(w, -1)
     return [without_start(flat[i], left[i], n2, int(seen[i].sum())) for i in range(w)]
 
 

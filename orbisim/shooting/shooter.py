@@ -23,7 +23,7 @@ from orbisim.motion.linear import Intervals
 from orbisim.motion.samples import Samples, parts_of, substeps
 from orbisim.recording.joints import Kind, joints
 from orbisim.scene import Scene
-from orbisim.shooting.windows import Windows, chosen
+from orbisim.shooting.windows import Windows, chosen, start_size, whitening_of
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -80,9 +80,11 @@ class Shooter:
         picked = deviation[:, :, self.measured]
         self.seen = np.isfinite(picked) & chosen(windows.predictable(), self.measured)
         self.target = np.where(self.seen, picked, 0.0) * self.weight
+        self.whitening = whitening_of(windows, self.measured, self.seen)
         self.absolute = np.array([s.absolute[r : r + k + 1] for s, r in rows])
         step = float(declared.model.opt.timestep)
         lengths = np.diff(self.time, axis=1)
+        self.start_size = start_size(noise, float(np.median(lengths)))
         self.substeps = int(substeps(np.median(lengths), step))
         self._read_inputs()
 
@@ -105,6 +107,7 @@ class Shooter:
         part.horizon = min(samples, self.windows.length)
         part.seen = self.seen & (np.arange(self.windows.length + 1) <= part.horizon)[:, None]
         part.target = np.where(part.seen, self.target, 0.0)
+        part.whitening = whitening_of(self.windows, self.measured, part.seen)
         return part
 
     def some(self, which: Ints) -> Shooter:
@@ -113,6 +116,14 @@ class Shooter:
         for name in _OF_WINDOWS:
             setattr(part, name, getattr(self, name)[which])
         part.windows = self.windows.some(which)
+        part.whitening = None if self.whitening is None else self.whitening.some(which)
+        return part
+
+    def plain(self) -> Shooter:
+        """The same where what impacts leave unknown counts as if it was known."""
+        part = copy.copy(self)
+        part.windows = dataclasses.replace(self.windows, scatter=None)
+        part.whitening = None
         return part
 
     @property
@@ -223,15 +234,19 @@ class Shooter:
                 groups.append([i])
         return groups
 
-    def moved(self, variant: Variant, start: Floats, step: float, which: Ints) -> Floats:
-        """As `simulate` of some windows, with each number of their starts moved by a step in turn:
-        [2 nv + 2 h, windows, K + 1, 2 nv]."""
+    def moved(self, variant: Variant, start: Floats, steps: Floats, which: Ints) -> Floats:
+        """As `simulate` of some windows, with each number of their starts moved by its step in
+        turn: [2 nv + 2 h, windows, K + 1, 2 nv].
+
+        Args:
+          steps: [2 nv + 2 h].
+        """
         columns, out = start.shape[1], np.zeros((start.shape[1], len(which), *self.shape[1:]))
         size = max(1, _AT_ONCE // max(len(which), 1))
         for begin in range(0, columns if len(which) else 0, size):
             some = range(begin, min(begin + size, columns))
             part = self.some(np.tile(which, len(some)))
-            moves = step * np.repeat(np.eye(columns)[some], len(which), axis=0)
+            moves = np.repeat(np.diag(steps)[some], len(which), axis=0)
             runs = part.simulate(variant, np.tile(start[which], (len(some), 1)) + moves)
             out[begin : some.stop] = runs.reshape(len(some), len(which), *self.shape[1:])
         return out
@@ -362,6 +377,8 @@ class Shooter:
         picked = values[:, :, self.measured] * self.weight.reshape(-1, *extra)
         picked = np.where(self.seen.reshape(*self.seen.shape, *extra), picked, 0.0)
         picked = np.clip(np.nan_to_num(picked), -1e12, 1e12)
+        if self.whitening is not None:
+            picked = self.whitening(picked)
         return np.asarray(picked.reshape(len(self), -1, *values.shape[3:]))
 
     def residual(self, simulated: Floats) -> Floats:
@@ -370,7 +387,10 @@ class Shooter:
         values = np.where(self.seen, self.target - values, 0.0)
         lost = ~np.isfinite(values)
         values[lost] = _LOST
-        return np.clip(values, -_LOST, _LOST).reshape(len(self), -1)
+        values = np.clip(values, -_LOST, _LOST)
+        if self.whitening is not None:
+            values = self.whitening(values)
+        return values.reshape(len(self), -1)
 
     def _moved(self, start: Floats) -> tuple[Floats, Floats]:
         qpos, qvel = self.qpos[:, 0].copy(), self.qvel[:, 0] + start[:, self.nv : 2 * self.nv]

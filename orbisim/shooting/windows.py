@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Iterator
 
@@ -21,12 +22,15 @@ class Windows:
       first: [W] number of the first interval. length: number of intervals of every window.
       recording: [W]. horizon: [W, 2 nv] samples after the start at which each position and velocity
         can be predicted; all if None.
+      scatter: [W, length + 1, 2 nv] standard deviation of what impacts leave unknown of predictions
+        (`orbisim.shooting.impacts`), in units of the noise; none if None.
     """
 
     first: Ints
     length: int
     recording: Ints
     horizon: Ints | None = None
+    scatter: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.first)
@@ -34,7 +38,8 @@ class Windows:
     def some(self, keep: Bools | Ints) -> Windows:
         """The chosen windows, marked or by their numbers."""
         horizon = None if self.horizon is None else self.horizon[keep]
-        return Windows(self.first[keep], self.length, self.recording[keep], horizon)
+        scatter = None if self.scatter is None else self.scatter[keep]
+        return Windows(self.first[keep], self.length, self.recording[keep], horizon, scatter)
 
     def reach(self) -> Ints:
         """[W]: number of intervals that can be predicted."""
@@ -92,6 +97,77 @@ def runs_of(recording: Ints, row: Ints) -> Iterator[tuple[int, int]]:
 def chosen(predictable: Bools, measured: Ints) -> Bools:
     """The measured ones of all positions and velocities."""
     return predictable if predictable.shape[2] == 1 else predictable[:, :, measured]
+
+
+class Whitening:
+    """Makes weighted data of windows independent again where impacts leave predictions unknown.
+
+    What the model predicts of a signal through an impact is off by c standard deviations of the
+    noise, half of the variance (`_TOGETHER`) alike over the window (another impulse moves all that
+    comes after it), half of it by itself at each sample (another time of the impact). The data's
+    covariance in units of the noise is 1 + diag(c^2) / 2 + c c' / 2, and its inverse square root is
+    that of the diagonal part and of a matrix of rank one.
+
+    Args:
+      scatter: [W, K + 1, ny] as of `Windows`, of what is measured. seen: [W, K + 1, ny].
+    """
+
+    def __init__(self, scatter: Floats, seen: Bools) -> None:
+        size = np.where(seen, np.minimum(scatter, _NOTHING_SAID), 0.0)
+        self._scale = 1.0 / np.sqrt(1.0 + (1.0 - _TOGETHER) * size**2)
+        along = np.sqrt(_TOGETHER) * size * self._scale
+        square = (along**2).sum(axis=1, keepdims=True)
+        length = np.sqrt(np.maximum(square, 1e-300))
+        self._along = along / length
+        self._kept = 1.0 - 1.0 / np.sqrt(1.0 + square[:, 0])
+
+    def some(self, which: Ints) -> Whitening:
+        """Of the windows of these numbers."""
+        part = copy.copy(self)
+        part._scale, part._along = self._scale[which], self._along[which]
+        part._kept = self._kept[which]
+        return part
+
+    def __call__(self, values: Floats) -> Floats:
+        """Weighted data [W, K + 1, ny, ...], or columns of them, whitened."""
+        extra = (1,) * (values.ndim - 3)
+        values = values * self._scale.reshape(*self._scale.shape, *extra)
+        along = self._along.reshape(*self._along.shape, *extra)
+        inner = (along * values).sum(axis=1) * self._kept.reshape(*self._kept.shape, *extra)
+        return np.asarray(values - along * inner[:, None])
+
+
+_TOGETHER = 0.5
+"""Share of the variance that is alike over a window. What impacts do lies between a course that is
+off by one impulse and one that is off at each sample anew; with either alone, the other would be
+taken for what is missing."""
+_NOTHING_SAID = 1e6
+"""Scatter of what nothing is said of: its square is a number still."""
+
+
+def whitening_of(windows: Windows, measured: Ints, seen: Bools) -> Whitening | None:
+    """For the measured ones of all positions and velocities; None where nothing scatters."""
+    if windows.scatter is None or not windows.scatter.any():
+        return None
+    return Whitening(windows.scatter[:, :, measured], seen)
+
+
+def start_size(noise: tuple[Floats, Floats], step: float) -> Floats:
+    """[2 nv]: what the noise leaves unknown of a window's start; velocities that are not measured
+    by differences of positions.
+
+    Args:
+      noise: standard deviations of positions and velocities. step: typical time between samples, s.
+    """
+    sigma = np.concatenate(noise)
+    from_positions = np.concatenate([noise[0], noise[0] / (4 * step)])
+    size = np.where(np.isfinite(sigma), sigma, from_positions)
+    return np.where(np.isfinite(size), size, size[np.isfinite(size)].max(initial=0.0))
+
+
+KNOWN = 0.5
+"""Error of a window's start over what one sample leaves unknown of it (`start_size`): a fit knows
+it better than a sample does."""
 
 
 def evenly(keep: Bools, most: int | None) -> Bools:

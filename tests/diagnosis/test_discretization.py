@@ -439,7 +439,8 @@ def test_a_step_is_shortened_where_bodies_touch() -> None:
     context, judged = _judged(bench)
     found = settled(context, judged)
     assert found is not None and found[0].bench.contacts
-    assert timestep.stepping(found[0].bench.scene).timestep == pytest.approx(0.001, rel=0.3)
+    # held by another integrator, whose error is another one: a step of about the truth's
+    assert 0.0005 < timestep.stepping(found[0].bench.scene).timestep < 0.0012
 
 
 def test_controls_that_hardly_change_are_not_asked() -> None:

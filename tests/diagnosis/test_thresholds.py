@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.explanations import done, quiet
+from orbisim.diagnosis.explanations import done, enough, quiet
 from orbisim.diagnosis.findings import verdict_of
 from orbisim.diagnosis.settings import Settings
 from orbisim.effects import EffectInstance
@@ -77,10 +77,17 @@ def test_a_gate_that_opens_all_at_once(arm: orbisim.Scene) -> None:
 
 
 def test_a_residual_in_few_windows_is_looked_at() -> None:
-    def declared(ratio: float, pooled: float) -> Any:
-        return SimpleNamespace(ratio=ratio, pooled=pooled, fit=SimpleNamespace(count=5000))
+    def declared(ratio: float, pooled: float, signals: tuple[float, ...] = (1.0, 1.0)) -> Any:
+        fit = SimpleNamespace(count=5000)
+        return SimpleNamespace(ratio=ratio, pooled=pooled, fit=fit, signals=np.array(signals))
 
     assert quiet(Settings(), declared(1.0, 1.05))
+    assert quiet(Settings(), declared(1.0, 1.05, ()))
+    assert not quiet(Settings(), declared(1.0, 1.05, (0.9, 1.3, 0.9, 0.9)))  # along one axis only
+    # of each signal there are fewer data: by chance it is further from the noise than all are
+    edge = enough(Settings(), declared(1.0, 1.0)) + 0.01
+    assert quiet(Settings(), declared(1.0, 1.0, (edge, 1.0, 1.0, 1.0)))
+    assert not quiet(Settings(), declared(1.0, edge))
     assert not quiet(Settings(), declared(1.0, 1.3))
     assert not quiet(Settings(), declared(1.3, 1.0))
     context: Any = SimpleNamespace(settings=Settings())

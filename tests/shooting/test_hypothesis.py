@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.effects import EffectInstance
-from orbisim.shooting.hypothesis import Hypothesis
+from orbisim.effects import EffectInstance, find
+from orbisim.shooting.hypothesis import Hypothesis, sized
 from orbisim.shooting.retune import REACH, Tunable
 
 DRY = EffectInstance("coulomb_friction", "elbow", {"torque": 0.1})
@@ -57,3 +57,27 @@ def test_a_refinement_stands_beside_what_it_refines(arm: orbisim.Scene) -> None:
     assert both.effects[1].values["coulomb"] == 0.0
     assert Hypothesis((DRY,)).plus(stribeck).effects[1].values["coulomb"] == 0.0
     assert Hypothesis((stribeck,)).free(arm)[0] == (0, "coulomb")
+
+
+def test_an_effect_at_another_size_stays_within_its_bounds(arm: orbisim.Scene) -> None:
+    half = sized(arm, DRY, 0.5)
+    assert half == DRY.replace(torque=0.05)
+    assert sized(arm, DRY, 1.0) == DRY
+    back = sized(arm, DRY, -1.0)  # no friction is negative
+    assert back is not None and back.values["torque"] == 0.0
+    tilted = find("gravity_tilt").trials(arm.model, "world")[0]
+    tilt = sized(arm, EffectInstance("gravity_tilt", "world", dict(tilted)), 20.0)
+    assert tilt is not None
+    twenty = np.degrees(np.arctan(20 * np.tan(np.radians(tilted["angle"]))))
+    assert tilt.values["angle"] == pytest.approx(twenty)
+    size = np.linalg.norm([tilt.values[axis] for axis in "xyz"])
+    assert size == pytest.approx(np.linalg.norm(arm.model.opt.gravity))
+
+
+def test_little_of_what_another_does_not_have(arm: orbisim.Scene) -> None:
+    other = EffectInstance("viscous_damping", "shoulder", {"coefficient": 0.4})
+    both = Hypothesis((DRY, other))
+    little = both.little(arm, Hypothesis((DRY,)))
+    assert little is not None and little.effects[0] == DRY
+    assert little.effects[1].values == pytest.approx({"coefficient": 0.004})
+    assert both.little(arm, both) is None

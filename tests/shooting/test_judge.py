@@ -18,6 +18,8 @@ from orbisim.errors import SceneError
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.confidence import confidence
+from orbisim.shooting.fits import Hints
+from orbisim.shooting.gauss_newton import Problem
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judge, Judged, _by_window
 from orbisim.shooting.retune import Tunable, retuned
@@ -245,7 +247,13 @@ def test_a_restart_finds_what_a_fit_through_impacts_missed(
     )
     assert plain is not None and restarted is not None
     assert restarted.fit.square < 0.9 * plain.fit.square
-    assert restarted.hypothesis.effects[0].values == pytest.approx(SOFT, rel=2e-3)
+    # to what its step leaves unknown of an impact, which is the same as the truth's here
+    assert restarted.hypothesis.effects[0].values == pytest.approx(SOFT, rel=0.03)
+    off = [
+        abs(one.hypothesis.effects[0].values["coefficient"] - SOFT["coefficient"])
+        for one in (plain, restarted)
+    ]
+    assert off[1] < 0.5 * off[0]
 
 
 PUCK = """
@@ -306,7 +314,7 @@ def test_through_impacts_too_an_explanation_has_the_starts_of_others(
     assert poor is not None
     same = judge.started(poor, [nothing, good])
     assert same.hypothesis.effects[0].effect == "restitution"
-    assert same.loss < poor.loss - 0.02 and same.fit.square < poor.fit.square
+    assert same.loss < poor.loss - 0.01 and same.fit.square < poor.fit.square
     assert judge.started(good, [good]) is good  # nobody has other starts
 
 
@@ -338,8 +346,9 @@ def test_starts_alone_are_the_better_of_two_in_each_window(
     softened: tuple[Judge, Judged],
 ) -> None:
     judge, nothing = softened
-    one = judge.score(nothing.hypothesis, judge.begin(nothing), 1)
-    other = judge.score(nothing.hypothesis, judge.cold, 1)
+    right = Hypothesis((EffectInstance("restitution", "head", SOFT),))
+    one = judge.score(right, judge.begin(nothing), 1)
+    other = judge.score(right, judge.cold, 1)
     both = _by_window(one, other)
     np.testing.assert_allclose(both.per_window, np.minimum(one.per_window, other.per_window))
     assert both.square == pytest.approx(both.per_window.sum())
@@ -349,9 +358,50 @@ def test_starts_alone_are_the_better_of_two_in_each_window(
         np.testing.assert_array_equal(both.start[w], of.start[w])
 
 
-def test_slopes_by_numbers_of_contacts_are_taken_over_a_tenth(hammer: orbisim.Scene) -> None:
+def _problem(judge: Judge, hypothesis: Hypothesis) -> Problem:
+    """As a fit has it."""
+    scene, hints = judge.bench.scene, Hints()
+    unknowns = hypothesis.unknowns(scene)
+    return Problem(
+        judge.fitted, lambda x: hypothesis.at(scene, x).variant(scene), unknowns, hints, None
+    )
+
+
+def test_slopes_where_impacts_scatter_are_taken_over_a_tenth(
+    softened: tuple[Judge, Judged], pushed: tuple[Judge, Judged]
+) -> None:
+    """At least, and over no more than a number may be: over less, they are those of details."""
     soft = EffectInstance("restitution", "head", SOFT)
-    for unknown in Hypothesis((soft,)).unknowns(hammer):
-        assert unknown.step >= 0.1 * unknown.start
-    for unknown in Hypothesis((BIAS,)).unknowns(hammer):
-        assert unknown.step < 0.1 * unknown.start
+    for (judge, nothing), effect in ((softened, soft), (pushed, BIAS)):
+        problem = _problem(judge, Hypothesis((effect,)))
+        assert judge.fitted.whitening is not None
+        for p, unknown in enumerate(problem.unknowns):
+            assert unknown.step < 0.01 * unknown.start  # where nothing scatters
+            assert unknown.widest is not None
+            wide = min(0.1 * unknown.start, unknown.widest)
+            assert problem._width(p, unknown.start) == pytest.approx(wide)
+            assert problem._width(p, 0.0) == unknown.step
+        begun = problem.trial(problem.begin, nothing.fit.start)
+        slopes, base = problem.slopes(begun), judge.fitted.scaled(begun.simulated)
+        for p, unknown in enumerate(problem.unknowns):
+            least, most = 0.1 * unknown.start, max(unknown.widest or 0.0, 0.1 * unknown.start)
+            number = np.arange(len(problem.unknowns)) == p
+            width = problem._width(p, unknown.start)
+            steps = {p: unknown.step_from(unknown.start, width)}
+            changes = problem._changes(begun, steps)
+            problem._widen(begun, steps, changes)
+            assert least * 0.999 <= width <= abs(steps[p]) <= most * 1.001
+            moved = problem.trial(problem.begin + steps[p] * number, begun.xi)
+            change = judge.fitted.scaled(moved.simulated) - base
+            np.testing.assert_allclose(slopes[..., p], change / steps[p], rtol=1e-6, atol=1e-6)
+
+
+def test_slopes_where_nothing_touches_are_taken_over_little(arm: orbisim.Scene) -> None:
+    damping = EffectInstance("viscous_damping", "elbow", {"coefficient": 0.3})
+    runs = inject_effect(arm, damping, duration=2.0, episodes=1, noise=1e-4, seed=4)
+    bench = make_bench(arm, prepare_all(runs, arm), 0.5)
+    judge = Judge(bench.whole(), bench.intervals)
+    problem = _problem(judge, Hypothesis((damping,)))
+    problem.slopes(problem.trial(problem.begin, np.zeros((len(judge.fitted), 4))))
+    (unknown,) = problem.unknowns
+    assert problem._width(0, unknown.start) == unknown.step < 0.01 * unknown.start

@@ -10,7 +10,7 @@ import orbisim
 from orbisim.effects import EffectInstance
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import make_bench
-from orbisim.shooting.cutting import near_jump
+from orbisim.shooting.impacts import near_jump
 from orbisim.shooting.noise import between_impacts
 from orbisim.testing import inject_effect
 

@@ -78,12 +78,13 @@ def test_starts_that_are_moved_together_are_moved_one_by_one(bench: Bench) -> No
     shooter, variant = bench.shooter(bench.fit), Variant(bench.scene)
     start = np.random.default_rng(0).normal(0, 1e-3, (len(shooter), 2 * shooter.nv))
     which = np.array([2, 0])
-    every = shooter.moved(variant, start, 1e-3, which)
+    steps = 1e-3 * np.arange(1.0, start.shape[1] + 1)  # each number by its own
+    every = shooter.moved(variant, start, steps, which)
     for column, runs in enumerate(every):
         moved = start.copy()
-        moved[:, column] += 1e-3
+        moved[:, column] += steps[column]
         np.testing.assert_array_equal(runs, shooter.simulate(variant, moved)[which])
-    assert shooter.moved(variant, start, 1e-3, np.array([], int)).shape[1] == 0
+    assert shooter.moved(variant, start, steps, np.array([], int)).shape[1] == 0
 
 
 def test_some_windows_are_simulated_as_all_are(bench: Bench) -> None:
