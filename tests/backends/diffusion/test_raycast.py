@@ -47,6 +47,8 @@ def test_what_passes_by_far_changes_nothing() -> None:
         near = look(solids, view, ray, 24)
         shaded = unblocked(point, every.normal, size, solids, lamps)[0]
     for one, other in zip(every, near, strict=True):
-        torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-5)
+        # how many geoms are computed at once decides how 32-bit numbers are rounded, and roots of
+        # rays that graze a geom lose half of their digits: 0.05 mm of 0.95 m on some processors
+        torch.testing.assert_close(one, other, atol=2e-4, rtol=2e-4)
     assert 0.05 < float((lit < 0.5).float().mean()) < 0.95  # there are shadows
     torch.testing.assert_close(lit, shaded, atol=5e-3, rtol=0.0)
