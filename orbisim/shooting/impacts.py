@@ -73,7 +73,7 @@ def foreseen(shooter: Shooter, intervals: Intervals, windows: Windows, noise: No
     sigma = np.where(measured, np.concatenate(noise), 1.0)
     bend = bend * (size / sigma) ** 2
     scatter = np.sqrt(bend + (_of_the_step(shooter, intervals, noise, base) / sigma) ** 2)
-    scatter = np.where(measured, np.where(np.isfinite(scatter), scatter, _LOST), 0.0)
+    scatter = np.where(measured, np.where(np.isfinite(scatter), scatter, np.inf), 0.0)
     scatter = scipy.ndimage.maximum_filter1d(scatter, 2 * _BLUR + 1, axis=1)
     return dataclasses.replace(windows, horizon=horizon, scatter=scatter)
 
@@ -116,5 +116,3 @@ _SURE = 1
 _BLUR = 3
 """Samples to either side by which an impact of the machine may be off that of the declared scene:
 what scatters there may scatter here."""
-_LOST = 1e6
-"""Scatter where a run has diverged."""

@@ -157,3 +157,17 @@ def test_only_what_moves() -> None:
     ).model
     assert find("payload").targets(model) == ("b", "welded")
     assert find("magnus").targets(model) == ()
+
+
+def test_tilts_are_tried_to_four_sides(scene: Scene) -> None:
+    effect, size = find("gravity_tilt"), np.linalg.norm(scene.model.opt.gravity)
+    tried = effect.trials(scene.model, "world")
+    sides = np.array([[one[axis] for axis in "xyz"] for one in tried])
+    np.testing.assert_allclose(np.linalg.norm(sides, axis=1), size)
+    np.testing.assert_allclose([one["angle"] for one in tried], 0.5)
+    np.testing.assert_allclose(
+        sides.mean(axis=0), np.cos(np.radians(0.5)) * scene.model.opt.gravity
+    )
+    assert len({tuple(np.round(side, 6)) for side in sides}) == 4
+    neutral = effect.neutral(scene.model, "world")
+    np.testing.assert_array_equal([neutral[axis] for axis in "xyz"], scene.model.opt.gravity)

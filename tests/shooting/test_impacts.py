@@ -12,8 +12,8 @@ import pytest
 import orbisim
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
-from orbisim.shooting.impacts import _BLUR, _JUMP_REACH, foreseen, near_jump
-from orbisim.shooting.shooter import Shooter
+from orbisim.shooting.impacts import _BLUR, _JUMP_REACH, _of_the_step, foreseen, near_jump
+from orbisim.shooting.shooter import Shooter, Variant
 from orbisim.shooting.windows import Windows
 from orbisim.testing import inject_effect
 
@@ -118,6 +118,24 @@ def test_a_run_that_grows_apart_is_cut(tumbled: Bench) -> None:
 def test_a_ball_that_bounces_can_be_predicted_to_the_end(dropped: Bench) -> None:
     assert dropped.windows.horizon is not None
     assert (dropped.windows.horizon == dropped.windows.length).all()
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast", "RK4"])
+def test_what_a_step_does_to_all_motion_is_none_of_its_impacts(integrator: str) -> None:
+    """A body that flies freely, of which every sample is said to be near an impact."""
+    text = DROP.format(shape=BALL, height=3.0)
+    text = text.replace('timestep="0.002"', f'timestep="0.002" integrator="{integrator}"')
+    scene = orbisim.load_scene(text)
+    start = [0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0]
+    runs = inject_effect(scene, [], starts=[start], duration=0.4, episodes=1, noise=2e-4, seed=1)
+    samples = [
+        dataclasses.replace(one, jumps=np.ones_like(one.jumps)) for one in prepare_all(runs, scene)
+    ]
+    bench = make_bench(scene, samples, 0.3)
+    shooter = bench.shooter(np.ones(len(bench.windows), bool))
+    base = shooter.simulate(Variant(scene), np.zeros((len(shooter), 12)))
+    off = _of_the_step(shooter, bench.intervals, bench.noise, base)
+    assert np.abs(off).max() < 1e-9  # the half step itself moves it by 1.5 mm
 
 
 def test_what_is_not_measured_is_not_foreseen(dropped: Bench) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 import orbisim
@@ -23,6 +24,7 @@ from orbisim.shooting.gauss_newton import Problem
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judge, Judged, _by_window
 from orbisim.shooting.retune import Tunable, retuned
+from orbisim.shooting.shooter import Variant
 from orbisim.testing import inject_effect
 
 HAMMER = """
@@ -394,6 +396,34 @@ def test_slopes_where_impacts_scatter_are_taken_over_a_tenth(
             moved = problem.trial(problem.begin + steps[p] * number, begun.xi)
             change = judge.fitted.scaled(moved.simulated) - base
             np.testing.assert_allclose(slopes[..., p], change / steps[p], rtol=1e-6, atol=1e-6)
+
+
+def test_a_difference_is_no_wider_than_scenes_are_possible(
+    softened: tuple[Judge, Judged],
+) -> None:
+    """To the other side, where one leads to none; as narrow as it was, where both do."""
+    judge, nothing = softened
+    problem = _problem(judge, Hypothesis((EffectInstance("restitution", "head", SOFT),)))
+    begun, build = problem.trial(problem.begin, nothing.fit.start), problem.build
+    refused: list[float] = []
+
+    def only(low: float, high: float) -> None:
+        def some(values: npt.NDArray[np.float64]) -> Variant:
+            if not low <= values[0] <= high:
+                refused.append(float(values[0]))
+                raise SceneError("hammer.xml", "no such scene")
+            return build(values)
+
+        problem.build = some
+
+    at = float(problem.begin[0])
+    only(0.0, at)
+    assert problem._step_by(begun, 0, 0.1) == -0.1
+    only(at - 1e-3, at + 1e-3)
+    assert problem._step_by(begun, 0, 0.1) is None
+    assert problem._step_by(begun, 0, 1e-4) == 1e-4
+    narrow = problem.slopes(begun)
+    assert np.isfinite(narrow).all() and narrow[..., 0].any() and refused
 
 
 def test_slopes_where_nothing_touches_are_taken_over_little(arm: orbisim.Scene) -> None:
