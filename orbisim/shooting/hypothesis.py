@@ -226,8 +226,10 @@ def sized(scene: Scene, one: EffectInstance, size: float) -> EffectInstance | No
     effect = find(one.effect)
     neutral = effect.neutral(scene.model, one.target)
     if not one.values.keys() >= set(effect.free_parameters(scene.model, one.target)):
-        free = {name: size * value for name, value in _free_values(scene, one).items()}
-        return completed(scene, one, free)
+        grows = effect.sizes(scene.model, one.target)
+        free = _free_values(scene, one)
+        more = {name: size * value if name in grows else value for name, value in free.items()}
+        return completed(scene, one, more)
     away = {name: value - neutral.get(name, 0.0) for name, value in one.values.items()}
     further = effect.scaled(away, size)
     values = {name: value + neutral.get(name, 0.0) for name, value in further.items()}

@@ -65,6 +65,10 @@ def test_an_effect_at_another_size_stays_within_its_bounds(arm: orbisim.Scene) -
     assert sized(arm, DRY, 1.0) == DRY
     back = sized(arm, DRY, -1.0)  # no friction is negative
     assert back is not None and back.values["torque"] == 0.0
+    stribeck = {"coulomb": 0.1, "static": 0.15, "velocity": 0.05}
+    twice = sized(arm, EffectInstance("stribeck_friction", "elbow", stribeck), 2.0)
+    assert twice is not None  # as large in both, from the same speed on
+    assert twice.values == pytest.approx({"coulomb": 0.2, "static": 0.3, "velocity": 0.05})
     tilted = find("gravity_tilt").trials(arm.model, "world")[0]
     tilt = sized(arm, EffectInstance("gravity_tilt", "world", dict(tilted)), 20.0)
     assert tilt is not None
