@@ -216,9 +216,13 @@ def _again(
 
 
 def _taken(one: Other) -> Other:
-    """With derivatives along the form that was tried."""
+    """With derivatives along the form that was tried, and through impacts what these leave unknown
+    of it: less in finer steps."""
     context, judged = one
-    return context.on(linearized(context.bench)), judged
+    there = context.on(linearized(context.bench))
+    if there.bench.windows is context.bench.windows:
+        return there, judged
+    return there, there.judge.judge(judged.hypothesis, begin=there.judge.begin(judged)) or judged
 
 
 def _finer(context: Context, judged: Judged, within: bool = False) -> Other | None:
@@ -226,15 +230,12 @@ def _finer(context: Context, judged: Judged, within: bool = False) -> Other | No
     error of the step matters; None where the step as it is predicts best.
 
     The error of MuJoCo's other integrators falls as the step does (what they hold over a step, they
-    hold for a time of its length): half the step changes as much as it leaves. Where most windows
-    have impacts no step is finer: what a contact does depends on it by definition.
+    hold for a time of its length): half the step changes as much as it leaves.
 
     Args:
       within: whether it is compared with what has no commands that change within steps, which blur
         them however little they do else.
     """
-    if context.bench.rugged:
-        return None
     if not within and not matters(context.bench, judged.ratio, judged.hypothesis):
         return None
     step, best, bench, fitted = taken(context.bench), 0.0, context.bench, None
@@ -244,9 +245,18 @@ def _finer(context: Context, judged: Judged, within: bool = False) -> Other | No
         if not gain > best:
             break
         best, bench, fitted = gain, finer, fit
+        if bench.contacts and step <= _SHORT_FOR_IMPACTS:
+            break
         if not matters(finer, judged.ratio, judged.hypothesis):
             break
     return fitted or (_again(context, judged, lambda _: bench) if best > 0 else None)
+
+
+def through_impacts(context: Context, judged: Judged) -> Other | None:
+    """Where bodies touch, the declared scene in finer steps, if these surely predict better
+    (`_finer`): before starts are looked for again, as these make up for a part of the error of a
+    step, and less is unknown of an impact in finer ones."""
+    return _surest(context, judged, [_finer(context, judged)]) if context.bench.contacts else None
 
 
 def _held(context: Context, judged: Judged) -> Other | None:
@@ -257,7 +267,7 @@ def _held(context: Context, judged: Judged) -> Other | None:
     interval = typical_interval(context.bench)
     long = interval / _HELD
     other = held(context.bench, long)
-    if other is None or context.bench.rugged:
+    if other is None:
         return None
     if not difference(context.bench, other) > MATTERS * max(judged.ratio, 1.0):
         return None
@@ -334,6 +344,9 @@ _HELD, _SHORTEST, _LIKE = 8, 8, 32
 the shortest, which is as good as exact, and by which steps differ that are tried."""
 _HALVINGS = 5
 """At once: a simulation takes as many times as long."""
+_SHORT_FOR_IMPACTS = 4e-4
+"""Steps, s, that are as short as they get where bodies touch: a fiftieth of the time constant of
+MuJoCo's contacts, 20 ms by default."""
 
 
 def _begun(context: Context, judged: Judged, lead: Lead, tried: Sequence[float]) -> Other | None:

@@ -10,6 +10,8 @@ from orbisim.motion.linear import IntervalMap, linearize
 from orbisim.recording.command_clock import Lead
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
+from orbisim.shooting.cutting import wrongly_lost
+from orbisim.shooting.impacts import foreseen
 
 
 def asked(bench: Bench) -> Bench:
@@ -58,6 +60,11 @@ def read_as(bench: Bench, like: Bench) -> Bench:
 
 
 def linearized(bench: Bench) -> Bench:
-    """With derivatives along its scene."""
+    """With derivatives along its scene, and what impacts leave unknown of its steps."""
     flow = IntervalMap(bench.scene, bench.samples, bench.rows, deadline=bench.deadline)
-    return dataclasses.replace(bench, intervals=linearize(flow))
+    there = dataclasses.replace(bench, intervals=linearize(flow))
+    if bench.windows.scatter is None:
+        return there
+    shooter = there.shooter(np.ones(len(bench.windows), bool))
+    windows = foreseen(shooter, there.intervals, bench.windows, bench.noise)
+    return dataclasses.replace(there, windows=wrongly_lost(shooter, windows, bench.noise))

@@ -388,8 +388,9 @@ class Judge:
 
     def as_sure(self, judged: Judged) -> Judged:
         """Where bodies touch, the same with numbers of effects no surer than the cost rises a tenth
-        beside them, all others and the starts fitted there (profile likelihood): a fit through
-        impacts ends in one of many narrow holes, whose width says nothing of how deep others are.
+        and a half beside them, all others and the starts fitted there (profile likelihood): a fit
+        through impacts ends in one of many narrow holes, whose width says nothing of how deep others
+        are. Far away, windows are also begun where they were measured to.
         """
         fit, hypothesis = judged.fit, judged.hypothesis
         if not self.bench.contacts or is_structural(hypothesis):
@@ -398,17 +399,21 @@ class Judge:
         for k, (number, name) in enumerate(hypothesis.free(self.bench.scene)):
             if _stepwise(hypothesis, number, name) or not fit.values[k]:
                 continue
-            beside = []
-            for share in (-_BESIDE, _BESIDE):
-                values = fit.values.copy()
-                values[k] *= 1 + share
-                with contextlib.suppress(OrbiSimError, np.linalg.LinAlgError):
-                    moved = hypothesis.at(self.bench.scene, values)
-                    held = dataclasses.replace(moved, frozen=moved.frozen | {(number, name)})
-                    beside.append(self._fit(held, 2, begin).square)
-            if beside:
-                away = _BESIDE * abs(float(fit.values[k]))
-                fit = _no_surer(fit, k, min(beside) - fit.square, away)
+            for near in _BESIDE:
+                beside = []
+                for share in (-near, near):
+                    values = fit.values.copy()
+                    values[k] *= 1 + share
+                    for start in (begin, self.cold) if near == max(_BESIDE) else (begin,):
+                        with contextlib.suppress(OrbiSimError, np.linalg.LinAlgError):
+                            moved = hypothesis.at(self.bench.scene, values)
+                            held = dataclasses.replace(
+                                moved, frozen=moved.frozen | {(number, name)}
+                            )
+                            beside.append(self._fit(held, 2, start).square)
+                if beside:
+                    away = near * abs(float(fit.values[k]))
+                    fit = _no_surer(fit, k, min(beside) - fit.square, away)
         if fit is judged.fit:
             return judged
         same = judged.check_fit is judged.fit
@@ -790,7 +795,7 @@ _FURTHER = 3
 """Iterations of a fit that goes on from better starts."""
 _FURTHER_OR_LESS = ((1.0, 2.0, 4.0), (0.3,), (0.1,))
 """Of a fit's step, that a restart tries: ever more as long as that leaves less, or else less."""
-_BESIDE = 0.1
+_BESIDE = (0.1, 0.5)
 """How far beside a number of an effect its cost is looked at, over what it is: as far as numbers of
 fits through impacts that begin elsewhere differ, and beyond the holes that single impacts make."""
 _LITTLE = 0.99

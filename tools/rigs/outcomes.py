@@ -56,6 +56,11 @@ class Outcome:
         return bool(self.truth["visibility"] >= VISIBLE)
 
     @property
+    def distinct(self) -> bool:
+        """Whether the truth shows at twice what noise and starts leave unknown."""
+        return bool(self.truth.get("distinct", self.truth["visibility"]) >= VISIBLE)
+
+    @property
     def names(self) -> list[tuple[str, str]]:
         """What was reported. Declared parameters that are off are findings where there are no
         others; beside effects, they are what no scene is exact in."""

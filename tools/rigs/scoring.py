@@ -83,6 +83,8 @@ def _names(own: Sequence[Outcome]) -> list[str]:
         ("... right and nothing needless", [o.right_first and not o.needless for o in single]),
         ("... wrong name", [o.wrong for o in single]),
         ("... nothing named", [not o.names for o in single]),
+        ("... right first of those that show at twice what noise and starts leave unknown, too",
+         [o.right_first for o in single if o.distinct]),
         ("single, shows less: right, or nothing named",
          [o.right_first or not o.needless for o in faint]),
         ("pair: both found", [o.all_found for o in pairs]),
@@ -262,7 +264,7 @@ def _failures(own: Sequence[Outcome]) -> list[str]:
 
 
 _COLUMNS = (
-    "trial tool kind machine artefacts noise visibility laws reported verdict right_first "
+    "trial tool kind machine artefacts noise visibility distinct laws reported verdict right_first "
     "right_any all_found needless wrong before after seconds failure"
 )
 
@@ -277,7 +279,7 @@ def _write_table(outcomes: Sequence[Outcome], path: Path) -> None:
             names = ["; ".join(f"{e}({x})" for e, x in some) for some in (o.names, o.needless)]
             writer.writerow(
                 [t["trial"], o.tool, o.kind, t["machine"], "+".join(t["artefacts"]), t["noise"],
-                 t["visibility"], laws, names[0], o.verdict, o.right_first, o.right_any,
-                 o.all_found, names[1], o.wrong, o.before, o.after, o.seconds,
+                 t["visibility"], t.get("distinct", ""), laws, names[0], o.verdict, o.right_first,
+                 o.right_any, o.all_found, names[1], o.wrong, o.before, o.after, o.seconds,
                  o.failure.replace("\n", " ")[:300]]
             )  # fmt: skip
