@@ -389,8 +389,8 @@ class Judge:
     def as_sure(self, judged: Judged) -> Judged:
         """Where bodies touch, the same with numbers of effects no surer than the cost rises a tenth
         and a half beside them, all others and the starts fitted there (profile likelihood): a fit
-        through impacts ends in one of many narrow holes, whose width says nothing of how deep others
-        are. Far away, windows are also begun where they were measured to.
+        through impacts ends in one of many narrow holes, whose width says nothing of how deep
+        others are. Far away, windows are also begun where they were measured to.
         """
         fit, hypothesis = judged.fit, judged.hypothesis
         if not self.bench.contacts or is_structural(hypothesis):
