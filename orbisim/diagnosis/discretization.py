@@ -31,10 +31,10 @@ from orbisim.evidence import EFFECT
 from orbisim.recording.command_clock import Lead
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.forms import command_clock, linearized
-from orbisim.shooting.halving import MATTERS, coarsest, difference, matters
+from orbisim.shooting.halving import MATTERS, coarsest, difference, exactly, matters
 from orbisim.shooting.judge import Judged
 from orbisim.shooting.stepping import Stepping, stepping
-from orbisim.shooting.timestep import exact, held, is_exact, peak, stepped, taken, typical_interval
+from orbisim.shooting.timestep import held, peak, stepped, taken, typical_interval
 
 Other = tuple[Context, Judged]
 
@@ -58,7 +58,7 @@ def _exactly(context: Context, judged: Judged) -> Other | None:
     """The same explanation in exact steps, if these are worth more and the error of those that
     there are matters beside the noise. They need not be sure: they are what the scene says, and
     forces that act half a step early look like a sensor's time."""
-    found = _again(context, judged, _exact)
+    found = _again(context, judged, exactly)
     if found is None or not worth(context.bench, judged, found[1]).total + EFFECT > 0:
         return None
     return _taken(found)
@@ -70,17 +70,8 @@ def _back(context: Context, judged: Judged, declared: Stepping | None) -> Other 
     which are: through dry friction long ones are not, and what they leave would be named."""
     if declared is None or stepping(context.bench.scene) == declared:
         return None
-    found = _again(context, judged, lambda bench: stepped(bench, *declared))
+    found = _again(context, judged, lambda bench: stepped(bench, **declared._asdict()))
     return _taken(found) if found is not None and found[1].loss < judged.loss else None
-
-
-def _exact(bench: Bench) -> Bench | None:
-    """In exact steps, as few as are; None if those that there are do, or none are (stiff)."""
-    if is_exact(bench) or not matters(bench, 1.0):
-        return None
-    most = round(typical_interval(bench) / taken(bench))
-    tried = (exact(bench, 2**k) for k in range(int(np.log2(most)) + 1))
-    return next((other for other in tried if not matters(other, 1.0)), None)
 
 
 def coarsened(context: Context, judged: Judged, given: Stepping) -> Other | None:
@@ -152,7 +143,7 @@ def _followed(context: Context, judged: Judged, within: bool = False) -> Other |
     """
     found, finer = None, functools.partial(_finer, within=within)
     while True:
-        tried = [form(context, judged) for form in (finer, _held, _drier, _retimed)]
+        tried = [form(context, judged) for form in (finer, _held, _drier, _rounder, _retimed)]
         better = _surest(context, judged, tried)
         if better is None:
             return found
@@ -182,14 +173,14 @@ def as_declared(context: Context, judged: Judged, declared: Stepping) -> Other |
         if step > most and not np.isclose(step, most):
             return None
         step = declared.timestep if np.isclose(step, most) else step
-        return stepped(bench, step, declared.integrator)
+        return stepped(bench, step, integrator=declared.integrator)
 
     def logged(bench: Bench) -> Bench | None:
         return bench.led(Lead()) if bench.lead else None
 
     def softer(bench: Bench) -> Bench | None:
-        known = stepping(bench.scene)
-        return stepped(bench, known.timestep, dry=False) if known.dry > declared.dry else None
+        less = stepping(bench.scene)._replace(dry=declared.dry, round=declared.round)
+        return None if less == stepping(bench.scene) else stepped(bench, **less._asdict())
 
     found = None
     for change in (logged, softer, coarser):
@@ -290,6 +281,19 @@ def _drier(context: Context, judged: Judged) -> Other | None:
     return _again(context, judged, lambda _: other)
 
 
+def _rounder(context: Context, judged: Judged) -> Other | None:
+    """The same explanation with elliptic friction cones, where bodies touch and MuJoCo's default of
+    pyramids matters: no floor knows directions, and what friction along the edges of a pyramid is
+    larger by would be named."""
+    known = stepping(context.bench.scene)
+    other = stepped(context.bench, known.timestep, round=True)
+    if known.round or not context.bench.contacts:
+        return None
+    if not difference(context.bench, other, judged.hypothesis) > MATTERS * max(judged.ratio, 1.0):
+        return None
+    return _again(context, judged, lambda _: other)
+
+
 def _gain(context: Context, judged: Judged, bench: Bench | None) -> tuple[float, Other | None]:
     """By how much less the same explanation leaves in another form of the data, as it is foreseen
     (a fit takes ten times as long), and the fit where it cannot be."""
@@ -353,7 +357,7 @@ def _begun(context: Context, judged: Judged, lead: Lead, tried: Sequence[float])
     """With the lead that predicts best, of the steps that there are or of exact ones. Forces act
     half a step early: a step that is too long may happen to make up for when controls change, and
     then neither is better without the other."""
-    benches = [one for one in (context.bench, _exact(context.bench)) if one is not None]
+    benches = [one for one in (context.bench, exactly(context.bench)) if one is not None]
     forms = [_led_best(context.trying(one), judged, lead, tried) for one in benches]
     return min((one for one in forms if one), key=lambda one: one[1].loss, default=None)
 

@@ -94,7 +94,7 @@ class RollingFriction(_Coefficient):
 
 
 class AnisotropicFriction(ContactEffect):
-    """Two sliding coefficients: an explicit contact pair with an elliptic cone.
+    """Two sliding coefficients: an explicit contact pair.
 
     The ratio is that of the second tangential coefficient to the first; the first keeps its
     declared value. The directions are the contact frame's.
@@ -116,7 +116,6 @@ class AnisotropicFriction(ContactEffect):
         return [{"ratio": ratio, "coefficient": declared} for ratio in (0.3, 0.6, 1.6, 3.0)]
 
     def edit(self, spec: mujoco.MjSpec, instance: EffectInstance) -> None:
-        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         model = spec.copy().compile()
         own = index_of(model, "geom", instance.target)
         first = instance.values["coefficient"]

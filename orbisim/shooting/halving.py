@@ -8,7 +8,7 @@ import numpy.typing as npt
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.shooter import Variant
-from orbisim.shooting.timestep import stepped, taken, typical_interval
+from orbisim.shooting.timestep import exact, is_exact, stepped, taken, typical_interval
 from orbisim.shooting.windows import evenly
 
 Floats = npt.NDArray[np.float64]
@@ -47,6 +47,15 @@ balls that are thrown, -0.3 to 0.1 of pucks that rock while they slide)."""
 MATTERS = 0.25
 """Error of a step, over what is left (at least the noise), that matters: three hundredths of that
 are the step's then. While effects are missing, a coarser one does, and simulates faster."""
+
+
+def exactly(bench: Bench) -> Bench | None:
+    """In exact steps, as few as are; None if those that there are do, or none are (stiff)."""
+    if is_exact(bench) or not matters(bench, 1.0):
+        return None
+    most = round(typical_interval(bench) / taken(bench))
+    tried = (exact(bench, 2**k) for k in range(int(np.log2(most)) + 1))
+    return next((other for other in tried if not matters(other, 1.0)), None)
 
 
 def coarsest(bench: Bench, most: float, hypothesis: Hypothesis | None = None) -> Bench:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from orbisim.motion.samples import substeps
 from orbisim.shooting.bench import Bench
-from orbisim.shooting.stepping import Stepping, stepping, with_stepping
+from orbisim.shooting.stepping import stepping, with_stepping
 
 
 def typical_interval(bench: Bench) -> float:
@@ -25,29 +26,22 @@ def taken(bench: Bench, timestep: float | None = None) -> float:
     return interval / int(substeps(interval, timestep))
 
 
-def stepped(
-    bench: Bench, timestep: float, integrator: int | None = None, dry: bool | None = None
-) -> Bench:
-    """With another timestep, and integrator and friction (`Stepping`) if these are given, and
-    controls that are looked for between samples where they do the same."""
-    known = stepping(bench.scene)
-    changed = Stepping(
-        timestep,
-        known.integrator if integrator is None else integrator,
-        known.dry if dry is None else dry,
-    )
-    other = dataclasses.replace(bench, scene=with_stepping(bench.scene, changed))
+def stepped(bench: Bench, timestep: float, **other: Any) -> Bench:
+    """With another timestep, and what else is given of how it is stepped (`Stepping`), and controls
+    that are looked for between samples where they do the same."""
+    changed = stepping(bench.scene)._replace(timestep=timestep, **other)
+    there = dataclasses.replace(bench, scene=with_stepping(bench.scene, changed))
     if not bench.lead:
-        return other
-    later = (_early(bench) - _early(other)) / typical_interval(bench)
+        return there
+    later = (_early(bench) - _early(there)) / typical_interval(bench)
     share = float(np.clip(bench.lead.share + later, -1.0, 1.0))
-    return other.led(dataclasses.replace(bench.lead, share=share))
+    return there.led(dataclasses.replace(bench.lead, share=share))
 
 
 def exact(bench: Bench, count: int) -> Bench:
     """With the classical Runge-Kutta method, whose error falls as the fourth power of the step, in
     so many steps between samples."""
-    return stepped(bench, typical_interval(bench) / count, _RK4)
+    return stepped(bench, typical_interval(bench) / count, integrator=_RK4)
 
 
 def is_exact(bench: Bench) -> bool:
@@ -61,7 +55,8 @@ def held(bench: Bench, timestep: float) -> Bench | None:
     if not is_exact(bench):
         return None
     interval, integrator = typical_interval(bench), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
-    return stepped(bench, interval / max(round(interval / timestep), 1), integrator)
+    count = max(round(interval / timestep), 1)
+    return stepped(bench, interval / count, integrator=integrator)
 
 
 def _early(bench: Bench) -> float:
