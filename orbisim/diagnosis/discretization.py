@@ -21,7 +21,6 @@ import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-import mujoco
 import numpy as np
 
 from orbisim.diagnosis.context import Context
@@ -142,8 +141,10 @@ def _followed(context: Context, judged: Judged, within: bool = False) -> Other |
       within: as of `_finer`.
     """
     found, finer = None, functools.partial(_finer, within=within)
+    frictions = ("dry", "round") if context.bench.contacts else ("dry",)
     while True:
-        tried = [form(context, judged) for form in (finer, _held, _drier, _rounder, _retimed)]
+        tried = [form(context, judged) for form in (finer, _held, _retimed)]
+        tried += [_rubbed(context, judged, **{form: True}) for form in frictions]
         better = _surest(context, judged, tried)
         if better is None:
             return found
@@ -243,11 +244,11 @@ def _finer(context: Context, judged: Judged, within: bool = False) -> Other | No
     return fitted or (_again(context, judged, lambda _: bench) if best > 0 else None)
 
 
-def through_impacts(context: Context, judged: Judged) -> Other | None:
-    """Where bodies touch, the declared scene in finer steps, if these surely predict better
-    (`_finer`): before starts are looked for again, as these make up for a part of the error of a
-    step, and less is unknown of an impact in finer ones."""
-    return _surest(context, judged, [_finer(context, judged)]) if context.bench.contacts else None
+def resolved(context: Context, judged: Judged) -> Other:
+    """Where bodies touch, the declared scene in finer steps, if these surely predict better: before
+    starts are looked for again, as these make up for a part of the error of a step."""
+    finer = _finer(context, judged) if context.bench.contacts else None
+    return _surest(context, judged, [finer]) or (context, judged)
 
 
 def _held(context: Context, judged: Judged) -> Other | None:
@@ -266,28 +267,14 @@ def _held(context: Context, judged: Judged) -> Other | None:
     return _best(context, judged, held, (long / 2.0, long), (0.0,), ends, long / _LIKE, 1)
 
 
-def _drier(context: Context, judged: Judged) -> Other | None:
-    """The same explanation with friction that stops a joint within two timesteps, where there is
-    friction and MuJoCo's default of its `solreffriction`. A simulated machine may have that; what
-    it does at rest would be named, or hide what tells one friction from another."""
+def _rubbed(context: Context, judged: Judged, **form: bool) -> Other | None:
+    """The same explanation with another form of friction (`Stepping`), where that matters: `dry`,
+    as a simulated machine may have it (what that does at rest would be named, or hide what tells
+    one friction from another), or `round`, as no floor knows directions, and what friction along
+    the edges of a pyramid is larger by would be named."""
     known = stepping(context.bench.scene)
-    effects = (find(one.effect) for one in judged.hypothesis.effects)
-    rubs = any(mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS in one.needs for one in effects)
-    if known.dry or not (rubs or context.bench.scene.model.dof_frictionloss.any()):
-        return None
-    other = stepped(context.bench, known.timestep, dry=True)
-    if not stepping(other.scene).dry:
-        return None
-    return _again(context, judged, lambda _: other)
-
-
-def _rounder(context: Context, judged: Judged) -> Other | None:
-    """The same explanation with elliptic friction cones, where bodies touch and MuJoCo's default of
-    pyramids matters: no floor knows directions, and what friction along the edges of a pyramid is
-    larger by would be named."""
-    known = stepping(context.bench.scene)
-    other = stepped(context.bench, known.timestep, round=True)
-    if known.round or not context.bench.contacts:
+    other = stepped(context.bench, known.timestep, **form)
+    if stepping(other.scene) == known:
         return None
     if not difference(context.bench, other, judged.hypothesis) > MATTERS * max(judged.ratio, 1.0):
         return None

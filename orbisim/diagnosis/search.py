@@ -15,13 +15,7 @@ import dataclasses
 import itertools
 
 from orbisim.diagnosis.context import Context, Progress, begun
-from orbisim.diagnosis.discretization import (
-    as_declared,
-    coarsened,
-    earlier,
-    settled,
-    through_impacts,
-)
+from orbisim.diagnosis.discretization import as_declared, coarsened, earlier, resolved, settled
 from orbisim.diagnosis.explanations import EVEN, TO_THE_END, Found, done, quiet
 from orbisim.diagnosis.moves import best_move
 from orbisim.diagnosis.reselection import reselected
@@ -58,14 +52,12 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
     if late or quiet(settings, declared):
         return found
     try:
-        finer = through_impacts(context, declared)
-        if finer is not None:
-            context, declared = finer
-            found = dataclasses.replace(found, context=context, declared=declared, best=declared)
+        context, declared = resolved(context, declared)
         last = _to_the_end(context, declared)
         if quiet(settings, last):
-            return dataclasses.replace(found, declared=last, best=last)
-        found = dataclasses.replace(found, context=context.with_tunables())
+            return dataclasses.replace(found, context=context, declared=last, best=last)
+        context = context.with_tunables()
+        found = dataclasses.replace(found, context=context, declared=declared, best=declared)
         say("screening effects")
         found = _coarsened(found)
         found = _in_best_form(found)
