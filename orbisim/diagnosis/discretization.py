@@ -54,9 +54,8 @@ def settled(context: Context, judged: Judged, declared: Stepping | None = None) 
 
 
 def _exactly(context: Context, judged: Judged) -> Other | None:
-    """The same explanation in exact steps, if these are worth more and the error of those that
-    there are matters beside the noise. They need not be sure: they are what the scene says, and
-    forces that act half a step early look like a sensor's time."""
+    """The same explanation in exact steps, if these are needed and worth more. They need not be
+    sure: they are what the scene says, and forces half a step early look like a sensor's time."""
     found = _again(context, judged, exactly)
     if found is None or not worth(context.bench, judged, found[1]).total + EFFECT > 0:
         return None
@@ -64,9 +63,8 @@ def _exactly(context: Context, judged: Judged) -> Other | None:
 
 
 def _back(context: Context, judged: Judged, declared: Stepping | None) -> Other | None:
-    """The same explanation in the declared steps, if they are others and these predict better.
-    Steps are exact of the scene without effects, and while much is missing hardly anything tells
-    which are: through dry friction long ones are not, and what they leave would be named."""
+    """The same explanation in the declared steps, if they are others and predict better: steps that
+    are exact of the bare scene need not be through dry friction, and what they leave is named."""
     if declared is None or stepping(context.bench.scene) == declared:
         return None
     found = _again(context, judged, lambda bench: stepped(bench, **declared._asdict()))
@@ -152,10 +150,18 @@ def _followed(context: Context, judged: Judged, within: bool = False) -> Other |
 
 
 def _surest(context: Context, judged: Judged, tried: Iterable[Other | None]) -> Other | None:
-    found = [one for one in tried if one]
-    known = gains(context.bench, judged, [one[1] for one in found])
+    """The form that is surely worth most, if one is: through impacts beside the explanation in the
+    form that there is, fitted from the same starts, too, as a fit stays where it began."""
+    found, bench, judge = [one for one in tried if one], context.bench, context.judge
+    known = gains(bench, judged, [one[1] for one in found])
     best = max(range(len(found)), key=lambda i: known[i].sure, default=None)
-    return _taken(found[best]) if best is not None and known[best].sure + EFFECT > 0 else None
+    if best is None or not known[best].sure + EFFECT > 0:
+        return None
+    if bench.contacts:
+        again = judge.judge(judged.hypothesis, begin=judge.begin(found[best][1]))
+        if again is not None and not worth(bench, again, found[best][1]).sure + EFFECT > 0:
+            return None
+    return _taken(found[best])
 
 
 def as_declared(context: Context, judged: Judged, declared: Stepping) -> Other | None:
@@ -208,8 +214,7 @@ def _again(
 
 
 def _taken(one: Other) -> Other:
-    """With derivatives along the form that was tried, and through impacts what these leave unknown
-    of it: less in finer steps."""
+    """With derivatives along the form that was tried, and what impacts leave unknown of it."""
     context, judged = one
     there = context.on(linearized(context.bench))
     if there.bench.windows is context.bench.windows:
@@ -312,7 +317,7 @@ def _best(
     for place in tried:
         gains[place], fits[place] = _gain(context, judged, change(context.bench, place))
     for _ in range(refined):
-        top = peak(_squares(gains), *ends)
+        top = peak(gains, *ends)
         if top is None or min(abs(top - one) for one in gains) < close:
             break
         gains[top], fits[top] = _gain(context, judged, change(context.bench, top))
@@ -320,12 +325,6 @@ def _best(
     if best in known:
         return None
     return fits[best] or _again(context, judged, lambda bench: change(bench, best))
-
-
-def _squares(gains: dict[float, float]) -> dict[float, float]:
-    """What is left of mean squares, negative: in a model that is linear in its controls a parabola
-    in their share, which the logarithm is not far from its peak."""
-    return {place: -float(np.exp(-gain)) for place, gain in gains.items()}
 
 
 _FALLS = 10.0

@@ -56,8 +56,7 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
         last = _to_the_end(context, declared)
         if quiet(settings, last):
             return dataclasses.replace(found, context=context, declared=last, best=last)
-        context = context.with_tunables()
-        found = dataclasses.replace(found, context=context, declared=declared, best=declared)
+        found = Found(context.with_tunables(), given, given, declared, declared)
         say("screening effects")
         found = _coarsened(found)
         found = _in_best_form(found)

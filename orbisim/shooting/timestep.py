@@ -69,11 +69,12 @@ _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 
 
 def peak(gains: dict[float, float], low: float, high: float) -> float | None:
-    """Where the parabola through the best place and its neighbours is highest, within bounds; None
-    where it has no peak.
+    """Where what is left is least by the parabola through the best place and its neighbours, within
+    bounds; None where that has no lowest point. In a model that is linear in its controls what is
+    left, as a mean square, is a parabola in their share.
 
     Args:
-      gains: by places along a line.
+      gains: by places along a line, as logarithms of what is left, negative.
     """
     known = sorted(place for place, value in gains.items() if np.isfinite(value))
     best = known.index(max(known, key=lambda place: gains[place]))
@@ -81,5 +82,6 @@ def peak(gains: dict[float, float], low: float, high: float) -> float | None:
     if first < 0:
         return None
     near = known[first : first + 3]
-    square, slope, _ = np.polyfit(np.array(near) / high, [gains[place] for place in near], 2)
-    return float(np.clip(-slope / (2 * square) * high, low, high)) if square < 0 else None
+    left = np.exp([-gains[place] for place in near])
+    square, slope, _ = np.polyfit(np.array(near) / high, left, 2)
+    return float(np.clip(-slope / (2 * square) * high, low, high)) if square > 0 else None

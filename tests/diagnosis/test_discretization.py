@@ -13,25 +13,21 @@ import orbisim
 from orbisim.diagnosis import discretization
 from orbisim.diagnosis.conclusion import attribute
 from orbisim.diagnosis.context import Context, begun
-from orbisim.diagnosis.discretization import (
-    _exact,
-    _untimed,
-    as_declared,
-    earlier,
-    settled,
-)
+from orbisim.diagnosis.discretization import _untimed, as_declared, earlier, resolved, settled
 from orbisim.diagnosis.explanations import Found, done
 from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.simplification import simplified
 from orbisim.effects import EffectInstance
-from orbisim.motion.samples import prepare_all
+from orbisim.motion.samples import Samples, prepare_all
 from orbisim.recording.command_clock import Lead
 from orbisim.shooting import timestep
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.forms import asked
+from orbisim.shooting.halving import exactly
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
+from orbisim.shooting.stepping import Stepping, stepping, with_stepping
 from orbisim.testing import inject_effect
 
 SERVO = """<mujoco><option timestep="{step}" integrator="implicitfast"/><worldbody>
@@ -40,6 +36,7 @@ SERVO = """<mujoco><option timestep="{step}" integrator="implicitfast"/><worldbo
 <actuator><position name="servo" joint="hinge" kp="4" kv=".2"/></actuator></mujoco>"""
 
 RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
+FAST = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
 
 
 def _scene(step: float) -> orbisim.Scene:
@@ -58,7 +55,7 @@ def test_a_step_that_is_too_long_is_shortened_instead_of_explained() -> None:
     runs = inject_effect(_scene(0.0005), [], duration=2.0, episodes=3, noise=5e-4, seed=1)
     result = orbisim.diagnose(_scene(0.01), runs, progress=False)
     assert result.verdict == "no_residual" and not result.effects
-    assert timestep.stepping(result.augmented_scene).timestep == pytest.approx(0.0005, rel=0.3)
+    assert stepping(result.augmented_scene).timestep == pytest.approx(0.0005, rel=0.3)
     assert any(
         "predict better than with the declared timestep of 0.01 s (implicitfast)" in n
         for n in result.notes
@@ -179,8 +176,7 @@ def test_a_step_that_is_right_stays() -> None:
     bench = make_bench(scene, prepare_all(runs, scene), 0.5)
     context, judged = _judged(bench)
     assert (
-        settled(context, judged) is None
-        and as_declared(context, judged, timestep.stepping(scene)) is None
+        settled(context, judged) is None and as_declared(context, judged, stepping(scene)) is None
     )
 
 
@@ -198,18 +194,18 @@ def test_a_step_does_not_stand_in_for_an_effect_in_the_end() -> None:
 def test_one_that_was_shortened_in_vain_grows_again() -> None:
     scene = _scene(0.005)
     runs = inject_effect(scene, [], duration=2.0, episodes=3, noise=5e-4, seed=1)
-    fine = timestep.with_stepping(scene, timestep.Stepping(0.00125, RK4))
+    fine = with_stepping(scene, Stepping(0.00125, RK4))
     bench = make_bench(fine, prepare_all(runs, fine), 0.5)
     context, judged = _judged(bench)
-    found = as_declared(context, judged, timestep.stepping(scene))
+    found = as_declared(context, judged, stepping(scene))
     assert found is not None
-    assert timestep.stepping(found[0].bench.scene) == timestep.stepping(scene)
+    assert stepping(found[0].bench.scene) == stepping(scene)
 
 
 def _in_exact_steps(
     scene: orbisim.Scene, runs: list[orbisim.Recording], step: float, *effects: EffectInstance
 ) -> tuple[Context, Judged]:
-    exact = timestep.with_stepping(scene, timestep.Stepping(step, RK4))
+    exact = with_stepping(scene, Stepping(step, RK4))
     bench = make_bench(exact, prepare_all(runs, exact), 0.5)
     context = begun(bench, Settings(), lambda _: None)
     judged = context.judge.judge(Hypothesis(effects))
@@ -223,11 +219,11 @@ def test_declared_steps_come_back_once_friction_shows_that_they_predict_better(
     """Long steps through dry friction are not exact; what they leave was named."""
     friction = EffectInstance("coulomb_friction", "elbow", {"torque": 0.0231})
     runs = inject_effect(arm, friction, duration=2.0, episodes=2, noise=1e-4, seed=4)
-    declared = timestep.stepping(arm)
+    declared = stepping(arm)
     context, judged = _in_exact_steps(arm, runs, 0.005, friction)
     found = settled(context, judged, declared)
     assert found is not None and found[1].ratio < 1.1 < 2.0 < judged.ratio
-    assert timestep.stepping(found[0].bench.scene) == declared
+    assert stepping(found[0].bench.scene) == declared
     assert settled(*found, declared) is None  # and stay
 
 
@@ -235,7 +231,7 @@ def test_declared_steps_do_not_come_back_where_exact_ones_predict_better() -> No
     runs = inject_effect(_scene(0.00025), [], duration=2.0, episodes=3, noise=5e-4, seed=1)
     scene = _scene(0.01)
     context, judged = _in_exact_steps(scene, runs, 0.01)
-    assert settled(context, judged, timestep.stepping(scene)) is None
+    assert settled(context, judged, stepping(scene)) is None
 
 
 def _commanded(seed: int, tick: float, early: float | None = None) -> orbisim.Recording:
@@ -326,7 +322,7 @@ def test_early_commands_take_the_place_of_a_late_sensor_that_reaches_the_noise()
     late = EffectInstance("sensor_delay", "hinge", {"delay": 0.007})
     named = context.judge.judge(Hypothesis((late,)), begin=context.judge.begin(declared))
     assert named is not None and done(context, named)
-    found = Found(context, *[timestep.stepping(scene)] * 2, declared, named)
+    found = Found(context, *[stepping(scene)] * 2, declared, named)
     found = simplified(dataclasses.replace(found, screening=context.screen(named)), 2)
     assert not found.best.hypothesis.effects and found.context.bench.lead
     assert found.context.bench.lead.share == pytest.approx(0.7, abs=0.05)
@@ -349,14 +345,14 @@ def test_delays_say_how_late_commands_would_be_in_their_place() -> None:
 def test_friction_is_as_dry_as_the_machines(dry: bool) -> None:
     """What a default of MuJoCo's does to a joint at rest is neither named nor put in its place."""
     made = _scene(0.001)
-    true = timestep.with_stepping(made, timestep.stepping(made)._replace(dry=dry))
+    true = with_stepping(made, stepping(made)._replace(dry=dry))
     friction = EffectInstance("coulomb_friction", "hinge", {"torque": 0.3})
     runs = inject_effect(true, [friction], duration=3.0, episodes=3, noise=1e-5, seed=5)
     context, declared = _judged(make_bench(made, prepare_all(runs, made), 0.5))
     named = context.judge.judge(Hypothesis((friction,)), begin=context.judge.begin(declared))
     assert named is not None
     found = settled(context, named)
-    assert (found is not None and timestep.stepping(found[0].bench.scene).dry) == dry
+    assert (found is not None and stepping(found[0].bench.scene).dry) == dry
     if found is not None:
         assert found[1].ratio < 0.7 * named.ratio
 
@@ -370,7 +366,7 @@ def test_steps_that_are_more_exact_are_found(true: float) -> None:
     context, judged = _judged(bench)
     found = settled(context, judged)
     assert found is not None and found[1].ratio < 1.06 < judged.ratio
-    taken = timestep.stepping(found[0].bench.scene)
+    taken = stepping(found[0].bench.scene)
     assert taken.integrator == RK4 or taken.timestep == pytest.approx(true, rel=0.3)
 
 
@@ -383,10 +379,10 @@ def test_steps_take_the_place_of_what_they_were_named_for_beside_an_effect() -> 
     context, both = _in_exact_steps(scene, runs, 0.005, spring, inertia)
     alone = context.judge.judge(Hypothesis((spring,)))
     assert alone is not None and 2.0 < both.ratio < 0.9 * alone.ratio
-    simpler = simplified(Found(context, *[timestep.stepping(scene)] * 2, both, both), 2)
+    simpler = simplified(Found(context, *[stepping(scene)] * 2, both, both), 2)
     assert [one.effect for one in simpler.best.hypothesis.effects] == ["joint_spring"]
     assert simpler.best.ratio < 1.05
-    taken = timestep.stepping(simpler.context.bench.scene)
+    taken = stepping(simpler.context.bench.scene)
     assert taken.integrator != RK4 and taken.timestep == pytest.approx(0.001, rel=0.05)
 
 
@@ -397,21 +393,21 @@ def test_a_search_takes_as_few_steps_as_hardly_matter_and_ends_in_those_given() 
     bench = make_bench(scene, prepare_all(runs, scene), 0.5)
     effects = Settings(effects=("coulomb_friction", "viscous_damping"))
     found = search(bench, effects)
-    assert found.given == timestep.stepping(scene)
+    assert found.given == stepping(scene)
     assert found.stepping.timestep >= 2 * found.given.timestep
     final = attribute(bench, effects)
-    assert timestep.stepping(final.bench.scene) == found.given
+    assert stepping(final.bench.scene) == found.given
     assert [one.effect for one in final.hypothesis.effects] == ["coulomb_friction"]
     assert final.hypothesis.effects[0].values["torque"] == pytest.approx(0.05, rel=0.1)
 
 
-def test_exact_steps_are_as_few_as_are_exact() -> None:
+def test_exact_steps_are_as_few_as_areexactly() -> None:
     runs = inject_effect(_scene(0.0005), [], duration=2.0, episodes=3, noise=1e-4, seed=1)
     scene = _scene(0.001)
-    found = _exact(make_bench(scene, prepare_all(runs, scene), 0.5))
+    found = exactly(make_bench(scene, prepare_all(runs, scene), 0.5))
     assert found is not None and timestep.is_exact(found)
-    assert timestep.stepping(found.scene).timestep == pytest.approx(0.01)
-    assert _exact(found) is None
+    assert stepping(found.scene).timestep == pytest.approx(0.01)
+    assert exactly(found) is None
 
 
 def test_a_step_is_halved_where_another_integrator_is_not_stable() -> None:
@@ -422,7 +418,7 @@ def test_a_step_is_halved_where_another_integrator_is_not_stable() -> None:
     context, judged = _judged(bench)
     found = settled(context, judged)
     assert found is not None
-    taken = timestep.stepping(found[0].bench.scene)
+    taken = stepping(found[0].bench.scene)
     assert taken.timestep < 0.006 and taken.integrator != RK4
 
 
@@ -440,7 +436,7 @@ def test_a_step_is_shortened_where_bodies_touch() -> None:
     found = settled(context, judged)
     assert found is not None and found[0].bench.contacts
     # held by another integrator, whose error is another one: a step of about the truth's
-    assert 0.0005 < timestep.stepping(found[0].bench.scene).timestep < 0.0012
+    assert 0.0005 < stepping(found[0].bench.scene).timestep < 0.0012
 
 
 def test_controls_that_hardly_change_are_not_asked() -> None:
@@ -486,5 +482,79 @@ def test_what_no_machine_has_in_another_form_is_left_out_there(
     assert judged is not None
     there = settled(context, judged)
     assert there is not None
-    assert timestep.stepping(there[0].bench.scene) != timestep.stepping(scene)
+    assert stepping(there[0].bench.scene) != stepping(scene)
     assert [one.effect for one in there[1].hypothesis.effects] == kept
+
+
+BOX = """<mujoco><option timestep="{step}" integrator="implicitfast" cone="{cone}"/><worldbody>
+<geom name="floor" type="plane" size="5 5 1" friction="0.5"/>
+<body name="box" pos="0 0 0.3"><freejoint name="box"/>
+<geom name="box" type="box" size="0.05 0.06 0.04" mass="0.5" friction="0.5"/></body></worldbody>
+</mujoco>"""
+
+
+def _boxes(step: float, cone: str, starts: list[list[float]]) -> Bench:
+    """What boxes do in steps of 0.25 ms with elliptic cones, of a scene that has others."""
+    truth, scene = (
+        orbisim.load_scene(BOX.format(step=one, cone=kind))
+        for one, kind in ((0.00025, "elliptic"), (step, cone))
+    )
+    runs = inject_effect(
+        truth, [], starts=starts, duration=0.6, episodes=len(starts), noise=1e-4, seed=3
+    )
+    return make_bench(scene, prepare_all(runs, scene), 0.3)
+
+
+@pytest.fixture(scope="module")
+def tossed() -> Bench:
+    rng = np.random.default_rng(2)
+    pose = [0.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0]
+    starts = [[*pose, *rng.normal(0, 1, 2), 0.5, *rng.normal(0, 4, 3)] for _ in range(6)]
+    return _boxes(0.004, "elliptic", starts)
+
+
+def test_where_bodies_touch_steps_that_matter_are_shortened_first(tossed: Bench) -> None:
+    """And what impacts leave unknown is asked anew in them: it is less."""
+    context, declared = _judged(tossed)
+    there, judged = resolved(context, declared)
+    assert timestep.taken(there.bench) < 0.6 * timestep.taken(tossed)
+    before, after = (one.windows.scatter for one in (tossed, there.bench))
+    assert before is not None and after is not None
+    assert np.median(after[before > 1]) < 0.7 * np.median(before[before > 1])
+    again = there.judge.judge(Hypothesis(), begin=there.judge.begin(judged))
+    assert again is not None and judged.loss < 1.1 * again.loss  # of what is unknown there
+
+
+def test_where_nothing_touches_or_steps_are_short_they_stay(tossed: Bench) -> None:
+    context, declared = _judged(make_bench(*_pendulum(), 0.5))
+    assert resolved(context, declared) == (context, declared)
+    fine = timestep.stepped(tossed, 0.00025)
+    context, declared = _judged(fine)
+    assert resolved(context, declared)[0] is context
+
+
+def _pendulum() -> tuple[orbisim.Scene, list[Samples]]:
+    scene = _scene(0.01)
+    runs = inject_effect(_scene(0.0005), [], duration=1.0, episodes=2, noise=5e-4, seed=1)
+    return scene, prepare_all(runs, scene)
+
+
+def test_friction_that_knows_no_directions_is_a_form_of_the_data() -> None:
+    """Of a box that slides along the edges of MuJoCo's pyramids, these slow down more."""
+    pose = [0.0, 0.0, 0.04, 1.0, 0.0, 0.0, 0.0]
+    starts = [[*pose, 1.5 * np.cos(a), 1.5 * np.sin(a), 0, 0, 0, 0] for a in (0.6, 0.8, 2.3, 4.0)]
+    bench = _boxes(0.001, "pyramidal", starts)
+    context, declared = _judged(bench)
+    form = settled(context, declared)
+    assert form is not None and stepping(form[0].bench.scene).round
+    assert form[1].loss < declared.loss
+    assert settled(*form) is None  # nothing is better still
+    back = as_declared(*form, stepping(bench.scene))
+    assert back is None  # pyramids are worth less
+
+
+def test_elliptic_cones_that_are_declared_stay() -> None:
+    pose = [0.0, 0.0, 0.04, 1.0, 0.0, 0.0, 0.0]
+    bench = _boxes(0.001, "elliptic", [[*pose, 1.0, 1.0, 0, 0, 0, 0]] * 2)
+    finer = timestep.stepped(bench, 0.0005)
+    assert stepping(finer.scene) == Stepping(0.0005, FAST, round=True)

@@ -15,17 +15,17 @@ from orbisim.testing import inject_effect
 
 
 @pytest.mark.parametrize(
-    ("gains", "place"),
+    ("left", "place"),
     [
-        ({0.0: 0.0, 0.05: 0.19, 0.5: 1.0}, 0.5),  # of 4 s (1 - s): where it is known
-        ({0.0: 0.0, 0.05: 3.5, 0.5: -10.0}, 0.2),  # of 80 s - 200 s²
-        ({0.0: 0.0, 0.05: 2.45, 0.5: 20.0}, 1.0),  # of 50 s - 20 s²: no further than an interval
-        ({0.0: 0.0, 0.05: -np.inf, 0.5: 1.0}, None),
-        ({0.0: 0.0, 0.05: 1.0, 0.5: 20.0}, None),  # the steeper the further: no peak
+        ({0.0: 2.0, 0.05: 1.81, 0.5: 1.0}, 0.5),  # 2 - 4 s (1 - s): where it is known
+        ({0.0: 9.0, 0.05: 5.5, 0.5: 19.0}, 0.2),  # 9 - 80 s + 200 s²
+        ({0.0: 30.0, 0.05: 27.55, 0.5: 10.0}, 1.0),  # 30 - 50 s + 20 s²: within an interval
+        ({0.0: 2.0, 0.05: np.inf, 0.5: 1.0}, None),
+        ({0.0: 30.0, 0.05: 29.0, 0.5: 10.0}, None),  # the steeper the further: no lowest point
     ],
 )
-def test_the_next_share_is_a_parabolas_peak(gains: dict[float, float], place: float | None) -> None:
-    found = peak(gains, 0.0, 1.0)
+def test_the_next_share_is_a_parabolas_peak(left: dict[float, float], place: float | None) -> None:
+    found = peak({at: -float(np.log(one)) for at, one in left.items()}, 0.0, 1.0)
     assert found == (None if place is None else pytest.approx(place, abs=0.02))
 
 

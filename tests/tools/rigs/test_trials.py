@@ -11,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -22,7 +23,7 @@ from processes import read_lines  # noqa: E402
 from rigs import instruments, running, scoring, stability  # noqa: E402
 from rigs.excitation import motion  # noqa: E402
 from rigs.machines import MACHINES  # noqa: E402
-from rigs.making import Wish, make, name_of  # noqa: E402
+from rigs.making import Wish, _free, _left, make, name_of  # noqa: E402
 from rigs.outcomes import Outcome  # noqa: E402
 from rigs.running import Job, jobs_of  # noqa: E402
 from rigs.truth import Run, Stepping, Truth  # noqa: E402
@@ -46,7 +47,7 @@ def log(arm: tuple[Truth, Run], *artefacts: str) -> dict[str, Any]:
 def test_a_trial_is_the_same_for_the_same_seed_and_says_nothing(tmp_path: Path) -> None:
     for out in (tmp_path / "a", tmp_path / "b"):
         made = make(NUMBER, 5, out, Wish(("served_ball",), "single"))
-        assert made["laws"] and made["visibility"] > 0
+        assert made["laws"] and made["visibility"] > 0 and made["distinct"] > 0
     folders = [tmp_path / x / "trials" / name_of(NUMBER) for x in "ab"]
     files = sorted(path.name for path in folders[0].iterdir())
     assert files[-1] == "scene.xml" and all(n.split("_")[0] in ("fit", "held") for n in files[:-1])
@@ -67,6 +68,46 @@ def test_artefacts_and_noise_change_nothing_else(tmp_path: Path) -> None:
     assert made["late"]["artefacts"] == ["jitter"] and not made["plain"]["artefacts"]
     assert made["loud"]["noise"] == 2 * made["plain"]["noise"]
     assert made["loud"]["visibility"] == pytest.approx(made["plain"]["visibility"] / 2, rel=1e-6)
+
+
+SLIDER = mujoco.MjModel.from_xml_string(
+    """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody><body>
+    <joint type="slide"/><geom size="0.1"/></body></worldbody></mujoco>"""
+)
+
+
+def test_free_runs_are_read_between_steps_too() -> None:
+    """A clock that is fast by a part of a step in a sample is seen as that."""
+    plain: Any = SimpleNamespace(model=SLIDER, applied=False)
+    run: Any = SimpleNamespace(sent=np.zeros((100, 0)))
+    at, start = 0.5004 + 0.01 * np.arange(5), np.array([0.2])
+    found = _free(plain, run, 1.03, 0.0, at, start, np.array([2.0]))
+    np.testing.assert_allclose(found[:, 0], 0.2 + 2.0 * 1.03 * (at - at[0]), atol=1e-12)
+
+
+def test_what_is_distinct_is_what_no_start_makes_and_no_impact_hides() -> None:
+    chain: Any = SimpleNamespace(noise=1e-3, rate=100.0)
+    time = np.linspace(0.0, 0.5, 51)[:, None]
+    still = np.zeros(1), np.zeros(1)
+
+    def straight(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return np.asarray(q + v * time)
+
+    def bent(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """After 0.25 s its way hangs on how far off the start is, to whichever side."""
+        return straight(q, v) + np.where(time > 0.25, 100 * np.abs(q), 0.0)
+
+    moved, curved = 0.1 + 0.3 * time, 0.4 * time**2
+    assert np.abs(_left(SLIDER, straight, still, straight(*still), moved, chain)).max() < 1e-6
+    seen = _left(SLIDER, straight, still, straight(*still), moved + curved, chain)
+    beside = curved - np.polynomial.Polynomial.fit(time[:, 0], curved[:, 0], 1)(time)
+    np.testing.assert_allclose(seen, beside / 1e-3, atol=1e-6)
+    hidden = np.where(time > 0.25, 1e-2, 0.0)
+    left = [
+        np.abs(_left(SLIDER, free, still, free(*still), hidden, chain)).max()
+        for free in (straight, bent)
+    ]
+    assert left[0] > 2.0 and left[1] < 0.25
 
 
 def test_clean_commands_change_exactly_at_samples(arm: tuple[Truth, Run]) -> None:
@@ -142,6 +183,15 @@ def test_names_are_judged() -> None:
     assert outcome([("b", "y"), ("a", "x")], "pair").all_found
     assert outcome([("sensor_delay", "x")], "none").needless
     assert not outcome([("sensor_delay", "x")], "none", ("sensor_delay",)).needless
+
+
+def test_of_those_that_show_some_are_distinct() -> None:
+    plain = outcome([])
+    assert plain.distinct  # where nothing else is known, what shows
+    hidden = dataclasses.replace(plain, truth={**plain.truth, "distinct": 0.3})
+    assert hidden.visible and not hidden.distinct
+    words = [line for line in scoring.summary([plain, hidden], []) if "leave unknown" in line]
+    assert len(words) == 1 and "0 of 1" in words[0]
 
 
 def test_a_declared_parameter_is_judged_as_the_effect_that_it_is() -> None:
