@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy.typing as npt
 
 from orbisim.effects import find
 from orbisim.errors import OrbiSimError
+from orbisim.host.deadline import TimeIsUpError
 from orbisim.motion.linear import Intervals, linearize
 from orbisim.motion.samples import extent
 from orbisim.shooting.bench import Bench
@@ -24,6 +26,7 @@ from orbisim.shooting.one_run import Own, glanced, moved_along, own_slopes
 from orbisim.shooting.retune import Tunable
 from orbisim.shooting.shooter import Shooter, Variant
 from orbisim.shooting.stepping import stepping
+from orbisim.shooting.timestep import stepped, taken
 from orbisim.shooting.windows import Windows, evenly
 
 Floats = npt.NDArray[np.float64]
@@ -131,7 +134,7 @@ class Judge:
         heavy: bool = False,
         chance: Callable[[], Chance | None] | None = None,
     ) -> None:
-        self.bench, self.chance = bench, chance
+        self.bench, self.chance, self.most = bench, chance, most
         self.robust = _IMPACTS if bench.contacts else None
         self.heavy = heavy or bench.contacts
         kept = evenly(bench.fit, most)
@@ -387,37 +390,53 @@ class Judge:
         return again if again is not None and again.loss < judged.loss else judged
 
     def as_sure(self, judged: Judged) -> Judged:
-        """Where bodies touch, the same with numbers of effects no surer than the cost rises a tenth
-        and a half beside them, all others and the starts fitted there (profile likelihood): a fit
+        """Where bodies touch, the same with numbers of effects no surer than they stay in half of
+        the step, and than the cost rises a tenth and a half beside them, all others and the starts
+        fitted there (profile likelihood): what a contact does depends on the step, and a fit
         through impacts ends in one of many narrow holes, whose width says nothing of how deep
-        others are. Far away, windows are also begun where they were measured to.
+        others are. Far away, windows are also begun where they were measured to. Where the time is
+        up, numbers are as sure as is known by then.
         """
         fit, hypothesis = judged.fit, judged.hypothesis
-        if not self.bench.contacts or is_structural(hypothesis):
+        if not self.bench.contacts or is_structural(hypothesis) or not hypothesis.effects:
             return judged
-        begin = self.begin(judged)
-        for k, (number, name) in enumerate(hypothesis.free(self.bench.scene)):
-            if _stepwise(hypothesis, number, name) or not fit.values[k]:
-                continue
-            for near in _BESIDE:
-                beside = []
-                for share in (-near, near):
-                    values = fit.values.copy()
-                    values[k] *= 1 + share
-                    for start in (begin, self.cold) if near == max(_BESIDE) else (begin,):
-                        with contextlib.suppress(OrbiSimError, np.linalg.LinAlgError):
-                            moved = hypothesis.at(self.bench.scene, values)
-                            held = dataclasses.replace(
-                                moved, frozen=moved.frozen | {(number, name)}
-                            )
-                            beside.append(self._fit(held, 2, start).square)
-                if beside:
-                    away = near * abs(float(fit.values[k]))
-                    fit = _no_surer(fit, k, min(beside) - fit.square, away)
+        for asked in (self._as_sure_as_steps, self._as_sure_as_costs):
+            with contextlib.suppress(TimeIsUpError):
+                for surer in asked(dataclasses.replace(judged, fit=fit)):
+                    fit = surer
         if fit is judged.fit:
             return judged
         same = judged.check_fit is judged.fit
         return dataclasses.replace(judged, fit=fit, check_fit=fit if same else judged.check_fit)
+
+    def _as_sure_as_steps(self, judged: Judged) -> Iterator[Fit]:
+        """Fits that are no surer than half of the step moves their numbers."""
+        fit, bench = judged.fit, stepped(self.bench, taken(self.bench) / 2.0)
+        there = Judge(bench, bench.intervals, most=self.most, heavy=self.heavy)
+        try:
+            finer = there._fit(judged.hypothesis, _FURTHER, self.begin(judged))
+        except (OrbiSimError, np.linalg.LinAlgError):
+            return
+        for k in range(len(judged.hypothesis.free(self.bench.scene))):
+            fit = _no_surer(fit, k, 0.0, float(finer.values[k] - fit.values[k]))
+            yield fit
+
+    def _as_sure_as_costs(self, judged: Judged) -> Iterator[Fit]:
+        """Fits that are no surer than the cost rises beside their numbers."""
+        fit, hypothesis, begin = judged.fit, judged.hypothesis, self.begin(judged)
+        for k, (number, name) in enumerate(hypothesis.free(self.bench.scene)):
+            for near in () if _stepwise(hypothesis, number, name) else _BESIDE:
+                beside, away = [], near * abs(float(fit.values[k]))
+                starts = (begin, self.cold) if near == max(_BESIDE) else (begin,)
+                for move, start in itertools.product((-away, away) if away else (), starts):
+                    values = fit.values + move * (np.arange(len(fit.values)) == k)
+                    with contextlib.suppress(OrbiSimError, np.linalg.LinAlgError):
+                        moved = hypothesis.at(self.bench.scene, values)
+                        held = dataclasses.replace(moved, frozen=moved.frozen | {(number, name)})
+                        beside.append(self._fit(held, 2, start).square)
+                if beside:
+                    fit = _no_surer(fit, k, min(beside) - fit.square, away)
+                    yield fit
 
     def glance(self, hypothesis: Hypothesis, begin: Beginning, every: bool = False) -> float:
         """As `sized_glance`, without the size."""

@@ -5,6 +5,7 @@ simulations say more.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from typing import Any
 
 import mujoco
@@ -16,15 +17,17 @@ import orbisim
 from orbisim.effects import EffectInstance
 from orbisim.effects.contacts import restitution_of
 from orbisim.errors import SceneError
+from orbisim.host.deadline import TimeIsUpError
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.confidence import confidence
-from orbisim.shooting.fits import Hints
+from orbisim.shooting.fits import Fit, Hints
 from orbisim.shooting.gauss_newton import Problem
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judge, Judged, _by_window
 from orbisim.shooting.retune import Tunable, retuned
 from orbisim.shooting.shooter import Variant
+from orbisim.shooting.timestep import stepped, taken
 from orbisim.testing import inject_effect
 
 HAMMER = """
@@ -332,6 +335,42 @@ def test_no_number_is_surer_than_its_cost_rises_beside_it(softened: tuple[Judge,
     assert np.all((deviation > 0.2) & (deviation < 5)), deviation
     wide = dataclasses.replace(found, fit=dataclasses.replace(narrow, covariance=np.eye(2) * 1e12))
     assert judge.as_sure(wide) is wide
+
+
+def test_no_number_is_surer_than_it_stays_in_half_of_the_step(
+    softened: tuple[Judge, Judged], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judge, _ = softened
+    found = judge.judge(Hypothesis((EffectInstance("restitution", "head", SOFT),)))
+    assert found is not None
+    narrow = dataclasses.replace(
+        found, fit=dataclasses.replace(found.fit, covariance=1e-12 * found.fit.covariance)
+    )
+    monkeypatch.setattr(Judge, "_as_sure_as_costs", lambda *_: iter(()))
+    wider = judge.as_sure(narrow)
+    finer = stepped(judge.bench, taken(judge.bench) / 2)
+    other = Judge(finer, finer.intervals, most=judge.most)
+    there = other.judge(found.hypothesis, 3, polish=False, begin=judge.begin(found))
+    assert there is not None
+    moved = np.abs(there.fit.values - found.fit.values)
+    np.testing.assert_allclose(np.sqrt(np.diag(wider.fit.covariance)), moved, rtol=0.05)
+
+
+def test_numbers_are_as_sure_as_is_known_when_the_time_is_up(
+    softened: tuple[Judge, Judged], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judge, _ = softened
+    found = judge.judge(Hypothesis((EffectInstance("restitution", "head", SOFT),)))
+    assert found is not None
+
+    def late(_: Judge, judged: Judged) -> Iterator[Fit]:
+        yield dataclasses.replace(judged.fit, covariance=7.0 * judged.fit.covariance)
+        raise TimeIsUpError
+
+    monkeypatch.setattr(Judge, "_as_sure_as_steps", late)
+    monkeypatch.setattr(Judge, "_as_sure_as_costs", late)
+    known = found.fit.covariance
+    np.testing.assert_allclose(judge.as_sure(found).fit.covariance, 49.0 * known)
 
 
 def test_where_nothing_touches_numbers_are_as_sure_as_the_fit_says(arm: orbisim.Scene) -> None:
