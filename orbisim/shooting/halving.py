@@ -73,8 +73,8 @@ def coarsest(bench: Bench, most: float, hypothesis: Hypothesis | None = None) ->
 
 def difference(bench: Bench, other: Bench, hypothesis: Hypothesis | None = None) -> float:
     """By how many times the noise free runs differ from those of another form of the same data, and
-    where bodies touch by how many times what noise and impacts leave unknown: of a typical window,
-    in the mean of the logarithms by which `Judged.loss` counts them.
+    where bodies touch by how many times what noise and impacts leave unknown: root mean square over
+    a typical window.
 
     Args:
       hypothesis: what acts beside the scene, as dry friction, which needs short steps where nothing
@@ -84,7 +84,8 @@ def difference(bench: Bench, other: Bench, hypothesis: Hypothesis | None = None)
 
 
 def _size(change: Floats) -> float:
-    return float(np.sqrt(np.expm1(np.log1p(np.mean(change**2, axis=1)).mean())))
+    """Root mean square over a typical window: some are thrown off, whatever the step."""
+    return float(np.median(np.sqrt(np.mean(change**2, axis=1))))
 
 
 def _change(bench: Bench, other: Bench, hypothesis: Hypothesis | None) -> Floats:
