@@ -14,7 +14,7 @@ from orbisim.effects.flags import disabled_of, impossible
 from orbisim.evidence import NEAR
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
-from orbisim.shooting.halving import halving
+from orbisim.shooting.halving import halving, matters
 from orbisim.shooting.judge import Judged
 from orbisim.shooting.remainder import told_as_noise
 from orbisim.shooting.stepping import stepping
@@ -29,13 +29,13 @@ def coarse_timestep(bench: Bench, residual: float) -> str | None:
       residual: of the declared scene, over the noise.
     """
     ratio = halving(bench)
-    if not ratio > max(_SHOWS, _PART * residual):
+    if not ratio > max(_SHOWS, _PART * residual) or not matters(bench, residual):
         return None
     step = float(bench.scene.model.opt.timestep)
     return (
         f"with half the timestep ({step / 2:g} s instead of {step:g} s) free runs differ by "
-        f"{ratio:.3g} times the noise: the timestep is too long for these data; shorten it in "
-        "<option timestep>"
+        f"{ratio:.3g} times the noise (through impacts: of it and what these leave unknown): the "
+        "timestep is too long for these data; shorten it in <option timestep>"
     )
 
 

@@ -7,12 +7,12 @@ logger, changes it somewhere between two samples, half an interval before the lo
 average; one that is logged by the loop that reads the sensors changes it a fixed part of an
 interval before. Sensors that are earlier than the clock would be named for that.
 
-So other steps, and controls that lead their samples, are moves like any other, with the odds of an
-effect. Steps, and changes by a clock that the log shows, come before effects: what no
-machine has is no reason to name what it may have. A share of an interval by which controls lead may
-stand in for a little of an effect that is missing: it is taken if no effect does more. All are
-undone where the scene or the log as it was is worth no less. While much is left, a search takes
-as few steps between samples as hardly show beside that (`coarsened`).
+So other steps, forms of friction (`Stepping`), and controls that lead their samples, are moves like
+any other, with the odds of an effect. Steps, and changes by a clock that the log shows, come before
+effects: what no machine has is no reason to name what it may have. A share of an interval by which
+controls lead may stand in for a little of an effect that is missing: it is taken if no effect does
+more. All are undone where the scene or the log as it was is worth no less. While much is left, a
+search takes as few steps between samples as hardly show beside that (`coarsened`).
 """
 
 from __future__ import annotations
@@ -25,11 +25,10 @@ import numpy as np
 
 from orbisim.diagnosis.context import Context
 from orbisim.diagnosis.worth import gains, worth
-from orbisim.effects import find
 from orbisim.evidence import EFFECT
 from orbisim.recording.command_clock import Lead
 from orbisim.shooting.bench import Bench
-from orbisim.shooting.forms import command_clock, linearized
+from orbisim.shooting.forms import command_clock, foreseen_anew, linearized, untimed
 from orbisim.shooting.halving import MATTERS, coarsest, difference, exactly, matters
 from orbisim.shooting.judge import Judged
 from orbisim.shooting.stepping import Stepping, stepping
@@ -110,25 +109,12 @@ def earlier(context: Context, judged: Judged) -> Other | None:
 def _led(context: Context, judged: Judged, lead: Lead, tried: Sequence[float]) -> Iterator[Other]:
     """With a lead by the share of an interval that predicts best, and the step that then does: the
     same explanation, and what it is without effects that change when things are seen or done."""
-    for one, more in ((judged, ()), *_untimed(context.bench, judged)):
+    for one, more in ((judged, ()), *untimed(context.bench, judged)):
         near = (share for share in more if abs(share) <= _most(lead))
         other = _begun(context, one, lead, (*tried, *near))
         if other is not None and other[0].bench.lead:
             there, found = _followed(*other, within=bool(more)) or other
             yield there, there.judge.closer(found)
-
-
-def _untimed(bench: Bench, judged: Judged) -> Iterator[tuple[Judged, Sequence[float]]]:
-    """Without the effects that change when things are seen or done, if there are some, and the
-    share that their mean delay makes. All else is as it is: fitted without them, before commands
-    have moved, others would go where they do that."""
-    every = judged.hypothesis.effects
-    delays = [one.values["delay"] for one in every if find(one.effect).timing]
-    if delays:
-        kept = tuple(one for one in every if not find(one.effect).timing)
-        fewer = dataclasses.replace(judged.hypothesis, effects=kept, frozen=frozenset())
-        share = -float(np.mean(delays)) / typical_interval(bench)
-        yield dataclasses.replace(judged, hypothesis=fewer), [share]
 
 
 def _followed(context: Context, judged: Judged, within: bool = False) -> Other | None:
@@ -139,7 +125,8 @@ def _followed(context: Context, judged: Judged, within: bool = False) -> Other |
       within: as of `_finer`.
     """
     found, finer = None, functools.partial(_finer, within=within)
-    frictions = ("dry", "round") if context.bench.contacts else ("dry",)
+    frictions = ["dry"] if judged.hypothesis.rubs(context.bench.scene) else []
+    frictions += ["round"] if context.bench.contacts else []
     while True:
         tried = [form(context, judged) for form in (finer, _held, _retimed)]
         tried += [_rubbed(context, judged, **{form: True}) for form in frictions]
@@ -185,12 +172,14 @@ def as_declared(context: Context, judged: Judged, declared: Stepping) -> Other |
     def logged(bench: Bench) -> Bench | None:
         return bench.led(Lead()) if bench.lead else None
 
-    def softer(bench: Bench) -> Bench | None:
-        less = stepping(bench.scene)._replace(dry=declared.dry, round=declared.round)
-        return None if less == stepping(bench.scene) else stepped(bench, **less._asdict())
+    def softer(bench: Bench, form: str) -> Bench | None:
+        known = stepping(bench.scene)
+        more = getattr(known, form) > getattr(declared, form)
+        return stepped(bench, known.timestep, **{form: False}) if more else None
 
-    found = None
-    for change in (logged, softer, coarser):
+    found, soft = None, (functools.partial(softer, form=form) for form in ("dry", "round"))
+    changes: tuple[Callable[[Bench], Bench | None], ...] = (logged, *soft, coarser)
+    for change in changes:
         while (one := _again(context, judged, change)) is not None:
             if not worth(context.bench, judged, one[1]).total - EFFECT > 0:
                 break
@@ -203,8 +192,7 @@ def _again(
 ) -> Other | None:
     """An explanation, fitted again with another form of the data, without effects that are
     impossible in it (`Judge.possible`); None where there is none. The derivatives that a fit begins
-    with are those along the form that there was: they hardly differ, and to take them anew takes
-    longer than the fit."""
+    with are those along the form that there was: they hardly differ, and take longer than it."""
     bench = change(context.bench)
     if bench is None:
         return None
@@ -214,11 +202,17 @@ def _again(
 
 
 def _taken(one: Other) -> Other:
-    """With derivatives along the form that was tried, and what impacts leave unknown of it."""
+    """With derivatives along the form that was tried."""
     context, judged = one
-    there = context.on(linearized(context.bench))
-    if there.bench.windows is context.bench.windows:
-        return there, judged
+    return context.on(linearized(context.bench)), judged
+
+
+def reasked(context: Context, judged: Judged) -> Other:
+    """In a form that was taken, and compared by what impacts left unknown before: with what they do
+    there (less, in finer steps), and fitted again."""
+    there = context.on(foreseen_anew(context.bench))
+    if there.bench is context.bench:
+        return context, judged
     return there, there.judge.judge(judged.hypothesis, begin=there.judge.begin(judged)) or judged
 
 
@@ -233,7 +227,8 @@ def _finer(context: Context, judged: Judged, within: bool = False) -> Other | No
       within: whether it is compared with what has no commands that change within steps, which blur
         them however little they do else.
     """
-    if not within and not matters(context.bench, judged.ratio, judged.hypothesis):
+    enough = context.bench.contacts and taken(context.bench) <= _SHORT_FOR_IMPACTS
+    if enough or not (within or matters(context.bench, judged.ratio, judged.hypothesis)):
         return None
     step, best, bench, fitted = taken(context.bench), 0.0, context.bench, None
     for _ in range(_HALVINGS):
@@ -253,7 +248,8 @@ def resolved(context: Context, judged: Judged) -> Other:
     """Where bodies touch, the declared scene in finer steps, if these surely predict better: before
     starts are looked for again, as these make up for a part of the error of a step."""
     finer = _finer(context, judged) if context.bench.contacts else None
-    return _surest(context, judged, [finer]) or (context, judged)
+    found = _surest(context, judged, [finer])
+    return (context, judged) if found is None else reasked(*found)
 
 
 def _held(context: Context, judged: Judged) -> Other | None:
@@ -335,8 +331,8 @@ the shortest, which is as good as exact, and by which steps differ that are trie
 _HALVINGS = 5
 """At once: a simulation takes as many times as long."""
 _SHORT_FOR_IMPACTS = 4e-4
-"""Steps, s, that are as short as they get where bodies touch: a fiftieth of the time constant of
-MuJoCo's contacts, 20 ms by default."""
+"""Steps, s, that are short enough where bodies touch: a fiftieth of the time constant of MuJoCo's
+contacts, 20 ms by default."""
 
 
 def _begun(context: Context, judged: Judged, lead: Lead, tried: Sequence[float]) -> Other | None:

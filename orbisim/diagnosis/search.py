@@ -53,10 +53,11 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
         return found
     try:
         context, declared = resolved(context, declared)
+        found = Found(context, given, given, declared, declared)
         last = _to_the_end(context, declared)
         if quiet(settings, last):
-            return dataclasses.replace(found, context=context, declared=last, best=last)
-        found = Found(context.with_tunables(), given, given, declared, declared)
+            return dataclasses.replace(found, declared=last, best=last)
+        found = dataclasses.replace(found, context=context.with_tunables())
         say("screening effects")
         found = _coarsened(found)
         found = _in_best_form(found)

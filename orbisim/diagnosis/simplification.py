@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbisim.diagnosis.context import Context
-from orbisim.diagnosis.discretization import as_declared, earlier, settled
+from orbisim.diagnosis.discretization import as_declared, earlier, reasked, settled
 from orbisim.diagnosis.explanations import (
     EVEN,
     FEW,
@@ -66,12 +66,15 @@ def _timed(found: Found, number: int) -> Found:
 def in_form(found: Found, other: tuple[Context, Judged]) -> Found:
     """With another timestep, or controls that change at other times."""
     context, best = other
+    bare = not (best.hypothesis.effects or best.hypothesis.factors)
     found = dataclasses.replace(found, context=context, best=best)
-    if best.hypothesis.effects or best.hypothesis.factors:
-        return found
-    found = dataclasses.replace(found, declared=best)
+    found = dataclasses.replace(found, declared=best) if bare else found
     try:
-        return dataclasses.replace(found, screening=context.screen(best))
+        context, best = reasked(context, best)
+        again = None if bare or context is other[0] else context.judge.judge(Hypothesis())
+        declared = best if bare else again or found.declared
+        found = dataclasses.replace(found, context=context, best=best, declared=declared)
+        return dataclasses.replace(found, screening=context.screen(best)) if bare else found
     except TimeIsUpError:
         return dataclasses.replace(found, late=True)
 

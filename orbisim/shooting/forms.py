@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from orbisim.effects import find
 from orbisim.motion.linear import IntervalMap, linearize
 from orbisim.recording.command_clock import Lead
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.cutting import wrongly_lost
 from orbisim.shooting.impacts import foreseen
+from orbisim.shooting.judge import Judged
+from orbisim.shooting.timestep import typical_interval
 
 
 def asked(bench: Bench) -> Bench:
@@ -60,11 +64,31 @@ def read_as(bench: Bench, like: Bench) -> Bench:
 
 
 def linearized(bench: Bench) -> Bench:
-    """With derivatives along its scene, and what impacts leave unknown of its steps."""
+    """With derivatives along its scene."""
     flow = IntervalMap(bench.scene, bench.samples, bench.rows, deadline=bench.deadline)
-    there = dataclasses.replace(bench, intervals=linearize(flow))
+    return dataclasses.replace(bench, intervals=linearize(flow))
+
+
+def foreseen_anew(bench: Bench) -> Bench:
+    """With what impacts leave unknown of its windows as its scene is stepped now, and with how far
+    these can be predicted; itself where nothing touches."""
     if bench.windows.scatter is None:
-        return there
-    shooter = there.shooter(np.ones(len(bench.windows), bool))
-    windows = foreseen(shooter, there.intervals, bench.windows, bench.noise)
-    return dataclasses.replace(there, windows=wrongly_lost(shooter, windows, bench.noise))
+        return bench
+    whole = dataclasses.replace(bench.windows, horizon=None, scatter=None)
+    every = np.ones(len(whole), bool)
+    shooter = dataclasses.replace(bench, windows=whole).shooter(every)
+    windows = foreseen(shooter, bench.intervals, whole, bench.noise)
+    return dataclasses.replace(bench, windows=wrongly_lost(shooter, windows, bench.noise))
+
+
+def untimed(bench: Bench, judged: Judged) -> Iterator[tuple[Judged, Sequence[float]]]:
+    """Without the effects that change when things are seen or done, if there are some, and the
+    share that their mean delay makes. All else is as it is: fitted without them, before commands
+    have moved, others would go where they do that."""
+    every = judged.hypothesis.effects
+    delays = [one.values["delay"] for one in every if find(one.effect).timing]
+    if delays:
+        kept = tuple(one for one in every if not find(one.effect).timing)
+        fewer = dataclasses.replace(judged.hypothesis, effects=kept, frozen=frozenset())
+        share = -float(np.mean(delays)) / typical_interval(bench)
+        yield dataclasses.replace(judged, hypothesis=fewer), [share]

@@ -31,19 +31,25 @@ def matters(bench: Bench, ratio: float, hypothesis: Hypothesis | None = None) ->
     """
     finer = stepped(bench, taken(bench) / 2.0)
     change = _change(bench, finer, hypothesis)
-    if 2.0 * _size(change) <= MATTERS * max(ratio, 1.0):
+    if not _large(change, ratio):
         return False
     if not bench.contacts:
         return True
     further = _change(finer, stepped(finer, taken(finer) / 2.0), hypothesis)
     along = np.sum(change * further, axis=1) / np.maximum(np.sum(change**2, axis=1), 1e-300)
-    return bool(np.median(along) > _GOES_ON)
+    return bool(np.median(along) > (0.0 if is_exact(bench) else _GOES_ON))
+
+
+def _large(change: Floats, ratio: float) -> bool:
+    """Whether what half of a step changes matters beside so much, over the noise; so does what is
+    no number."""
+    return not 2.0 * _size(change) <= MATTERS * max(ratio, 1.0)
 
 
 _GOES_ON = 0.25
 """What a quarter of the step changes in the direction of what half of it does, over that, at least,
-in a typical window: half of it in theory, of MuJoCo's integrators but RK4 (0.43 to 0.5 of boxes and
-balls that are thrown, -0.3 to 0.1 of pucks that rock while they slide)."""
+in a typical window: half of it in theory, of MuJoCo's integrators but RK4, of which it is little
+(0.43 to 0.5 of boxes and balls in flight, -0.3 to 0.1 of pucks that rock while they slide)."""
 MATTERS = 0.25
 """Error of a step, over what is left (at least the noise), that matters: three hundredths of that
 are the step's then. While effects are missing, a coarser one does, and simulates faster."""
@@ -54,8 +60,13 @@ def exactly(bench: Bench) -> Bench | None:
     if is_exact(bench) or not matters(bench, 1.0):
         return None
     most = round(typical_interval(bench) / taken(bench))
-    tried = (exact(bench, 2**k) for k in range(int(np.log2(most)) + 1))
-    return next((other for other in tried if not matters(other, 1.0)), None)
+
+    def is_enough(other: Bench) -> bool:
+        return not _large(_change(other, stepped(other, taken(other) / 2.0), None), 1.0)
+
+    return next(
+        filter(is_enough, (exact(bench, 2**k) for k in range(int(np.log2(most)) + 1))), None
+    )
 
 
 def coarsest(bench: Bench, most: float, hypothesis: Hypothesis | None = None) -> Bench:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Mapping
 
+import mujoco
 import numpy as np
 import numpy.typing as npt
 
@@ -59,6 +60,12 @@ class Hypothesis:
             if (one.kind, one.target) != (same, instance.target)
         )
         return dataclasses.replace(self, effects=(*self.effects, instance), factors=kept)
+
+    def rubs(self, declared: Scene) -> bool:
+        """Whether there is dry friction at joints, declared or of an effect."""
+        own = (find(one.effect).needs for one in self.effects)
+        flag = mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
+        return bool(declared.model.dof_frictionloss.any()) or any(flag in needs for needs in own)
 
     def little(self, declared: Scene, other: Hypothesis) -> Hypothesis | None:
         """With next to nothing of the effects that another one does not have; None if there are

@@ -2,11 +2,11 @@
 
 An impact is a matter of fractions of a millimetre and of a millisecond: a start that is off by a
 part of the noise, or a step half as long, gives another impulse, and what comes after it is
-another motion. How much another is measured here, in free runs of the declared scene: from starts
-beside a window's, and in half the step. Both grow with what the signal does by itself, and nothing
-in a fit makes them smaller, so that they count as a second noise (`Windows.scatter`), with a
-standard deviation of its own at each sample. Where even the mean is unknown, a window ends
-(`Windows.horizon`).
+another motion. How much another is measured here, in free runs of the declared scene and anew of
+each form of it that is taken: from starts beside a window's, and in half the step. Both grow with
+what the signal does by itself, and nothing in a fit makes them smaller, so that they count as a
+second noise (`Windows.scatter`), with a standard deviation of its own at each sample. Where even
+the mean is unknown, a window ends (`Windows.horizon`).
 """
 
 from __future__ import annotations

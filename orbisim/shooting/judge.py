@@ -391,11 +391,11 @@ class Judge:
 
     def as_sure(self, judged: Judged) -> Judged:
         """Where bodies touch, the same with numbers of effects no surer than they stay in half of
-        the step, and than the cost rises a tenth and a half beside them, all others and the starts
-        fitted there (profile likelihood): what a contact does depends on the step, and a fit
-        through impacts ends in one of many narrow holes, whose width says nothing of how deep
-        others are. Far away, windows are also begun where they were measured to. Where the time is
-        up, numbers are as sure as is known by then.
+        the step, and than the cost rises a tenth of each and half of it beside them, all others
+        and the starts fitted there (profile likelihood): what a contact does depends on the step,
+        and a fit through impacts ends in one of many narrow holes, whose width says nothing of how
+        deep others are. Far away, windows are also begun where they were measured to. Where the
+        time is up, numbers are as sure as is known by then.
         """
         fit, hypothesis = judged.fit, judged.hypothesis
         if not self.bench.contacts or is_structural(hypothesis) or not hypothesis.effects:
@@ -412,6 +412,7 @@ class Judge:
     def _as_sure_as_steps(self, judged: Judged) -> Iterator[Fit]:
         """Fits that are no surer than half of the step moves their numbers."""
         fit, bench = judged.fit, stepped(self.bench, taken(self.bench) / 2.0)
+        # without declared parameters: what these change is not used where bodies touch
         there = Judge(bench, bench.intervals, most=self.most, heavy=self.heavy)
         try:
             finer = there._fit(judged.hypothesis, _FURTHER, self.begin(judged))
@@ -816,7 +817,8 @@ _FURTHER_OR_LESS = ((1.0, 2.0, 4.0), (0.3,), (0.1,))
 """Of a fit's step, that a restart tries: ever more as long as that leaves less, or else less."""
 _BESIDE = (0.1, 0.5)
 """How far beside a number of an effect its cost is looked at, over what it is: as far as numbers of
-fits through impacts that begin elsewhere differ, and beyond the holes that single impacts make."""
+fits through impacts that begin elsewhere differ, beyond the holes that single impacts make; and as
+far as another of many minima may lie."""
 _LITTLE = 0.99
 """Share of what a fit leaves that is hardly less."""
 _GRID_STEPS = 12

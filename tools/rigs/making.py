@@ -343,7 +343,7 @@ def _visibility(plain: Truth, chain: Chain, runs: list[Run], laws: list[Law]) ->
             free = functools.partial(_free, plain, run, clock, chain.late, at[rows])
             base = free(qpos[first], qvel[first])
             errors.append(_difference(model, base, qpos[rows]))
-            if number == 0:  # of the others as much is left, and it takes long
+            if number == 0 or len(left) == 1:  # one run is enough: 4 nv more runs for each window
                 left.append(_left(model, free, (qpos[first], qvel[first]), base, errors[-1], chain))
     rms = [
         np.sqrt(np.mean(np.concatenate(some[1:] or some) ** 2, axis=0)) for some in (errors, left)
@@ -360,12 +360,13 @@ def _left(
     chain: Chain,
 ) -> Floats:
     """[T, nv]: an error that the best start leaves in linear approximation, over the noise and what
-    runs from starts to either side, off by half of what one sample leaves unknown of them, bend.
+    runs from starts to either side, off by half of what one sample leaves unknown of them, bend
+    (of speeds, the noise over four sampling intervals: one is not told from two positions).
 
     Args:
       free: a run from a start. base: the one from this start.
     """
-    nv, size = model.nv, chain.noise * np.array([1.0, chain.rate / 4.0]) / 2.0  # speeds by four
+    nv, size = model.nv, chain.noise * np.array([1.0, chain.rate / 4.0]) / 2.0
     slopes, bends = np.empty((2 * nv, *error.shape)), np.ones_like(error)
     for k, move in enumerate(np.kron(np.diag(size), np.eye(nv))):
         sides = []
