@@ -144,11 +144,10 @@ def _surest(context: Context, judged: Judged, tried: Iterable[Other | None]) -> 
     best = max(range(len(found)), key=lambda i: known[i].sure, default=None)
     if best is None or not known[best].sure + EFFECT > 0:
         return None
-    if bench.contacts:
-        again = judge.judge(judged.hypothesis, begin=judge.begin(found[best][1]))
-        if again is not None and not worth(bench, again, found[best][1]).sure + EFFECT > 0:
-            return None
-    return _taken(found[best])
+    there = found[best][1]
+    again = judge.judge(judged.hypothesis, begin=judge.begin(there)) if bench.contacts else None
+    sure = again is None or worth(bench, again, there).sure + EFFECT > 0
+    return _taken(found[best]) if sure else None
 
 
 def as_declared(context: Context, judged: Judged, declared: Stepping) -> Other | None:
@@ -210,9 +209,10 @@ def _taken(one: Other) -> Other:
 def reasked(context: Context, judged: Judged) -> Other:
     """In a form that was taken, and compared by what impacts left unknown before: with what they do
     there (less, in finer steps), and fitted again."""
-    there = context.on(foreseen_anew(context.bench))
-    if there.bench is context.bench:
+    bench = foreseen_anew(context.bench)
+    if bench is context.bench:
         return context, judged
+    there = context.on(bench)
     return there, there.judge.judge(judged.hypothesis, begin=there.judge.begin(judged)) or judged
 
 
