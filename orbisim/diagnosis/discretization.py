@@ -29,7 +29,7 @@ from orbisim.evidence import EFFECT
 from orbisim.recording.command_clock import Lead
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.forms import command_clock, foreseen_anew, linearized, untimed
-from orbisim.shooting.halving import MATTERS, coarsest, difference, exactly, matters
+from orbisim.shooting.halving import MATTERS, coarsest, difference, exact_enough, matters
 from orbisim.shooting.judge import Judged
 from orbisim.shooting.stepping import Stepping, stepping
 from orbisim.shooting.timestep import held, peak, stepped, taken, typical_interval
@@ -55,7 +55,7 @@ def settled(context: Context, judged: Judged, declared: Stepping | None = None) 
 def _exactly(context: Context, judged: Judged) -> Other | None:
     """The same explanation in exact steps, if these are needed and worth more. They need not be
     sure: they are what the scene says, and forces half a step early look like a sensor's time."""
-    found = _again(context, judged, exactly)
+    found = _again(context, judged, exact_enough)
     if found is None or not worth(context.bench, judged, found[1]).total + EFFECT > 0:
         return None
     return _taken(found)
@@ -126,10 +126,10 @@ def _followed(context: Context, judged: Judged, within: bool = False) -> Other |
     """
     found, finer = None, functools.partial(_finer, within=within)
     frictions = ["dry"] if judged.hypothesis.rubs(context.bench.scene) else []
-    frictions += ["round"] if context.bench.contacts else []
+    frictions += ["elliptic"] if context.bench.contacts else []
     while True:
         tried = [form(context, judged) for form in (finer, _held, _retimed)]
-        tried += [_rubbed(context, judged, **{form: True}) for form in frictions]
+        tried += [_other_friction(context, judged, **{form: True}) for form in frictions]
         better = _surest(context, judged, tried)
         if better is None:
             return found
@@ -176,7 +176,7 @@ def as_declared(context: Context, judged: Judged, declared: Stepping) -> Other |
         more = getattr(known, form) > getattr(declared, form)
         return stepped(bench, known.timestep, **{form: False}) if more else None
 
-    found, soft = None, (functools.partial(softer, form=form) for form in ("dry", "round"))
+    found, soft = None, (functools.partial(softer, form=form) for form in ("dry", "elliptic"))
     changes: tuple[Callable[[Bench], Bench | None], ...] = (logged, *soft, coarser)
     for change in changes:
         while (one := _again(context, judged, change)) is not None:
@@ -268,10 +268,10 @@ def _held(context: Context, judged: Judged) -> Other | None:
     return _best(context, judged, held, (long / 2.0, long), (0.0,), ends, long / _LIKE, 1)
 
 
-def _rubbed(context: Context, judged: Judged, **form: bool) -> Other | None:
+def _other_friction(context: Context, judged: Judged, **form: bool) -> Other | None:
     """The same explanation with another form of friction (`Stepping`), where that matters: `dry`,
     as a simulated machine may have it (what that does at rest would be named, or hide what tells
-    one friction from another), or `round`, as no floor knows directions, and what friction along
+    one friction from another), or `elliptic`, as no floor knows directions, and what friction along
     the edges of a pyramid is larger by would be named."""
     known = stepping(context.bench.scene)
     other = stepped(context.bench, known.timestep, **form)
@@ -339,7 +339,7 @@ def _begun(context: Context, judged: Judged, lead: Lead, tried: Sequence[float])
     """With the lead that predicts best, of the steps that there are or of exact ones. Forces act
     half a step early: a step that is too long may happen to make up for when controls change, and
     then neither is better without the other."""
-    benches = [one for one in (context.bench, exactly(context.bench)) if one is not None]
+    benches = [one for one in (context.bench, exact_enough(context.bench)) if one is not None]
     forms = [_led_best(context.trying(one), judged, lead, tried) for one in benches]
     return min((one for one in forms if one), key=lambda one: one[1].loss, default=None)
 

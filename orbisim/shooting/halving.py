@@ -55,7 +55,7 @@ MATTERS = 0.25
 are the step's then. While effects are missing, a coarser one does, and simulates faster."""
 
 
-def exactly(bench: Bench) -> Bench | None:
+def exact_enough(bench: Bench) -> Bench | None:
     """In exact steps, as few as are; None if those that there are do, or none are (stiff)."""
     if is_exact(bench) or not matters(bench, 1.0):
         return None

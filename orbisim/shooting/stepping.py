@@ -21,18 +21,18 @@ class Stepping(NamedTuple):
       dry: whether friction loss stops a joint within two timesteps, the shortest `solreffriction`
         that MuJoCo takes, where its document leaves the default of 20 ms. With that, a joint that
         comes to rest creeps on for F / (2 m b^2), b = 105/s, beyond where friction F stops it.
-      round: whether friction cones of contacts are elliptic, as Coulomb's law has them, and not
+      elliptic: whether friction cones of contacts are elliptic, as Coulomb's law has them, and not
         MuJoCo's default pyramids, along whose edges friction is up to 1.41 times as large.
     """
 
     timestep: float
     integrator: int
     dry: bool = False
-    round: bool = False
+    elliptic: bool = False
 
     def __str__(self) -> str:
         dry = ", friction that stops joints within two steps: solreffriction" if self.dry else ""
-        cone = ", elliptic friction cones" if self.round else ""
+        cone = ", elliptic friction cones" if self.elliptic else ""
         return f"timestep of {self.timestep:.3g} s ({_NAMES[self.integrator]}{dry}{cone})"
 
 
@@ -51,8 +51,8 @@ def stepping(scene: Scene) -> Stepping:
     dry = _short(option.timestep) < _SOFT[0] and bool(
         np.any((known[:, 0] == _short(option.timestep)) & (known[:, 1] == _SOFT[1]))
     )
-    elliptic = option.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
-    return Stepping(float(option.timestep), int(option.integrator), dry, bool(elliptic))
+    elliptic = bool(option.cone == mujoco.mjtCone.mjCONE_ELLIPTIC)
+    return Stepping(float(option.timestep), int(option.integrator), dry, elliptic)
 
 
 def _short(timestep: float) -> float:
@@ -70,7 +70,7 @@ def with_stepping(scene: Scene, other: Stepping) -> Scene:
     keep_late(spec, scene.model, other.timestep, other.integrator)
     spec.option.timestep, spec.option.integrator = other.timestep, other.integrator
     cones = mujoco.mjtCone.mjCONE_ELLIPTIC, mujoco.mjtCone.mjCONE_PYRAMIDAL
-    spec.option.cone = cones[0] if other.round else cones[1]
+    spec.option.cone = cones[0] if other.elliptic else cones[1]
     for joint in spec.joints:
         if joint.solref_friction[0] in ends and joint.solref_friction[1] == _SOFT[1]:
             joint.solref_friction[0] = _short(other.timestep) if other.dry else _SOFT[0]

@@ -25,7 +25,7 @@ from orbisim.recording.command_clock import Lead
 from orbisim.shooting import timestep
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.forms import asked, foreseen_anew, untimed
-from orbisim.shooting.halving import exactly
+from orbisim.shooting.halving import exact_enough
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
 from orbisim.shooting.stepping import Stepping, stepping, with_stepping
@@ -405,10 +405,10 @@ def test_a_search_takes_as_few_steps_as_hardly_matter_and_ends_in_those_given() 
 def test_exact_steps_are_as_few_as_are_exact() -> None:
     runs = inject_effect(_scene(0.0005), [], duration=2.0, episodes=3, noise=1e-4, seed=1)
     scene = _scene(0.001)
-    found = exactly(make_bench(scene, prepare_all(runs, scene), 0.5))
+    found = exact_enough(make_bench(scene, prepare_all(runs, scene), 0.5))
     assert found is not None and timestep.is_exact(found)
     assert stepping(found.scene).timestep == pytest.approx(0.01)
-    assert exactly(found) is None
+    assert exact_enough(found) is None
 
 
 def test_a_step_is_halved_where_another_integrator_is_not_stable() -> None:
@@ -554,7 +554,7 @@ def test_friction_that_knows_no_directions_is_a_form_of_the_data() -> None:
     bench = _boxes(0.001, "pyramidal", starts)
     context, declared = _judged(bench)
     form = settled(context, declared)
-    assert form is not None and stepping(form[0].bench.scene).round
+    assert form is not None and stepping(form[0].bench.scene).elliptic
     assert form[1].loss < declared.loss
     assert settled(*form) is None  # nothing is better still
     back = as_declared(*form, stepping(bench.scene))
@@ -565,11 +565,11 @@ def test_elliptic_cones_that_are_declared_stay() -> None:
     pose = [0.0, 0.0, 0.04, 1.0, 0.0, 0.0, 0.0]
     bench = _boxes(0.001, "elliptic", [[*pose, 1.0, 1.0, 0, 0, 0, 0]] * 2)
     finer = timestep.stepped(bench, 0.0005)
-    assert stepping(finer.scene) == Stepping(0.0005, FAST, round=True)
+    assert stepping(finer.scene) == Stepping(0.0005, FAST, elliptic=True)
     context, declared = _judged(bench)
-    assert discretization._rubbed(context, declared, round=True) is None
+    assert discretization._other_friction(context, declared, elliptic=True) is None
     back = as_declared(context, declared, stepping(bench.scene))
-    assert back is None or stepping(back[0].bench.scene).round
+    assert back is None or stepping(back[0].bench.scene).elliptic
 
 
 def test_a_form_that_gains_no_more_than_a_fit_from_its_starts_is_not_taken(tossed: Bench) -> None:
@@ -588,14 +588,14 @@ def test_forms_of_friction_go_back_one_by_one_and_no_further_than_declared(
     tried = list[Stepping]()
 
     def again(_: Context, __: Judged, change: Any) -> None:
-        bench = change(timestep.stepped(tossed, 0.004, dry=True, round=True))
+        bench = change(timestep.stepped(tossed, 0.004, dry=True, elliptic=True))
         tried.extend([] if bench is None else [stepping(bench.scene)])
 
     monkeypatch.setattr(discretization, "_again", again)
     context, judged = _judged(tossed)
-    known = stepping(tossed.scene)._replace(timestep=0.004, dry=declared, round=declared)
+    known = stepping(tossed.scene)._replace(timestep=0.004, dry=declared, elliptic=declared)
     assert as_declared(context, judged, known) is None
-    forms = {(one.dry, one.round) for one in tried}
+    forms = {(one.dry, one.elliptic) for one in tried}
     assert forms <= {(True, True)} if declared else forms >= {(False, True), (True, False)}
 
 
@@ -611,5 +611,5 @@ def test_what_impacts_leave_unknown_is_the_same_for_the_same_steps(tossed: Bench
 
 def test_where_bodies_touch_exact_steps_are_none_that_are_off(tossed: Bench) -> None:
     """A thrown box is not exact in one step of Runge and Kutta's between samples."""
-    found = exactly(tossed)
+    found = exact_enough(tossed)
     assert found is None or timestep.taken(found) < 0.005

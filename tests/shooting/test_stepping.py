@@ -77,13 +77,13 @@ def test_a_stepping_says_what_it_is() -> None:
     told = str(Stepping(0.0002, FAST, dry=True))
     assert "0.0002 s" in told and "implicitfast" in told and "solreffriction" in told
     assert "solreffriction" not in str(Stepping(0.0002, FAST))
-    assert "elliptic" in str(Stepping(0.0002, FAST, round=True))
+    assert "elliptic" in str(Stepping(0.0002, FAST, elliptic=True))
     assert "elliptic" not in str(Stepping(0.0002, FAST))
 
 
 def test_cones_are_as_asked_for() -> None:
     scene = orbisim.load_scene(CART.format(more=""))
-    assert not stepping(scene).round
-    elliptic = with_stepping(scene, stepping(scene)._replace(round=True))
-    assert elliptic.model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC and stepping(elliptic).round
+    assert not stepping(scene).elliptic
+    elliptic = with_stepping(scene, stepping(scene)._replace(elliptic=True))
+    assert elliptic.model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC and stepping(elliptic).elliptic
     assert stepping(with_stepping(elliptic, stepping(scene))) == stepping(scene)
