@@ -328,7 +328,7 @@ def _visibility(plain: Truth, chain: Chain, runs: list[Run], laws: list[Law]) ->
     Free runs of half a second from what the encoders show, with the truth's own step and
     integrator, so that nothing but the laws counts; the joint that shows most.
     """
-    model, errors, left = plain.model, [np.zeros((1, plain.model.nv))], [np.zeros((1, 1))]
+    model, errors, left = plain.model, list[Floats](), list[Floats]()
     chain = dataclasses.replace(chain, delays=np.zeros(model.njnt))
     for number, run in enumerate(runs if laws else ()):
         at = run.time[(run.time > 0.1) & (run.time < run.time[-1] - 0.01)]
@@ -343,12 +343,12 @@ def _visibility(plain: Truth, chain: Chain, runs: list[Run], laws: list[Law]) ->
             free = functools.partial(_free, plain, run, clock, chain.late, at[rows])
             base = free(qpos[first], qvel[first])
             errors.append(_difference(model, base, qpos[rows]))
-            if number == 0 or len(left) == 1:  # one run is enough: 4 nv more runs for each window
+            if number == 0 or not left:  # one run is enough: 4 nv more runs for each window
                 left.append(_left(model, free, (qpos[first], qvel[first]), base, errors[-1], chain))
-    rms = [
-        np.sqrt(np.mean(np.concatenate(some[1:] or some) ** 2, axis=0)) for some in (errors, left)
-    ]
-    return {"visibility": float(rms[0].max() / chain.noise), "distinct": float(rms[1].max())}
+    if not errors:
+        return {"visibility": 0.0, "distinct": 0.0}
+    shows, told = (np.sqrt(np.mean(np.concatenate(some) ** 2, axis=0)) for some in (errors, left))
+    return {"visibility": float(shows.max() / chain.noise), "distinct": float(told.max())}
 
 
 def _left(
