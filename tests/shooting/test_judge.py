@@ -323,10 +323,16 @@ def test_through_impacts_too_an_explanation_has_the_starts_of_others(
     assert judge.started(good, [good]) is good  # nobody has other starts
 
 
-def test_no_number_is_surer_than_its_cost_rises_beside_it(softened: tuple[Judge, Judged]) -> None:
+def _softness(softened: tuple[Judge, Judged]) -> tuple[Judge, Judged]:
+    """What judges, and the bouncing head as it is, fitted."""
     judge, _ = softened
     found = judge.judge(Hypothesis((EffectInstance("restitution", "head", SOFT),)))
     assert found is not None
+    return judge, found
+
+
+def test_no_number_is_surer_than_its_cost_rises_beside_it(softened: tuple[Judge, Judged]) -> None:
+    judge, found = _softness(softened)
     known = np.diag(found.fit.covariance)
     narrow = dataclasses.replace(found.fit, covariance=1e-8 * found.fit.covariance)
     wider = judge.as_sure(dataclasses.replace(found, fit=narrow))
@@ -340,9 +346,7 @@ def test_no_number_is_surer_than_its_cost_rises_beside_it(softened: tuple[Judge,
 def test_no_number_is_surer_than_it_stays_in_half_of_the_step(
     softened: tuple[Judge, Judged], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    judge, _ = softened
-    found = judge.judge(Hypothesis((EffectInstance("restitution", "head", SOFT),)))
-    assert found is not None
+    judge, found = _softness(softened)
     narrow = dataclasses.replace(
         found, fit=dataclasses.replace(found.fit, covariance=1e-12 * found.fit.covariance)
     )
@@ -359,9 +363,7 @@ def test_no_number_is_surer_than_it_stays_in_half_of_the_step(
 def test_numbers_are_as_sure_as_is_known_when_the_time_is_up(
     softened: tuple[Judge, Judged], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    judge, _ = softened
-    found = judge.judge(Hypothesis((EffectInstance("restitution", "head", SOFT),)))
-    assert found is not None
+    judge, found = _softness(softened)
 
     def late(_: Judge, judged: Judged) -> Iterator[Fit]:
         yield dataclasses.replace(judged.fit, covariance=7.0 * judged.fit.covariance)
