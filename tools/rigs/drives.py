@@ -103,6 +103,8 @@ class TwoMasses(Law, abc.ABC):
     the model's joint is the link. The rotor is stepped here (semi-implicit Euler).
     """
 
+    drives = True
+
     def __init__(self, effect: str, joint: str, actuator: str, value: float, size: float) -> None:
         super().__init__(effect, joint, value, size)
         self._drive = actuator

@@ -58,7 +58,11 @@ class Law:
       value: first parameter, SI (angles of a tilt in degrees), by which intervals are judged; NaN
         if there is none.
       size: what was drawn, relative to the machine's usual forces and so on.
+      drives: whether it acts in the place of an actuator: commands reach it after all else that
+        changes them.
     """
+
+    drives = False
 
     def __init__(self, effect: str, target: str, value: float, size: float) -> None:
         self.effect, self.target = effect, target

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import json
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from rigs import instruments
 from rigs.draws import Draw
 from rigs.excitation import Motion, joint_of, motion
-from rigs.instruments import Chain, logged, seen
+from rigs.instruments import Chain, logged
 from rigs.law import Floats, Law, Usual
 from rigs.machines import MACHINES, Machine, Missing
+from rigs.showing import beside, visibility
 from rigs.sizing import nameless, possible
 from rigs.truth import Diverged, Run, Stepping, Truth
 
@@ -52,9 +51,6 @@ CONFUSABLE = (
     ("sliding_friction", "constant_force"),
     ("restitution", "sliding_friction"),
 )
-
-WINDOW = 0.5
-"""Of the free runs by which it is measured how well a law shows, s."""
 
 TIMING = frozenset({"host_stamps", "late_commands", "slow_commands", "sensor_delays"})
 """Artefacts that a delay is a correct description of."""
@@ -197,7 +193,8 @@ def _written(
             for one, other in machine.same
             if one == (law.effect, law.target)
         ],
-        **_visibility(plain, chain, runs[:2], laws),
+        **visibility(plain, chain, runs[:2], laws),
+        "beside": beside(truth, plain, chain, runs[0]),
         "noise": chain.noise,
         "rate": chain.rate,
         "velocities": chain.velocities,
@@ -318,98 +315,3 @@ def _beside(usual: Usual, target: str, others: list[str]) -> str:
         if target in names and names & set(others):
             return sorted(names & set(others))[0]
     return ""
-
-
-def _visibility(plain: Truth, chain: Chain, runs: list[Run], laws: list[Law]) -> dict[str, float]:
-    """How far the machine without the laws misses noise-free recordings with them: `visibility`
-    over the noise, and `distinct`, what is left of it by the best starts, over what noise and
-    impacts leave unknown.
-
-    Free runs of half a second from what the encoders show, with the truth's own step and
-    integrator, so that nothing but the laws counts; the joint that shows most.
-    """
-    model, errors, left = plain.model, list[Floats](), list[Floats]()
-    chain = dataclasses.replace(chain, delays=np.zeros(model.njnt))
-    for number, run in enumerate(runs if laws else ()):
-        at = run.time[(run.time > 0.1) & (run.time < run.time[-1] - 0.01)]
-        every = max(1, round(1 / chain.rate / (run.time[1] - run.time[0])))
-        at = at[::every]
-        clock = float(np.prod([getattr(law, "clock", 1.0) for law in laws]))
-        qpos, qvel = seen(run, model, chain, laws, at)
-        width = max(2, round(WINDOW * chain.rate))
-        for first in range(0, len(at) - width, width):
-            rows = slice(first, first + width)
-
-            free = functools.partial(_free, plain, run, clock, chain.late, at[rows])
-            base = free(qpos[first], qvel[first])
-            errors.append(_difference(model, base, qpos[rows]))
-            if number == 0 or not left:  # one run is enough: 4 nv more runs for each window
-                left.append(_left(model, free, (qpos[first], qvel[first]), base, errors[-1], chain))
-    if not errors:
-        return {"visibility": 0.0, "distinct": 0.0}
-    shows, told = (np.sqrt(np.mean(np.concatenate(some) ** 2, axis=0)) for some in (errors, left))
-    return {"visibility": float(shows.max() / chain.noise), "distinct": float(told.max())}
-
-
-def _left(
-    model: mujoco.MjModel,
-    free: Callable[[Floats, Floats], Floats],
-    start: tuple[Floats, Floats],
-    base: Floats,
-    error: Floats,
-    chain: Chain,
-) -> Floats:
-    """[T, nv]: an error that the best start leaves in linear approximation, over the noise and what
-    runs from starts to either side, off by half of what one sample leaves unknown of them, bend
-    (of speeds, the noise over four sampling intervals: one is not told from two positions).
-
-    Args:
-      free: a run from a start. base: the one from this start.
-    """
-    nv, size = model.nv, chain.noise * np.array([1.0, chain.rate / 4.0]) / 2.0
-    slopes, bends = np.empty((2 * nv, *error.shape)), np.ones_like(error)
-    for k, move in enumerate(np.kron(np.diag(size), np.eye(nv))):
-        sides = []
-        for sign in (1.0, -1.0):
-            q = start[0].copy()
-            mujoco.mj_integratePos(model, q, sign * move[:nv], 1.0)
-            sides.append(_difference(model, free(q, start[1] + sign * move[nv:]), base))
-        slopes[k] = (sides[1] - sides[0]) / 2.0
-        bends += ((sides[0] + sides[1]) / 2.0 / chain.noise) ** 2
-    weight = 1.0 / (chain.noise * np.sqrt(bends))
-    design = (slopes * weight).reshape(2 * nv, -1).T
-    target = (error * weight).ravel()
-    best = np.linalg.lstsq(design, target, rcond=None)[0]
-    return np.asarray((target - design @ best).reshape(error.shape))
-
-
-def _free(
-    plain: Truth, run: Run, clock: float, late: float, at: Floats, qpos: Floats, qvel: Floats
-) -> Floats:
-    """Positions at times, free from a start at the first with the commands that arrived.
-
-    Args:
-      clock: a fast one says that more time passes between samples than did. late: of commands, s.
-    """
-    model, data = plain.model, mujoco.MjData(plain.model)
-    data.qpos[:], data.qvel[:] = qpos, qvel
-    step, found, done = float(model.opt.timestep), [], 0
-    for elapsed in (at - at[0]) * clock:
-        steps = int(elapsed / step + 1e-6)
-        for number in range(done, steps):
-            true = at[0] + number * step / clock - late
-            row = min(max(int(true / step + 1e-6), 0), len(run.sent) - 1)
-            (data.qfrc_applied if plain.applied else data.ctrl)[:] = run.sent[row]
-            mujoco.mj_step(model, data)
-        done, here = steps, data.qpos.copy()
-        mujoco.mj_integratePos(model, here, data.qvel, max(elapsed - steps * step, 0.0))
-        found.append(here)
-    return np.array(found)
-
-
-def _difference(model: mujoco.MjModel, found: Floats, wanted: Floats) -> Floats:
-    """[T, nv] as tangents."""
-    gap = np.empty((len(found), model.nv))
-    for k in range(len(found)):
-        mujoco.mj_differentiatePos(model, gap[k], 1.0, wanted[k], found[k])
-    return gap

@@ -61,6 +61,21 @@ class Outcome:
         return bool(self.truth.get("distinct", self.truth["visibility"]) >= VISIBLE)
 
     @property
+    def apart(self) -> bool:
+        """Whether each of several laws shows at twice what all else leaves unknown of it."""
+        beside = self.truth.get("beside", [])
+        return bool(beside) and min(beside) >= VISIBLE
+
+    @property
+    def separate(self) -> list[tuple[str, str]]:
+        """Of several laws those that show so much beside the others."""
+        beside = self.truth.get("beside", [])
+        every = zip(self.truth["laws"], beside, strict=True) if beside else ()
+        return [
+            (x["effect"], x["target"]) for x, shows in every if x["effect"] and shows >= VISIBLE
+        ]
+
+    @property
     def names(self) -> list[tuple[str, str]]:
         """What was reported. Declared parameters that are off are findings where there are no
         others; beside effects, they are what no scene is exact in."""

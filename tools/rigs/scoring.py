@@ -90,6 +90,10 @@ def _names(own: Sequence[Outcome]) -> list[str]:
         ("pair: both found", [o.all_found for o in pairs]),
         ("... one of them first", [o.right_first for o in pairs]),
         ("... wrong names only", [o.wrong for o in pairs]),
+        ("... both found of those in which each shows beside the other, too",
+         [o.all_found for o in pairs if o.apart]),
+        ("... effects found of those that show beside the other",
+         [law in o.known for o in pairs for law in o.separate]),
         ("outside the catalogue: something named", [bool(o.needless) for o in outside]),
         *_of_several("triple", own),
         *_of_several("many", own),
@@ -109,6 +113,10 @@ def _of_several(kind: str, own: Sequence[Outcome]) -> list[tuple[str, list[bool]
         ("... one of them first", [o.right_first for o in some]),
         ("... wrong names only", [o.wrong for o in some]),
         ("... effects found, of all there are", [law in o.known for o in some for law in o.laws]),
+        (
+            "... effects found, of those that show beside the others",
+            [law in o.known for o in some for law in o.separate],
+        ),
         ("... findings that are needless", [name in o.needless for o, name in findings]),
     ]
 
@@ -264,8 +272,8 @@ def _failures(own: Sequence[Outcome]) -> list[str]:
 
 
 _COLUMNS = (
-    "trial tool kind machine artefacts noise visibility distinct laws reported verdict right_first "
-    "right_any all_found needless wrong before after seconds failure"
+    "trial tool kind machine artefacts noise visibility distinct beside laws reported verdict "
+    "right_first right_any all_found needless wrong before after seconds failure"
 )
 
 
@@ -279,7 +287,9 @@ def _write_table(outcomes: Sequence[Outcome], path: Path) -> None:
             names = ["; ".join(f"{e}({x})" for e, x in some) for some in (o.names, o.needless)]
             writer.writerow(
                 [t["trial"], o.tool, o.kind, t["machine"], "+".join(t["artefacts"]), t["noise"],
-                 t["visibility"], t.get("distinct", ""), laws, names[0], o.verdict, o.right_first,
-                 o.right_any, o.all_found, names[1], o.wrong, o.before, o.after, o.seconds,
+                 t["visibility"], t.get("distinct", ""),
+                 "; ".join(f"{shows:.3g}" for shows in t.get("beside", ())), laws, names[0],
+                 o.verdict, o.right_first, o.right_any, o.all_found, names[1], o.wrong,
+                 o.before, o.after, o.seconds,
                  o.failure.replace("\n", " ")[:300]]
             )  # fmt: skip

@@ -47,6 +47,12 @@ class Run:
     drive: Floats
 
 
+def in_order(laws: Sequence[Law]) -> list[Law]:
+    """What acts in the place of an actuator last: it has the gain and the limits, and gets the
+    commands, that others have changed."""
+    return sorted(laws, key=lambda one: one.drives)
+
+
 def compiled(text: str, stepping: Stepping, laws: Sequence[Law]) -> mujoco.MjModel:
     """The truth's model: the declared one with a fine step and numbers that laws change."""
     spec = mujoco.MjSpec.from_string(text)
@@ -61,7 +67,7 @@ def compiled(text: str, stepping: Stepping, laws: Sequence[Law]) -> mujoco.MjMod
     )
     # commands are limited here, before what drives do to them
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
-    for law in laws:
+    for law in in_order(laws):
         law.tune(model)
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
@@ -74,12 +80,17 @@ class Truth:
         self, machine: Machine, text: str, stepping: Stepping, laws: Sequence[Law]
     ) -> None:
         self.machine, self.laws = machine, tuple(laws)
+        self._made_of = text, stepping
         self.model = compiled(text, stepping, laws)
         self.applied = machine.drive == "applied"
         self.size = self.model.nv if self.applied else self.model.nu
         limited = self.model.actuator_ctrllimited.astype(bool)
         self._low = np.where(limited, self.model.actuator_ctrlrange[:, 0], -np.inf)
         self._high = np.where(limited, self.model.actuator_ctrlrange[:, 1], np.inf)
+
+    def without(self, kept: Sequence[Law]) -> Truth:
+        """The same machine with these of its laws alone."""
+        return Truth(self.machine, *self._made_of, kept)
 
     def run(
         self,
@@ -89,19 +100,21 @@ class Truth:
         controller: Controller,
         ticks: Floats,
         late: float,
+        begin: float = 0.0,
     ) -> Run:
         """Moves the machine.
 
         Args:
           ticks: times at which the controller reads and sends. late: s until a command arrives.
+          begin: time at the start, s. Later than 0, laws remember what they did until then.
 
         Raises:
           Diverged: the state is no longer finite, or fast beyond reason.
         """
         model, data = self.model, mujoco.MjData(self.model)
-        data.qpos[:], data.qvel[:] = qpos, qvel
+        data.qpos[:], data.qvel[:], data.time = qpos, qvel, begin
         mujoco.mj_forward(model, data)
-        for law in self.laws:
+        for law in () if begin else self.laws:
             law.begin(model, data)
         count = round(duration / model.opt.timestep) + 1
         rows: list[tuple[Floats, ...]] = []
@@ -140,7 +153,7 @@ class Truth:
 
     def _drive(self, data: mujoco.MjData, arrived: Floats, now: float) -> None:
         given = arrived.copy()
-        for law in self.laws:
+        for law in in_order(self.laws):
             law.command(now, given)
         if self.applied:
             data.qfrc_applied[:] = given

@@ -11,7 +11,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -23,7 +22,7 @@ from processes import read_lines  # noqa: E402
 from rigs import instruments, running, scoring, stability  # noqa: E402
 from rigs.excitation import motion  # noqa: E402
 from rigs.machines import MACHINES  # noqa: E402
-from rigs.making import Wish, _free, _left, make, name_of  # noqa: E402
+from rigs.making import Wish, make, name_of  # noqa: E402
 from rigs.outcomes import Outcome  # noqa: E402
 from rigs.running import Job, jobs_of  # noqa: E402
 from rigs.truth import Run, Stepping, Truth  # noqa: E402
@@ -68,46 +67,6 @@ def test_artefacts_and_noise_change_nothing_else(tmp_path: Path) -> None:
     assert made["late"]["artefacts"] == ["jitter"] and not made["plain"]["artefacts"]
     assert made["loud"]["noise"] == 2 * made["plain"]["noise"]
     assert made["loud"]["visibility"] == pytest.approx(made["plain"]["visibility"] / 2, rel=1e-6)
-
-
-SLIDER = mujoco.MjModel.from_xml_string(
-    """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody><body>
-    <joint type="slide"/><geom size="0.1"/></body></worldbody></mujoco>"""
-)
-
-
-def test_free_runs_are_read_between_steps_too() -> None:
-    """A clock that is fast by a part of a step in a sample is seen as that."""
-    plain: Any = SimpleNamespace(model=SLIDER, applied=False)
-    run: Any = SimpleNamespace(sent=np.zeros((100, 0)))
-    at, start = 0.5004 + 0.01 * np.arange(5), np.array([0.2])
-    found = _free(plain, run, 1.03, 0.0, at, start, np.array([2.0]))
-    np.testing.assert_allclose(found[:, 0], 0.2 + 2.0 * 1.03 * (at - at[0]), atol=1e-12)
-
-
-def test_what_is_distinct_is_what_no_start_makes_and_no_impact_hides() -> None:
-    chain: Any = SimpleNamespace(noise=1e-3, rate=100.0)
-    time = np.linspace(0.0, 0.5, 51)[:, None]
-    still = np.zeros(1), np.zeros(1)
-
-    def straight(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        return np.asarray(q + v * time)
-
-    def bent(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """After 0.25 s its way hangs on how far off the start is, to whichever side."""
-        return straight(q, v) + np.where(time > 0.25, 100 * np.abs(q), 0.0)
-
-    moved, curved = 0.1 + 0.3 * time, 0.4 * time**2
-    assert np.abs(_left(SLIDER, straight, still, straight(*still), moved, chain)).max() < 1e-6
-    seen = _left(SLIDER, straight, still, straight(*still), moved + curved, chain)
-    beside = curved - np.polynomial.Polynomial.fit(time[:, 0], curved[:, 0], 1)(time)
-    np.testing.assert_allclose(seen, beside / 1e-3, atol=1e-6)
-    hidden = np.where(time > 0.25, 1e-2, 0.0)
-    left = [
-        np.abs(_left(SLIDER, free, still, free(*still), hidden, chain)).max()
-        for free in (straight, bent)
-    ]
-    assert left[0] > 2.0 and left[1] < 0.25
 
 
 def test_clean_commands_change_exactly_at_samples(arm: tuple[Truth, Run]) -> None:
@@ -192,6 +151,19 @@ def test_of_those_that_show_some_are_distinct() -> None:
     assert hidden.visible and not hidden.distinct
     words = [line for line in scoring.summary([plain, hidden], []) if "leave unknown" in line]
     assert len(words) == 1 and "0 of 1" in words[0]
+
+
+def test_of_several_some_show_beside_the_others() -> None:
+    plain = outcome([("a", "x")], "pair")
+    assert not plain.apart and not plain.separate  # nothing is known of it
+    one, both = (
+        dataclasses.replace(plain, truth={**plain.truth, "beside": shows})
+        for shows in ([7.0, 0.1], [7.0, 3.0])
+    )
+    assert not one.apart and one.separate == [("a", "x")]
+    assert both.apart and both.separate == [("a", "x"), ("b", "y")]
+    lines = [line for line in scoring.summary([one, both], []) if "beside the other" in line]
+    assert "0 of 1" in lines[0] and "2 of 3" in lines[1]
 
 
 def test_a_declared_parameter_is_judged_as_the_effect_that_it_is() -> None:

@@ -1,0 +1,115 @@
+"""How well the laws of trials show."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import mujoco
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "tools"))
+
+from rigs import instruments
+from rigs.bodies import Misread
+from rigs.drives import Elastic, Gain, Lag
+from rigs.excitation import motion
+from rigs.friction import Spring, Viscous
+from rigs.law import Floats, Law
+from rigs.machines import MACHINES
+from rigs.showing import _by_starts, _free, beside, visibility
+from rigs.truth import Stepping, Truth
+
+SLIDER = mujoco.MjModel.from_xml_string(
+    """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody><body>
+    <joint type="slide"/><geom size="0.1"/></body></worldbody></mujoco>"""
+)
+
+
+def test_free_runs_are_read_between_steps_too() -> None:
+    """A clock that is fast by a part of a step in a sample is seen as that."""
+    plain: Any = SimpleNamespace(model=SLIDER, applied=False)
+    run: Any = SimpleNamespace(sent=np.zeros((100, 0)))
+    at, start = 0.5004 + 0.01 * np.arange(5), np.array([0.2])
+    found = _free(plain, run, 1.03, 0.0, at, start, np.array([2.0]))
+    np.testing.assert_allclose(found[:, 0], 0.2 + 2.0 * 1.03 * (at - at[0]), atol=1e-12)
+
+
+def test_what_is_distinct_is_what_no_start_makes_and_no_impact_hides() -> None:
+    chain: Any = SimpleNamespace(noise=1e-3, rate=100.0)
+    time = np.linspace(0.0, 0.5, 51)[:, None]
+    still = np.zeros(1), np.zeros(1)
+
+    def straight(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return np.asarray(q + v * time)
+
+    def bent(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """After 0.25 s its way hangs on how far off the start is, to whichever side."""
+        return straight(q, v) + np.where(time > 0.25, 100 * np.abs(q), 0.0)
+
+    moved, curved = 0.1 + 0.3 * time, 0.4 * time**2
+    assert (
+        np.abs(_by_starts(SLIDER, straight, still, straight(*still), chain).left(moved)).max()
+        < 1e-6
+    )
+    seen = _by_starts(SLIDER, straight, still, straight(*still), chain).left(moved + curved)
+    beside = curved - np.polynomial.Polynomial.fit(time[:, 0], curved[:, 0], 1)(time)
+    np.testing.assert_allclose(seen, beside / 1e-3, atol=1e-6)
+    hidden = np.where(time > 0.25, 1e-2, 0.0)
+    left = [
+        np.abs(_by_starts(SLIDER, free, still, free(*still), chain).left(hidden)).max()
+        for free in (straight, bent)
+    ]
+    assert left[0] > 2.0 and left[1] < 0.25
+
+
+def shown(*laws: Law, machine: str = "suite_pendulum") -> tuple[dict[str, float], list[float]]:
+    """How laws of a machine show, together and each beside the others."""
+    made, stepping = MACHINES[machine], Stepping(1e-3, "rk4")
+    plain, truth = (Truth(made, made.text(), stepping, some) for some in ((), laws))
+    chain = instruments.drawn(plain.model, 100.0, (), np.random.default_rng(2))
+    one = motion(made, plain, np.random.default_rng(1), chain.noise)
+    ticks = chain.ticks(2.0, np.random.default_rng(3))
+    run = truth.run(one.qpos, one.qvel, 2.0, one.controller, ticks, chain.late)
+    return visibility(plain, chain, [run], laws), beside(truth, plain, chain, run)
+
+
+def test_what_another_law_does_as_well_does_not_show_beside_it() -> None:
+    damping = Viscous("viscous_damping", "hinge", 0.1, 1.0)
+    together, apart = shown(damping, Spring("hinge", 0.3, 1.0, 0.0))
+    assert min(apart) > 2.0 and together["visibility"] > 2.0
+    together, apart = shown(damping, Viscous("viscous_damping", "hinge", 0.05, 1.0))
+    assert together["distinct"] > 2.0 and max(apart) < 0.02 * together["distinct"]
+    assert shown(damping)[1] == []
+
+
+def test_what_laws_remember_is_no_difference() -> None:
+    """A lag and a soft transmission begin each window with what they had before it."""
+    lag, misread = (
+        Lag("actuator_lag", "yaw_servo", 0.05, 1.0),
+        Misread("sensor_bias", "yaw", 0.001, 1.0),
+    )
+    lag_shows, bias_shows = shown(lag, misread, machine="servo_arm")[1]
+    assert lag_shows > 10.0
+    assert bias_shows < 0.5 * lag_shows
+
+
+def test_commands_reach_a_rotor_after_all_that_changes_them() -> None:
+    lag = Lag("actuator_lag", "lift_servo", 0.1, 1.0)
+    gain = Gain("torque_gain", "lift_servo", 0.8, 1.0)
+    soft = Elastic("lift", "lift_servo", 60.0, 1.0, 0.1)
+    made = MACHINES["servo_arm"]
+
+    def way(*laws: Law) -> Floats:
+        truth = Truth(made, made.text(), Stepping(1e-3, "implicitfast"), laws)
+        still, ticks = np.zeros(3), np.arange(0.0, 0.3, 0.01)
+        step = np.full(3, 0.3)
+        run = truth.run(still, still, 0.3, lambda now, *_: step * (now > 0.05), ticks, 0.0)
+        return np.asarray(run.qpos[:, 1])
+
+    both = way(lag, gain, soft)
+    np.testing.assert_array_equal(both, way(soft, lag, gain))
+    for fewer in ((soft,), (lag, soft), (gain, soft)):
+        assert np.abs(both - way(*fewer)).max() > 0.005
