@@ -37,6 +37,10 @@ class Push(AtBody):
         self._vector = np.array(vector, float)
         super().__init__(effect, body, float(np.linalg.norm(vector)), size)
 
+    def ways(self) -> list[Law]:
+        axes = self.value * np.eye(3)
+        return [Push(self.target, axis, self.size, self.effect) for axis in axes]
+
     def force(self, velocity: Floats, spin: Floats) -> Floats:
         return self._vector
 
@@ -47,6 +51,9 @@ class Lift(Push):
     def __init__(self, body: str, mass: float, gravity: Floats, size: float) -> None:
         super().__init__(body, -mass * np.asarray(gravity), size, "buoyancy")
         self.value = mass
+
+    def ways(self) -> list[Law]:
+        return []
 
 
 class Air(AtBody):
@@ -100,6 +107,9 @@ class Shift(Law):
         self._offset = np.array(offset, float)
         super().__init__("com_offset", body, float(np.linalg.norm(offset)), size)
 
+    def ways(self) -> list[Law]:
+        return [Shift(self.target, axis, self.size) for axis in self.value * np.eye(3)]
+
     def tune(self, model: mujoco.MjModel) -> None:
         model.body_ipos[index_of(model, "body", self.target)] += self._offset
 
@@ -110,6 +120,9 @@ class Slope(Law):
     def __init__(self, value: float, around: Floats, size: float) -> None:
         super().__init__("gravity_tilt", "world", value, size)
         self._around = np.array(around, float)
+
+    def ways(self) -> list[Law]:
+        return [Slope(self.value, np.cross([0.0, 0.0, 1.0], self._around), self.size)]
 
     def tune(self, model: mujoco.MjModel) -> None:
         quat = np.zeros(4)

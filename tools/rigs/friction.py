@@ -113,6 +113,9 @@ class Spring(AtJoint):
         super().__init__("joint_spring", joint, value, size)
         self._rest = rest
 
+    def ways(self) -> list[Law]:
+        return [Spring(self.target, self.value, self.size, self._rest + 0.1)]
+
     def force(self, q: float, v: float, time: float) -> float:
         return -self.value * (q - self._rest)
 

@@ -31,6 +31,10 @@ COUNTS = 4096
 """Of an encoder, per turn; of a slide, per 0.2 m (a belt on a pulley of 32 mm)."""
 
 
+JITTER = 0.01
+"""Of a sampling interval, by which samples are taken beside their times (standard deviation)."""
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Chain:
     """A measuring chain, the same for all recordings of a trial.
@@ -49,6 +53,12 @@ class Chain:
     late: float
     tick: float
     seed: int
+
+    def unknown(self, speeds: Floats) -> Floats:
+        """[T, nv] standard deviation of a position at its time, from how fast it changes: samples
+        that are taken beside their times are off by as much as it has moved."""
+        jitter = JITTER / self.rate if "jitter" in self.artefacts else 0.0
+        return np.hypot(self.noise, jitter * speeds)
 
     def ticks(self, duration: float, rng: np.random.Generator) -> Floats:
         """When commands are computed."""
@@ -125,7 +135,7 @@ def _clock(run: Run, chain: Chain, rng: np.random.Generator) -> tuple[Floats, Fl
     step, end = 1 / chain.rate, float(run.time[-1])
     nominal = np.arange(2, int(end * chain.rate)) * step  # on the grid of the commands
     if "jitter" in chain.artefacts:
-        return nominal + 0.01 * step * rng.normal(size=len(nominal)), nominal
+        return nominal + JITTER * step * rng.normal(size=len(nominal)), nominal
     if "host_stamps" in chain.artefacts:
         # a bus and a scheduler: 2 ms on average, with a tail; never out of order
         arrive = nominal + rng.gamma(2.0, 0.001, len(nominal))

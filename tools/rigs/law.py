@@ -68,6 +68,11 @@ class Law:
         self.effect, self.target = effect, target
         self.value, self.size = float(value), float(size)
 
+    def ways(self) -> list[Law]:
+        """The same effect with other numbers beside its size, one for each: where a spring rests,
+        where a force points. Who looks for the effect looks for these, too."""
+        return []
+
     def tune(self, model: mujoco.MjModel) -> None:
         """Changes numbers of the truth's model; `mj_setConst` follows."""
 

@@ -114,8 +114,10 @@ class Outcome:
 
     @property
     def known(self) -> set[tuple[str, str]]:
-        """The injected laws that are among the findings."""
-        return {law for name in self.names if (law := self.stands_for(name)) is not None}
+        """The injected laws that are among the findings. Of declared parameters that are off beside
+        effects, only where they are no more than there are laws: a dozen would always hit one."""
+        off = [_named(label) for label in self.retuned if len(self.retuned) <= len(self.laws)]
+        return {law for name in (*self.names, *off) if (law := self.stands_for(name)) is not None}
 
     @property
     def all_found(self) -> bool:

@@ -44,7 +44,7 @@ def visibility(
             base = free(qpos[0], qvel[0])
             errors.append(_difference(model, base, qpos))
             if number == 0 or not left:  # one run is enough: 4 nv more runs for each window
-                told = _by_starts(model, free, (qpos[0], qvel[0]), base, chain)
+                told = _by_starts(model, free, (qpos, qvel), base, chain)
                 left.append(told.left(errors[-1]))
     if not errors:
         return {"visibility": 0.0, "distinct": 0.0}
@@ -53,40 +53,43 @@ def visibility(
 
 
 def beside(truth: Truth, plain: Truth, chain: Chain, run: Run) -> list[float]:
-    """What each of several laws leaves that neither the best starts nor other sizes of the other
+    """What each of several laws leaves that neither the best starts nor other numbers of the other
     laws make, over what noise and impacts leave unknown: what is below one or two cannot be told
     from the others. Empty for fewer than two laws.
 
-    The truth runs once more, without each law, from states that it had, and with what its laws
-    remembered there. What one without a law misses is how it moves with that one's size.
+    The truth runs once more, without each law, and with it in another way (`Law.ways`), from states
+    that it had, and with what its laws remembered there. By how much that moves is what the law's
+    numbers do.
     """
     if len(truth.laws) < 2:
         return []
     model, laws = plain.model, truth.laws
     chain = dataclasses.replace(chain, delays=np.zeros(model.njnt))
-    moves: list[list[Floats]] = [[] for _ in laws]
+    changes = [(law, way) for law in laws for way in (None, *law.ways())]
+    moves: list[list[Floats]] = [[] for _ in changes]
     done = 0.0
     for at in _windows(run, chain, _BEFORE):
         begin = at[0] - _BEFORE
         _on(truth, run, chain, done, begin)  # what laws remember is then as it was
         done = begin
         try:
-            fewer = [_without(truth, law, run, chain, at) for law in laws]
+            others = [_changed(truth, law, way, run, chain, at) for law, way in changes]
         except Diverged:  # without a law that held it
             continue
-        qpos, qvel = seen(run, model, chain, laws, at)
+        shown = seen(run, model, chain, laws, at)
         free = functools.partial(_free, plain, run, _clock(laws), chain.late, at)
-        told = _by_starts(model, free, (qpos[0], qvel[0]), free(qpos[0], qvel[0]), chain)
-        for number, less in enumerate(fewer):
-            moves[number].append(told.left(_difference(model, less, qpos)))
+        told = _by_starts(model, free, shown, free(shown[0][0], shown[1][0]), chain)
+        for moved, other in zip(moves, others, strict=True):
+            moved.append(told.left(_difference(model, other, shown[0])))
     if not moves[0]:
         return [0.0] * len(laws)
-    flat = np.array([np.concatenate(one) for one in moves])  # [laws, T, nv]
+    flat = np.array([np.concatenate(one) for one in moves])  # [changes, T, nv]
     found = []
-    for number, own in enumerate(flat):
-        others = np.delete(flat, number, axis=0).reshape(len(laws) - 1, -1).T
-        best = np.linalg.lstsq(others, own.ravel(), rcond=None)[0]
-        left = (own.ravel() - others @ best).reshape(own.shape)
+    for law in laws:
+        own = flat[next(k for k, (one, _) in enumerate(changes) if one is law)]
+        rest = flat[[one is not law for one, _ in changes]].reshape(-1, own.size).T
+        best = np.linalg.lstsq(rest, own.ravel(), rcond=None)[0]
+        left = (own.ravel() - rest @ best).reshape(own.shape)
         found.append(float(np.sqrt(np.mean(left**2, axis=0)).max()))
     return found
 
@@ -135,14 +138,17 @@ def _on(
     return truth.run(*state, lasts, arrived, ticks, 0.0, begin=start)
 
 
-def _without(truth: Truth, law: Law, run: Run, chain: Chain, at: Floats) -> Floats:
-    """[T, nq]: what encoders show of the machine without one of its laws."""
+def _changed(truth: Truth, law: Law, way: Law | None, run: Run, chain: Chain, at: Floats) -> Floats:
+    """[T, nq]: what encoders show of the machine with one of its laws in another way, or without
+    it."""
     kept = [copy.deepcopy(one) for one in truth.laws if one is not law]
-    fewer, begin = truth.without(kept), at[0] - _BEFORE
-    end = at[-1] + 2 * truth.model.opt.timestep
-    again = _on(fewer, run, chain, begin, end, [law])
+    begin, end = at[0] - _BEFORE, at[-1] + 2 * truth.model.opt.timestep
+    changed = truth.having([*kept, way] if way else kept)
+    if way:
+        way.begin(changed.model, mujoco.MjData(changed.model))
+    again = _on(changed, run, chain, begin, end, [law])
     start = float(again.time[0])
-    return seen(again, truth.model, chain, kept, start + (at - start) * _clock([law]))[0]
+    return seen(again, truth.model, chain, changed.laws, start + (at - start) * _clock([law]))[0]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -166,25 +172,26 @@ class _Starts:
 def _by_starts(
     model: mujoco.MjModel,
     free: Callable[[Floats, Floats], Floats],
-    start: tuple[Floats, Floats],
+    seen: tuple[Floats, Floats],
     base: Floats,
     chain: Chain,
 ) -> _Starts:
-    """In linear approximation. Unknown is the noise, and what runs from starts to either side, off
-    by half of what one sample leaves unknown of them, bend (of speeds, the noise over four sampling
-    intervals: one is not told from two positions).
+    """In linear approximation. Unknown is what the chain leaves unknown, and what runs from starts
+    to either side, off by half of what one sample leaves unknown of them, bend (of speeds, the
+    noise over four sampling intervals: one is not told from two positions).
 
     Args:
-      free: a run from a start. base: [T, nq] the one from this start.
+      free: a run from a start. seen: positions [T, nq] and velocities [T, nv] that encoders show.
+      base: [T, nq] the run from the first of them.
     """
     nv, size = model.nv, chain.noise * np.array([1.0, chain.rate / 4.0]) / 2.0
-    slopes, bends = list[Floats](), np.ones((len(base), nv))
+    slopes, bends = list[Floats](), (chain.unknown(seen[1]) / chain.noise) ** 2
     for move in np.kron(np.diag(size), np.eye(nv)):
         sides = []
         for sign in (1.0, -1.0):
-            q = start[0].copy()
+            q = seen[0][0].copy()
             mujoco.mj_integratePos(model, q, sign * move[:nv], 1.0)
-            sides.append(_difference(model, free(q, start[1] + sign * move[nv:]), base))
+            sides.append(_difference(model, free(q, seen[1][0] + sign * move[nv:]), base))
         slopes.append((sides[1] - sides[0]) / 2.0)
         bends += ((sides[0] + sides[1]) / 2.0 / chain.noise) ** 2
     weight = 1.0 / (chain.noise * np.sqrt(bends))

@@ -88,9 +88,9 @@ class Truth:
         self._low = np.where(limited, self.model.actuator_ctrlrange[:, 0], -np.inf)
         self._high = np.where(limited, self.model.actuator_ctrlrange[:, 1], np.inf)
 
-    def without(self, kept: Sequence[Law]) -> Truth:
-        """The same machine with these of its laws alone."""
-        return Truth(self.machine, *self._made_of, kept)
+    def having(self, laws: Sequence[Law]) -> Truth:
+        """The same machine with other laws."""
+        return Truth(self.machine, *self._made_of, laws)
 
     def run(
         self,

@@ -153,6 +153,16 @@ def test_of_those_that_show_some_are_distinct() -> None:
     assert len(words) == 1 and "0 of 1" in words[0]
 
 
+def test_a_declared_parameter_beside_an_effect_may_be_the_other_law() -> None:
+    found = outcome([("a", "x")], "pair")
+    laws = [found.truth["laws"][0], {"effect": "torque_gain", "target": "motor", "value": 1.02}]
+    found = dataclasses.replace(found, truth={**found.truth, "laws": laws})
+    assert not found.all_found
+    assert dataclasses.replace(found, retuned=("gain of motor",)).all_found
+    many = tuple(f"mass of link{k}" for k in range(2))
+    assert not dataclasses.replace(found, retuned=("gain of motor", *many)).all_found
+
+
 def test_of_several_some_show_beside_the_others() -> None:
     plain = outcome([("a", "x")], "pair")
     assert not plain.apart and not plain.separate  # nothing is known of it
