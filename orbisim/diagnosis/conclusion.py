@@ -14,7 +14,7 @@ from orbisim.diagnosis.explanations import Found, Tried
 from orbisim.diagnosis.found import Rival
 from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.simplification import Sure, only_sure, plain, told
+from orbisim.diagnosis.simplification import VAGUE, Sure, only_sure, plain, told
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.worth import prior, vague, worth
 from orbisim.effects import EffectInstance, find
@@ -137,11 +137,12 @@ def concluded(found: Found, deadline: Deadline) -> Attribution:
         for one in _best_first(found):
             after = _finally(found, context, one, one.hypothesis.in_parts()) or one
             after = _resized(context, context.judge.fair(after, [before]))
-            after, gains, doubted = _sure(context, before, after)
-            rejected += doubted
-            after = context.judge.as_sure(after)
+            sure = _sure(context, before, after)  # where bodies touch, intervals get wider:
+            sure = told(context, sure._replace(judged=context.judge.as_sure(sure.judged)))
+            after, gains, rejected = sure.judged, sure.gains, [*rejected, *sure.rejected]
             if after.hypothesis.effects or after.hypothesis.factors:
                 break
+            after = before
     return Attribution(
         _open(found.context.bench), before, after, found.screening, rivals_of(found.tried),
         tuple(2 * one.total for one in gains), tuple(rejected), found.late,
@@ -159,7 +160,7 @@ def _as_found(found: Found, until: Deadline = NEVER) -> Attribution:
 
     best = found.best
     if best.hypothesis.effects:
-        best = told(found.context, best)
+        best = told(found.context, Sure(best)).judged
     with contextlib.suppress(TimeIsUpError):
         best = next((plain(context, one, refit) for one in _best_first(found)), best)
     gain = 2 * worth(bench, found.declared, best).total if best is not found.declared else 0.0
@@ -215,17 +216,13 @@ def _sure(context: Context, before: Judged, after: Judged) -> Sure:
             break
         gone = sure.judged.hypothesis.effects[numbers[0]]
         again = only_sure(context, less, refit, bare)
-        rejected = (*sure.rejected, (gone, _VAGUE), *again.rejected)
-        sure = again._replace(rejected=rejected)
+        sure = again._replace(rejected=(*sure.rejected, (gone, VAGUE), *again.rejected))
     hypothesis = sure.judged.hypothesis
     if not hypothesis.effects and hypothesis.factors:
         gain = worth(context.bench, bare, sure.judged)
         if sure.judged.ratio > NEAR or gain.sure <= 0:
             return sure._replace(judged=before)
     return sure
-
-
-_VAGUE = "its interval includes nothing of it"
 
 
 def _on_contacts(context: Context, after: Judged) -> list[int]:

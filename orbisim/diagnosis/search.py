@@ -4,9 +4,8 @@ A state is an explanation (`Judged`): effects with their values, retuned declare
 fitted starts. A move adds an effect (or several at once) or retunes declared parameters
 (`orbisim.diagnosis.moves`), removes one, exchanges one or merges two
 (`orbisim.diagnosis.simplification`), or changes the timestep or when controls change
-(`orbisim.diagnosis.discretization`). One number decides each: what the
-later explanation is surely worth more (`orbisim.diagnosis.worth`). The search ends where no move
-is, or where the time is up.
+(`orbisim.diagnosis.discretization`). One number decides each: what the later explanation is surely
+worth more (`orbisim.diagnosis.worth`). The search ends where no move is, or the time is up.
 """
 
 from __future__ import annotations

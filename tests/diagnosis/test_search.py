@@ -21,10 +21,10 @@ from orbisim.diagnosis.moves import _generalized
 from orbisim.diagnosis.proposals import events, exchanges
 from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.simplification import plain, told
+from orbisim.diagnosis.simplification import VAGUE, Sure, plain, told
 from orbisim.diagnosis.worth import number_costs, prior, retuning_cost, worth
 from orbisim.effects import EffectInstance, find
-from orbisim.evidence import EFFECT, like_parts
+from orbisim.evidence import EFFECT, Gain, like_parts
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
@@ -499,8 +499,32 @@ def test_what_is_refined_stays_as_long_as_what_refines_it(arm: orbisim.Scene) ->
     judged = context.judge.judge(both)
     assert judged is not None
     wide = dataclasses.replace(judged.fit, covariance=np.eye(len(judged.fit.values)))
-    found = told(context, dataclasses.replace(judged, fit=wide))
-    assert not found.hypothesis.effects and not len(found.fit.values)
+    found = told(context, Sure(dataclasses.replace(judged, fit=wide), (Gain(2, 1), Gain(1, 1))))
+    assert not found.judged.hypothesis.effects and not len(found.judged.fit.values)
+    assert not found.gains and [one.effect for one, _ in found.rejected] == [
+        "stribeck_friction",
+        "coulomb_friction",
+    ]
+
+
+def test_what_wider_intervals_leave_untold_is_not_named(
+    arm: orbisim.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where bodies touch, intervals are known to be wider only when all else is decided."""
+    context = begun(bench_of(arm, FRICTION), Settings(), lambda _: None)
+    declared, best = (context.judge.judge(Hypothesis(e)) for e in ((), (FRICTION,)))
+    assert declared is not None and best is not None
+    found = Found(context, *[stepping(context.bench.scene)] * 2, declared, best)
+    assert concluded(found, NEVER).hypothesis.effects
+
+    def unsure(_: Judge, judged: Judged) -> Judged:
+        fit = dataclasses.replace(judged.fit, covariance=1e12 * judged.fit.covariance)
+        return dataclasses.replace(judged, fit=fit)
+
+    monkeypatch.setattr(Judge, "as_sure", unsure)
+    after = concluded(found, NEVER)
+    assert after.after is after.before and not after.evidence
+    assert [(one.effect, why) for one, why in after.rejected] == [("coulomb_friction", VAGUE)]
 
 
 def test_where_the_time_was_up_what_was_sure_at_first_is_the_answer(arm: orbisim.Scene) -> None:
