@@ -228,7 +228,7 @@ def _finer(context: Context, judged: Judged, within: bool = False) -> Other | No
         them however little they do else.
     """
     enough = context.bench.contacts and taken(context.bench) <= _SHORT_FOR_IMPACTS
-    if enough or not (within or matters(context.bench, judged.ratio, judged.hypothesis)):
+    if enough or not (within or matters(context.bench, 1.0, judged.hypothesis)):
         return None
     step, best, bench, fitted = taken(context.bench), 0.0, context.bench, None
     for _ in range(_HALVINGS):
@@ -277,7 +277,7 @@ def _other_friction(context: Context, judged: Judged, **form: bool) -> Other | N
     other = stepped(context.bench, known.timestep, **form)
     if stepping(other.scene) == known:
         return None
-    if not difference(context.bench, other, judged.hypothesis) > MATTERS * max(judged.ratio, 1.0):
+    if not difference(context.bench, other, judged.hypothesis) > MATTERS:
         return None
     return _again(context, judged, lambda _: other)
 

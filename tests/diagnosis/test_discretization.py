@@ -358,6 +358,32 @@ def test_friction_is_as_dry_as_the_machines(dry: bool) -> None:
         assert found[1].ratio < 0.7 * named.ratio
 
 
+def test_what_a_form_changes_is_compared_with_the_noise_however_much_is_left(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A joint rests in a part of the windows only; beside what is missing that is little, and may
+    still be what hides it."""
+    made = _scene(0.001)
+    friction, damping = (
+        EffectInstance(effect, "hinge", {name: value})
+        for effect, name, value in (
+            ("coulomb_friction", "torque", 0.3),
+            ("viscous_damping", "coefficient", 0.1),
+        )
+    )
+    runs = inject_effect(made, [friction, damping], duration=2.0, episodes=2, noise=1e-4, seed=5)
+    context, _ = _judged(make_bench(made, prepare_all(runs, made), 0.5))
+    named = context.judge.judge(Hypothesis((friction,)))
+    assert named is not None and named.ratio > 20.0
+    for change, tried in ((1.0, True), (0.1, False)):
+        monkeypatch.setattr(discretization, "difference", lambda *_, c=change: c)
+        dry = discretization._other_friction(context, named, dry=True)
+        assert (dry is not None) == tried
+    asked = list[float]()
+    monkeypatch.setattr(discretization, "matters", lambda _, ratio, *__: asked.append(ratio))
+    assert discretization._finer(context, named) is None and asked == [1.0]
+
+
 @pytest.mark.parametrize("true", [0.00025, 0.0005, 0.001])
 def test_steps_that_are_more_exact_are_found(true: float) -> None:
     """What is left of a simulated machine's own step would be named as a damping or a clock."""
