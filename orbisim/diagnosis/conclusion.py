@@ -14,7 +14,7 @@ from orbisim.diagnosis.explanations import Found, Tried
 from orbisim.diagnosis.found import Rival
 from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
-from orbisim.diagnosis.simplification import VAGUE, Sure, only_sure, plain, told
+from orbisim.diagnosis.simplification import Sure, only_sure, plain, told
 from orbisim.diagnosis.suspects import Screening
 from orbisim.diagnosis.worth import prior, vague, worth
 from orbisim.effects import EffectInstance, find
@@ -137,12 +137,10 @@ def concluded(found: Found, deadline: Deadline) -> Attribution:
         for one in _best_first(found):
             after = _finally(found, context, one, one.hypothesis.in_parts()) or one
             after = _resized(context, context.judge.fair(after, [before]))
-            sure = _sure(context, before, after)  # where bodies touch, intervals get wider:
-            sure = told(context, sure._replace(judged=context.judge.as_sure(sure.judged)))
-            after, gains, rejected = sure.judged, sure.gains, [*rejected, *sure.rejected]
+            after, gains, doubted = _sure(context, before, after)
+            rejected += doubted
             if after.hypothesis.effects or after.hypothesis.factors:
                 break
-            after = before
     return Attribution(
         _open(found.context.bench), before, after, found.screening, rivals_of(found.tried),
         tuple(2 * one.total for one in gains), tuple(rejected), found.late,
@@ -158,9 +156,7 @@ def _as_found(found: Found, until: Deadline = NEVER) -> Attribution:
     def refit(less: Hypothesis, now: Judged) -> Judged | None:
         return context.judge.judge(less, 3, begin=context.judge.begin(now))
 
-    best = found.best
-    if best.hypothesis.effects:
-        best = told(found.context, Sure(best)).judged
+    best = told(found.context, found.best) if found.best.hypothesis.effects else found.best
     with contextlib.suppress(TimeIsUpError):
         best = next((plain(context, one, refit) for one in _best_first(found)), best)
     gain = 2 * worth(bench, found.declared, best).total if best is not found.declared else 0.0
@@ -201,8 +197,8 @@ def _fitted(found: Found, context: Context, known: Judged, anew: Hypothesis) -> 
 
 
 def _sure(context: Context, before: Judged, after: Judged) -> Sure:
-    """With those effects only that are surely worth it, on all windows."""
-    judge = context.judge
+    """With those effects only that are surely worth it, on all windows, and told from nothing."""
+    judge, scene = context.judge, context.bench.scene
 
     def refit(less: Hypothesis, now: Judged) -> Judged | None:
         fewer = judge.judge(less, 3, begin=judge.begin(now))
@@ -210,19 +206,28 @@ def _sure(context: Context, before: Judged, after: Judged) -> Sure:
 
     bare = judge.fair(before, [after])
     sure = only_sure(context, after, refit, bare)
-    while numbers := vague(context.bench.scene, sure.judged):
-        less = refit(sure.judged.hypothesis.without(numbers[0]), sure.judged)
-        if less is None:
+    while True:
+        wide, again, late = sure.judged, None, tuple[type[TimeIsUpError], ...]()
+        if not vague(scene, wide):  # how sure a number is through impacts takes long to ask
+            half = context.until(Deadline.after(context.deadline.left / 2.0))
+            wide, late = half.judge.as_sure(wide), (TimeIsUpError,)
+        numbers = vague(scene, wide)
+        with contextlib.suppress(*late):  # of what all else was decided in time
+            less = refit(wide.hypothesis.without(numbers[0]), sure.judged) if numbers else None
+            again = None if less is None else only_sure(context, less, refit, bare)
+        if again is None:
+            sure = sure._replace(judged=wide)
             break
-        gone = sure.judged.hypothesis.effects[numbers[0]]
-        again = only_sure(context, less, refit, bare)
-        sure = again._replace(rejected=(*sure.rejected, (gone, VAGUE), *again.rejected))
+        gone = (wide.hypothesis.effects[numbers[0]], _VAGUE)
+        sure = again._replace(rejected=(*sure.rejected, gone, *again.rejected))
     hypothesis = sure.judged.hypothesis
-    if not hypothesis.effects and hypothesis.factors:
-        gain = worth(context.bench, bare, sure.judged)
-        if sure.judged.ratio > NEAR or gain.sure <= 0:
-            return sure._replace(judged=before)
-    return sure
+    if hypothesis.effects or not hypothesis.factors:
+        return sure
+    left, gain = sure.judged.ratio, worth(context.bench, bare, sure.judged)
+    return sure._replace(judged=before) if left > NEAR or gain.sure <= 0 else sure
+
+
+_VAGUE = "its interval includes nothing of it"
 
 
 def _on_contacts(context: Context, after: Judged) -> list[int]:

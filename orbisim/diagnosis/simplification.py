@@ -95,7 +95,7 @@ def not_vague(found: Found) -> Found:
     """Without effects that cannot be told from nothing, and fitted again; with all where that is
     worth less."""
     context, best = found.context, found.best
-    fewer = told(context, Sure(best)).judged
+    fewer = told(context, best)
     again = None if fewer is best else fitted_from(context, fewer.hypothesis, best)
     if again is None or not worth(context.bench, best, again).total > 0:
         return found
@@ -168,20 +168,14 @@ def _refined(hypothesis: Hypothesis) -> set[int]:
     return {n for n, e in enumerate(hypothesis.effects) if (e.effect, e.target) in places}
 
 
-def told(context: Context, sure: Sure) -> Sure:
+def told(context: Context, judged: Judged) -> Judged:
     """Without effects that cannot be told from nothing, in linear approximation: the numbers of the
     others move as the covariance says, what is left stays. What another refines goes last."""
-    scene, (judged, gains, rejected) = context.bench.scene, sure
+    scene = context.bench.scene
     while numbers := set(vague(scene, judged)) - _refined(judged.hypothesis):
-        last = max(numbers)
-        rejected = (*rejected, (judged.hypothesis.effects[last], VAGUE))
-        gains = (*gains[:last], *gains[last + 1 :])
-        fit, hypothesis = _dropped(scene, judged.fit, judged.hypothesis, last)
+        fit, hypothesis = _dropped(scene, judged.fit, judged.hypothesis, max(numbers))
         judged = dataclasses.replace(judged, fit=fit, hypothesis=hypothesis)
-    return Sure(judged, gains, rejected)
-
-
-VAGUE = "its interval includes nothing of it"
+    return judged
 
 
 def _dropped(scene: Scene, fit: Fit, hypothesis: Hypothesis, number: int) -> tuple[Fit, Hypothesis]:

@@ -38,8 +38,7 @@ class Push(AtBody):
         super().__init__(effect, body, float(np.linalg.norm(vector)), size)
 
     def ways(self) -> list[Law]:
-        axes = self.value * np.eye(3)
-        return [Push(self.target, axis, self.size, self.effect) for axis in axes]
+        return [self._with(vector=axis) for axis in self.value * np.eye(3)]
 
     def force(self, velocity: Floats, spin: Floats) -> Floats:
         return self._vector
@@ -81,6 +80,9 @@ class Load(Law):
         super().__init__("payload", body, value, size)
         self._place = np.array(place, float)
 
+    def ways(self) -> list[Law]:
+        return [self._with(place=self._place + step) for step in 0.01 * np.eye(3)]
+
     def tune(self, model: mujoco.MjModel) -> None:
         body = index_of(model, "body", self.target)
         mass, own = float(model.body_mass[body]), model.body_ipos[body].copy()
@@ -108,7 +110,7 @@ class Shift(Law):
         super().__init__("com_offset", body, float(np.linalg.norm(offset)), size)
 
     def ways(self) -> list[Law]:
-        return [Shift(self.target, axis, self.size) for axis in self.value * np.eye(3)]
+        return [self._with(offset=axis) for axis in self.value * np.eye(3)]
 
     def tune(self, model: mujoco.MjModel) -> None:
         model.body_ipos[index_of(model, "body", self.target)] += self._offset
@@ -122,7 +124,7 @@ class Slope(Law):
         self._around = np.array(around, float)
 
     def ways(self) -> list[Law]:
-        return [Slope(self.value, np.cross([0.0, 0.0, 1.0], self._around), self.size)]
+        return [self._with(around=np.cross([0.0, 0.0, 1.0], self._around))]
 
     def tune(self, model: mujoco.MjModel) -> None:
         quat = np.zeros(4)

@@ -103,7 +103,7 @@ class TwoMasses(Law, abc.ABC):
     the model's joint is the link. The rotor is stepped here (semi-implicit Euler).
     """
 
-    drives = True
+    instead = True
 
     def __init__(self, effect: str, joint: str, actuator: str, value: float, size: float) -> None:
         super().__init__(effect, joint, value, size)
@@ -167,6 +167,9 @@ class Elastic(TwoMasses):
     ) -> None:
         super().__init__("joint_flexibility", joint, actuator, value, size)
         self._loss = damping
+
+    def ways(self) -> list[Law]:
+        return [self._with(loss=1.5 * self._loss)]
 
     def torque(self, twist: float, rate: float, step: float) -> float:
         return self.value * twist + self._loss * rate

@@ -64,6 +64,10 @@ class Stribeck(Bristles):
         super().__init__("stribeck_friction", joint, value, size)
         self._ratio, self._speed = ratio, speed
 
+    def ways(self) -> list[Law]:
+        more = 1 + 1.2 * (self._ratio - 1)
+        return [self._with(ratio=more), self._with(speed=1.2 * self._speed)]
+
     def level(self, model: mujoco.MjModel, data: mujoco.MjData, speed: float) -> float:
         bump = (self._ratio - 1) * np.exp(-((speed / self._speed) ** 2))
         return float(self.value * (1 + bump))
@@ -114,7 +118,7 @@ class Spring(AtJoint):
         self._rest = rest
 
     def ways(self) -> list[Law]:
-        return [Spring(self.target, self.value, self.size, self._rest + 0.1)]
+        return [self._with(rest=self._rest + 0.01)]
 
     def force(self, q: float, v: float, time: float) -> float:
         return -self.value * (q - self._rest)

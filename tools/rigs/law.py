@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from typing import Any
 
@@ -58,20 +59,27 @@ class Law:
       value: first parameter, SI (angles of a tilt in degrees), by which intervals are judged; NaN
         if there is none.
       size: what was drawn, relative to the machine's usual forces and so on.
-      drives: whether it acts in the place of an actuator: commands reach it after all else that
+      instead: whether it acts in the place of an actuator: commands reach it after all else that
         changes them.
     """
 
-    drives = False
+    instead = False
 
     def __init__(self, effect: str, target: str, value: float, size: float) -> None:
         self.effect, self.target = effect, target
         self.value, self.size = float(value), float(size)
 
     def ways(self) -> list[Law]:
-        """The same effect with other numbers beside its size, one for each: where a spring rests,
-        where a force points. Who looks for the effect looks for these, too."""
+        """The same, at the same moment, with another number beside its size, for each that whoever
+        looks for the effect looks for, too: where a spring rests, where a force points."""
         return []
+
+    def _with(self, **numbers: Any) -> Law:
+        """The same, at the same moment, with other attributes."""
+        other = copy.deepcopy(self)
+        for name, value in numbers.items():
+            setattr(other, f"_{name}", value)
+        return other
 
     def tune(self, model: mujoco.MjModel) -> None:
         """Changes numbers of the truth's model; `mj_setConst` follows."""

@@ -110,13 +110,15 @@ class Outcome:
     @property
     def right_any(self) -> bool:
         """Some finding is an injected law."""
-        return any(self.stands_for(name) for name in self.names)
+        return bool(self.known)
 
     @property
     def known(self) -> set[tuple[str, str]]:
-        """The injected laws that are among the findings. Of declared parameters that are off beside
-        effects, only where they are no more than there are laws: a dozen would always hit one."""
-        off = [_named(label) for label in self.retuned if len(self.retuned) <= len(self.laws)]
+        """The injected laws that are among the findings: of several laws also declared parameters
+        that are off beside effects, where they are no more than there are laws. A dozen would
+        always hit one."""
+        few = 1 < len(self.laws) >= len(self.retuned)
+        off = [_named(label) for label in self.retuned] if few else []
         return {law for name in (*self.names, *off) if (law := self.stands_for(name)) is not None}
 
     @property

@@ -44,8 +44,8 @@ def visibility(
             base = free(qpos[0], qvel[0])
             errors.append(_difference(model, base, qpos))
             if number == 0 or not left:  # one run is enough: 4 nv more runs for each window
-                told = _by_starts(model, free, (qpos, qvel), base, chain)
-                left.append(told.left(errors[-1]))
+                starts = _by_starts(model, free, (qpos, qvel), base, chain)
+                left.append(starts.left(errors[-1]))
     if not errors:
         return {"visibility": 0.0, "distinct": 0.0}
     shows, told = (np.sqrt(np.mean(np.concatenate(some) ** 2, axis=0)) for some in (errors, left))
@@ -54,40 +54,41 @@ def visibility(
 
 def beside(truth: Truth, plain: Truth, chain: Chain, run: Run) -> list[float]:
     """What each of several laws leaves that neither the best starts nor other numbers of the other
-    laws make, over what noise and impacts leave unknown: what is below one or two cannot be told
-    from the others. Empty for fewer than two laws.
+    laws make, over what noise and impacts leave unknown. Empty for fewer than two laws, and where a
+    machine without one of them moves off at once.
 
     The truth runs once more, without each law, and with it in another way (`Law.ways`), from states
     that it had, and with what its laws remembered there. By how much that moves is what the law's
-    numbers do.
+    numbers do. Laws of more numbers than `ways` knows leave more than they should.
     """
     if len(truth.laws) < 2:
         return []
     model, laws = plain.model, truth.laws
     chain = dataclasses.replace(chain, delays=np.zeros(model.njnt))
-    changes = [(law, way) for law in laws for way in (None, *law.ways())]
-    moves: list[list[Floats]] = [[] for _ in changes]
-    done = 0.0
+    done = 0
+    kinds = [(law, number) for law in laws for number in range(-1, len(law.ways()))]
+    moves: list[list[Floats]] = [[] for _ in kinds]
     for at in _windows(run, chain, _BEFORE):
-        begin = at[0] - _BEFORE
-        _on(truth, run, chain, done, begin)  # what laws remember is then as it was
-        done = begin
+        first = _row(truth, at[0] - _BEFORE)
+        if first > done:  # what laws remember is then as it was
+            _again(truth, run, chain, done, first - 1)
+            done = first
         try:
-            others = [_changed(truth, law, way, run, chain, at) for law, way in changes]
+            others = [_changed(truth, law, number, run, chain, at) for law, number in kinds]
         except Diverged:  # without a law that held it
             continue
         shown = seen(run, model, chain, laws, at)
         free = functools.partial(_free, plain, run, _clock(laws), chain.late, at)
-        told = _by_starts(model, free, shown, free(shown[0][0], shown[1][0]), chain)
+        starts = _by_starts(model, free, shown, free(shown[0][0], shown[1][0]), chain)
         for moved, other in zip(moves, others, strict=True):
-            moved.append(told.left(_difference(model, other, shown[0])))
+            moved.append(starts.left(_difference(model, other, shown[0])))
     if not moves[0]:
-        return [0.0] * len(laws)
-    flat = np.array([np.concatenate(one) for one in moves])  # [changes, T, nv]
+        return []
+    flat = np.array([np.concatenate(one) for one in moves])  # [kinds, T, nv]
     found = []
     for law in laws:
-        own = flat[next(k for k, (one, _) in enumerate(changes) if one is law)]
-        rest = flat[[one is not law for one, _ in changes]].reshape(-1, own.size).T
+        own = flat[next(k for k, (one, _) in enumerate(kinds) if one is law)]
+        rest = flat[[one is not law for one, _ in kinds]].reshape(-1, own.size).T
         best = np.linalg.lstsq(rest, own.ravel(), rcond=None)[0]
         left = (own.ravel() - rest @ best).reshape(own.shape)
         found.append(float(np.sqrt(np.mean(left**2, axis=0)).max()))
@@ -106,49 +107,49 @@ def _clock(laws: Sequence[Law]) -> float:
     return float(np.prod([getattr(law, "clock", 1.0) for law in laws]))
 
 
-def _on(
-    truth: Truth,
-    run: Run,
-    chain: Chain,
-    begin: float,
-    end: float,
-    gone: Sequence[Law] = (),
+def _row(truth: Truth, time: float) -> int:
+    """Number of the fine step that begins at a time."""
+    return round(time / truth.model.opt.timestep)
+
+
+def _again(
+    truth: Truth, run: Run, chain: Chain, first: int, last: int, gone: Sequence[Law] = ()
 ) -> Run:
-    """From a state that a run had, with the commands that arrived then; laws that have begun
-    remember what they do.
+    """Steps `first` to `last` once more, from the state that a run had, with the commands that
+    arrived then, and with what its laws remember of the step before.
 
     Args:
       gone: laws that the machine has no longer; where one has moved a joint beside its encoder, the
         joint is where the encoder was.
     """
-    step = truth.model.opt.timestep
-    slower = _clock(gone)  # what the log calls a second lasts so long then
-    first = round(begin / step)
-    start = float(run.time[first])
+    step, start = truth.model.opt.timestep, float(run.time[first])
+    slower = _clock(gone)  # true seconds to one of the log
 
     def arrived(now: float, *_: Floats) -> Floats:
         when = start + (now - start) / slower - chain.late
-        return np.asarray(run.sent[min(max(int(when / step + 1e-6), 0), len(run.sent) - 1)])
+        row = min(int(when / step + 1e-6), len(run.sent) - 1)
+        return np.asarray(run.sent[row]) if when > -1e-9 else np.zeros(run.sent.shape[1])
 
-    lasts = (end - start) * slower
+    lasts = (last - first) * step * slower
     ticks = start + step * np.arange(round(lasts / step) + 1)
     state = run.body[first].copy(), run.rate[first].copy()
     for law in gone:
         law.shown(*state)
-    return truth.run(*state, lasts, arrived, ticks, 0.0, begin=start)
+    return truth.run(*state, lasts, arrived, ticks, 0.0, begin=start, fresh=first == 0)
 
 
-def _changed(truth: Truth, law: Law, way: Law | None, run: Run, chain: Chain, at: Floats) -> Floats:
-    """[T, nq]: what encoders show of the machine with one of its laws in another way, or without
-    it."""
+def _changed(truth: Truth, law: Law, number: int, run: Run, chain: Chain, at: Floats) -> Floats:
+    """[T, nq]: what encoders show of the machine with one of its laws in another way.
+
+    Args:
+      number: of the way; -1 for without the law.
+    """
     kept = [copy.deepcopy(one) for one in truth.laws if one is not law]
-    begin, end = at[0] - _BEFORE, at[-1] + 2 * truth.model.opt.timestep
-    changed = truth.having([*kept, way] if way else kept)
-    if way:
-        way.begin(changed.model, mujoco.MjData(changed.model))
-    again = _on(changed, run, chain, begin, end, [law])
+    gone, way = ([law], []) if number < 0 else ([], [law.ways()[number]])
+    first, last = _row(truth, at[0] - _BEFORE), _row(truth, at[-1]) + 2
+    again = _again(truth.having([*kept, *way]), run, chain, first, last, gone)
     start = float(again.time[0])
-    return seen(again, truth.model, chain, changed.laws, start + (at - start) * _clock([law]))[0]
+    return seen(again, truth.model, chain, [*kept, *way], start + (at - start) * _clock(gone))[0]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -172,7 +173,7 @@ class _Starts:
 def _by_starts(
     model: mujoco.MjModel,
     free: Callable[[Floats, Floats], Floats],
-    seen: tuple[Floats, Floats],
+    shown: tuple[Floats, Floats],
     base: Floats,
     chain: Chain,
 ) -> _Starts:
@@ -181,17 +182,17 @@ def _by_starts(
     noise over four sampling intervals: one is not told from two positions).
 
     Args:
-      free: a run from a start. seen: positions [T, nq] and velocities [T, nv] that encoders show.
+      free: a run from a start. shown: positions [T, nq] and velocities [T, nv] that encoders show.
       base: [T, nq] the run from the first of them.
     """
     nv, size = model.nv, chain.noise * np.array([1.0, chain.rate / 4.0]) / 2.0
-    slopes, bends = list[Floats](), (chain.unknown(seen[1]) / chain.noise) ** 2
+    slopes, bends = list[Floats](), (chain.unknown(shown[1]) / chain.noise) ** 2
     for move in np.kron(np.diag(size), np.eye(nv)):
         sides = []
         for sign in (1.0, -1.0):
-            q = seen[0][0].copy()
+            q = shown[0][0].copy()
             mujoco.mj_integratePos(model, q, sign * move[:nv], 1.0)
-            sides.append(_difference(model, free(q, seen[1][0] + sign * move[nv:]), base))
+            sides.append(_difference(model, free(q, shown[1][0] + sign * move[nv:]), base))
         slopes.append((sides[1] - sides[0]) / 2.0)
         bends += ((sides[0] + sides[1]) / 2.0 / chain.noise) ** 2
     weight = 1.0 / (chain.noise * np.sqrt(bends))

@@ -50,7 +50,7 @@ class Run:
 def in_order(laws: Sequence[Law]) -> list[Law]:
     """What acts in the place of an actuator last: it has the gain and the limits, and gets the
     commands, that others have changed."""
-    return sorted(laws, key=lambda one: one.drives)
+    return sorted(laws, key=lambda one: one.instead)
 
 
 def compiled(text: str, stepping: Stepping, laws: Sequence[Law]) -> mujoco.MjModel:
@@ -101,12 +101,13 @@ class Truth:
         ticks: Floats,
         late: float,
         begin: float = 0.0,
+        fresh: bool = True,
     ) -> Run:
         """Moves the machine.
 
         Args:
           ticks: times at which the controller reads and sends. late: s until a command arrives.
-          begin: time at the start, s. Later than 0, laws remember what they did until then.
+          begin: time at the start, s. fresh: whether laws forget what they did before.
 
         Raises:
           Diverged: the state is no longer finite, or fast beyond reason.
@@ -114,7 +115,7 @@ class Truth:
         model, data = self.model, mujoco.MjData(self.model)
         data.qpos[:], data.qvel[:], data.time = qpos, qvel, begin
         mujoco.mj_forward(model, data)
-        for law in () if begin else self.laws:
+        for law in self.laws if fresh else ():
             law.begin(model, data)
         count = round(duration / model.opt.timestep) + 1
         rows: list[tuple[Floats, ...]] = []

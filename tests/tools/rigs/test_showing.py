@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,13 +16,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "tools"))
 
 from rigs import instruments
 from rigs.bodies import Misread
-from rigs.drives import Elastic, Gain, Lag
+from rigs.drives import Delay, Elastic, Gain, Lag
 from rigs.excitation import motion
-from rigs.friction import Spring, Viscous
+from rigs.friction import Coulomb, Spring, Viscous
 from rigs.law import Floats, Law
 from rigs.machines import MACHINES
-from rigs.showing import _by_starts, _free, beside, visibility
-from rigs.truth import Stepping, Truth
+from rigs.showing import _again, _by_starts, _free, beside, visibility
+from rigs.truth import Run, Stepping, Truth
 
 SLIDER = mujoco.MjModel.from_xml_string(
     """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody><body>
@@ -65,14 +67,24 @@ def test_what_is_distinct_is_what_no_start_makes_and_no_impact_hides() -> None:
     assert left[0] > 2.0 and left[1] < 0.25
 
 
-def shown(*laws: Law, machine: str = "suite_pendulum") -> tuple[dict[str, float], list[float]]:
-    """How laws of a machine show, together and each beside the others."""
+Made = tuple[Truth, Truth, instruments.Chain, Run]
+
+
+def made_of(*laws: Law, machine: str = "suite_pendulum", late: float = 0.0) -> Made:
+    """A machine without laws and with them, what it is measured with, and how it moves."""
     made, stepping = MACHINES[machine], Stepping(1e-3, "rk4")
     plain, truth = (Truth(made, made.text(), stepping, some) for some in ((), laws))
     chain = instruments.drawn(plain.model, 100.0, (), np.random.default_rng(2))
+    chain = dataclasses.replace(chain, late=late)
     one = motion(made, plain, np.random.default_rng(1), chain.noise)
     ticks = chain.ticks(2.0, np.random.default_rng(3))
     run = truth.run(one.qpos, one.qvel, 2.0, one.controller, ticks, chain.late)
+    return plain, truth, chain, run
+
+
+def shown(*laws: Law, machine: str = "suite_pendulum") -> tuple[dict[str, float], list[float]]:
+    """How laws of a machine show, together and each beside the others."""
+    plain, truth, chain, run = made_of(*laws, machine=machine)
     return visibility(plain, chain, [run], laws), beside(truth, plain, chain, run)
 
 
@@ -85,8 +97,7 @@ def test_what_another_law_does_as_well_does_not_show_beside_it() -> None:
     assert shown(damping)[1] == []
 
 
-def test_what_a_law_does_in_another_way_is_the_others_no_more() -> None:
-    """An offset of an encoder is where a spring rests."""
+def test_an_offset_does_not_show_beside_a_spring_that_may_rest_elsewhere() -> None:
     bias, others = Misread("sensor_bias", "lift", 0.05, 1.0), list[float]()
     for other in (Viscous("viscous_damping", "lift", 0.2, 1.0), Spring("lift", 2.0, 1.0, 0.0)):
         others.append(shown(bias, other, machine="servo_arm")[1][0])
@@ -103,15 +114,22 @@ def test_samples_beside_their_times_hide_what_is_fast() -> None:
                                np.hypot(jitter.noise, [0.0, 20.0 * 0.01 / 100.0]))  # fmt: skip
 
 
-def test_what_laws_remember_is_no_difference() -> None:
-    """A lag and a soft transmission begin each window with what they had before it."""
-    lag, misread = (
-        Lag("actuator_lag", "yaw_servo", 0.05, 1.0),
-        Misread("sensor_bias", "yaw", 0.001, 1.0),
+def test_a_part_of_a_run_is_the_same_once_more() -> None:
+    """From a state that it had, its laws remember what they had done, and late commands arrive."""
+    laws = (
+        Lag("actuator_lag", "lift_servo", 0.05, 1.0),
+        Elastic("lift", "lift_servo", 60.0, 1.0, 0.1),
+        Delay("actuator_delay", "yaw_servo", 0.0233, 1.0),
+        Coulomb("coulomb_friction", "yaw", 0.05, 1.0),
     )
-    lag_shows, bias_shows = shown(lag, misread, machine="servo_arm")[1]
-    assert lag_shows > 10.0
-    assert bias_shows < 0.5 * lag_shows
+    _, truth, chain, run = made_of(*laws, machine="servo_arm", late=0.0077)
+    done = 0
+    for first, last in ((0, 200), (400, 700), (900, 1000)):
+        if first:
+            _again(truth, run, chain, done, first - 1)
+        done = first
+        again = _again(copy.deepcopy(truth), run, chain, first, last)
+        np.testing.assert_allclose(again.qpos, run.qpos[first : last + 1], atol=1e-9)
 
 
 def test_commands_reach_a_rotor_after_all_that_changes_them() -> None:
