@@ -208,11 +208,11 @@ def _sure(context: Context, before: Judged, after: Judged) -> Sure:
     sure = only_sure(context, after, refit, bare)
     while True:
         wide, again, late = sure.judged, None, tuple[type[TimeIsUpError], ...]()
-        if not vague(scene, wide):  # how sure a number is through impacts takes long to ask
+        if not vague(scene, wide):  # through impacts, to ask how sure numbers are takes long
             half = context.until(Deadline.after(context.deadline.left / 2.0))
             wide, late = half.judge.as_sure(wide), (TimeIsUpError,)
         numbers = vague(scene, wide)
-        with contextlib.suppress(*late):  # of what all else was decided in time
+        with contextlib.suppress(*late):  # what is known by then is an answer, if not the last
             less = refit(wide.hypothesis.without(numbers[0]), sure.judged) if numbers else None
             again = None if less is None else only_sure(context, less, refit, bare)
         if again is None:
