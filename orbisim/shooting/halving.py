@@ -52,7 +52,8 @@ in a typical window: half of it in theory, of MuJoCo's integrators but RK4, of w
 (0.43 to 0.5 of boxes and balls in flight, -0.3 to 0.1 of pucks that rock while they slide)."""
 MATTERS = 0.25
 """Error of a step, over what is left (at least the noise), that matters: three hundredths of that
-are the step's then. While effects are missing, a coarser one does, and simulates faster."""
+are the step's then. While effects are missing, a coarser one does, and simulates faster. Whether
+half of the step, or another form of friction, is tried at all is asked beside the noise alone."""
 
 
 def exact_enough(bench: Bench) -> Bench | None:

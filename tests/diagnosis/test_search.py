@@ -535,6 +535,30 @@ def test_what_wider_intervals_leave_untold_is_not_named(
     assert after.after.fit.values[0] > 1.05 * both.fit.values[0]
 
 
+def test_what_there_is_no_time_to_fit_without_stays_with_its_interval(
+    arm: orbisim.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The final fit is not lost because the time is up once intervals are known."""
+    context = begun(bench_of(arm, FRICTION), Settings(), lambda _: None)
+    declared, best = (context.judge.judge(Hypothesis(e)) for e in ((), (FRICTION,)))
+    assert declared is not None and best is not None
+    found = Found(context, *[stepping(context.bench.scene)] * 2, declared, best)
+
+    def late(*_: object, **__: object) -> Judged:
+        raise TimeIsUpError
+
+    def unsure(_: Judge, judged: Judged) -> Judged:
+        monkeypatch.setattr(Judge, "judge", late)
+        fit = dataclasses.replace(judged.fit, covariance=1e12 * judged.fit.covariance)
+        return dataclasses.replace(judged, fit=fit)
+
+    monkeypatch.setattr(Judge, "as_sure", unsure)
+    after = concluded(found, NEVER)
+    assert [one.effect for one in after.hypothesis.effects] == ["coulomb_friction"]
+    assert after.after.fit.covariance[0, 0] > 1e6 * best.fit.covariance[0, 0]
+    assert not after.rejected and len(after.evidence) == 1
+
+
 def test_where_the_time_was_up_what_was_sure_at_first_is_the_answer(arm: orbisim.Scene) -> None:
     """Only the form of the data had been changed: the best so far explains nothing by itself."""
     context = begun(bench_of(arm, FRICTION), Settings(), lambda _: None)

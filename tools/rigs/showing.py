@@ -55,7 +55,7 @@ def visibility(
 def beside(truth: Truth, plain: Truth, chain: Chain, run: Run) -> list[float]:
     """What each of several laws leaves that neither the best starts nor other numbers of the other
     laws make, over what noise and impacts leave unknown. Empty for fewer than two laws, and where a
-    machine without one of them moves off at once.
+    machine without one of them diverges in every window.
 
     The truth runs once more, without each law, and with it in another way (`Law.ways`), from states
     that it had, and with what its laws remembered there. By how much that moves is what the law's
