@@ -61,18 +61,21 @@ def told(
     fit: Fit, own: Sequence[int], neutral: Sequence[float], intervals: Sequence[tuple[float, float]]
 ) -> bool:
     """Whether numbers can be told from those at which nothing changes (Wald's test), as sure as
-    their intervals are.
+    their intervals are on the side where that is: resamples may lie further to one.
 
     Args:
       own: which of the fitted numbers. neutral: where nothing changes. intervals: of each.
     """
     index = list(own)
-    half = np.array([(high - low) / 2 for low, high in intervals])
+    nothing = np.array(neutral)
+    low, high = np.array(intervals).reshape(-1, 2).T
+    values = fit.values[index]
+    half = np.where(values > nothing, values - low, high - values)
     deviation = np.sqrt(np.maximum(np.diag(fit.covariance)[index], 1e-300))
     # an interval may be as wide as numbers go: of a number that the data hardly feel
     width = np.maximum(np.where(np.isnan(half), np.inf, half / 1.96), deviation)
     correlation = fit.covariance[np.ix_(index, index)] / np.outer(deviation, deviation)
-    away = (fit.values[index] - np.array(neutral)) / width
+    away = (values - nothing) / width
     inverse = np.linalg.pinv(np.nan_to_num(correlation), rcond=1e-12, hermitian=True)
     return bool(away @ inverse @ away >= TOLD**2 * len(index))
 

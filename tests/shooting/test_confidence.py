@@ -54,6 +54,10 @@ def test_numbers_count_as_told_by_their_intervals() -> None:
     assert told(fit, [0], [0.0], [(0.8, 1.2)])
     assert not told(fit, [0], [0.0], [(-0.5, 2.5)])
     assert not told(fit, [1], [3.0], [(2.8, 3.2)])
+    # an interval that reaches nothing on its longer side, whichever that is
+    assert not told(fit, [0], [0.0], [(-0.1, 1.3)])
+    assert not told(fit, [0], [2.0], [(0.7, 2.1)])
+    assert told(fit, [0], [0.0], [(0.7, 2.5)])
 
 
 def test_a_number_without_a_bound_is_not_told() -> None:
