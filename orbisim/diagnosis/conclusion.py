@@ -156,9 +156,10 @@ def _as_found(found: Found, until: Deadline = NEVER) -> Attribution:
     def refit(less: Hypothesis, now: Judged) -> Judged | None:
         return context.judge.judge(less, 3, begin=context.judge.begin(now))
 
-    best = told(found.context, found.best) if found.best.hypothesis.effects else found.best
+    best = found.best
     with contextlib.suppress(TimeIsUpError):
         best = next((plain(context, one, refit) for one in _best_first(found)), best)
+    best = told(context, best) if best.hypothesis.effects else best
     gain = 2 * worth(bench, found.declared, best).total if best is not found.declared else 0.0
     evidence = tuple(gain for _ in best.hypothesis.effects)
     tried = rivals_of(found.tried)

@@ -155,7 +155,8 @@ _MOST = 0.9
 """Share of the samples; commands that change at every one are as fast as the log, or faster."""
 _SLACK = 0.1
 """Of a sampling interval: jitter of stamps."""
-_KNOWN = 0.003
-"""By which a period is off that another log shows: its changes tell it to a few ten thousandths."""
+_KNOWN = 5e-4
+"""By which a period is off that another log shows: its changes tell it to a few ten thousandths.
+Six times as much leaves a clock open that is nearly a multiple of the interval."""
 _OPEN = 0.3
 """Of a sampling interval: what may be left open, as a mean over an interval leaves half of it."""

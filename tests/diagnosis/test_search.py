@@ -472,16 +472,21 @@ def test_controls_that_lead_are_not_lost_where_the_time_is_up(
     assert found.late and found.best is better
 
 
+@pytest.mark.parametrize("until", [Deadline(0.0), NEVER])
 def test_what_cannot_be_told_from_nothing_is_not_the_answer_where_the_time_is_up(
-    arm: orbisim.Scene,
+    arm: orbisim.Scene, until: Deadline, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Whether or not there is time for nested explanations, of which the best may have it."""
+    from orbisim.diagnosis import conclusion as module
+
+    if until is NEVER:
+        monkeypatch.setattr(module, "plain", lambda _, judged, __: judged)
     context = begun(bench_of(arm, FRICTION), Settings(), lambda _: None)
     idle = EffectInstance("armature", "shoulder", {"inertia": 1e-4})
     declared, both = (context.judge.judge(Hypothesis(e)) for e in ((), (FRICTION, idle)))
     assert declared is not None and both is not None
     found = _as_found(
-        Found(context, *[stepping(context.bench.scene)] * 2, declared, both, late=True),
-        Deadline(0.0),
+        Found(context, *[stepping(context.bench.scene)] * 2, declared, both, late=True), until
     )
     assert names(found.hypothesis) == {("coulomb_friction", "shoulder")}
     (torque,) = found.hypothesis.values(arm)

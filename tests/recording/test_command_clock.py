@@ -91,6 +91,18 @@ def test_a_command_may_stay_for_many_ticks(samples: float) -> None:
         np.testing.assert_allclose(found, true, atol=0.2)
 
 
+@pytest.mark.parametrize("off", [-2e-4, 0.0])
+def test_a_known_period_tells_a_clock_that_is_nearly_a_multiple(off: float) -> None:
+    """In one log such a clock is at the same place of all intervals, wherever that is, but for the
+    one or two times that it passes a sample."""
+    period, phase = 2.9912 / RATE, 0.0085
+    time, values = _log(period, phase, 598)
+    assert command_clock(time, values) is None
+    found = command_clock(time, values, (1 + off) * period)
+    assert found is not None
+    np.testing.assert_allclose(found, _shares(time, period, phase), atol=0.31)
+
+
 def test_another_period_is_not_followed() -> None:
     time, values = _log(2.718 / RATE, 0.011)
     assert command_clock(time, values, 3.1416 / RATE) is None

@@ -107,7 +107,9 @@ def logged(
       number: of the recording. applied: whether torques are logged instead of commands.
     """
     rng = np.random.default_rng([chain.seed, number])
-    taken, stamps = _clock(run, chain, rng)
+    step = 1 / chain.rate
+    grid = np.arange(2, int(float(run.time[-1]) * chain.rate)) * step  # of the commands
+    taken, stamps = _clock(grid, chain, rng)
     qpos, qvel = seen(run, model, chain, laws, taken)
     noise = _noise(chain, qpos.shape, rng)
     positions = _noisy_positions(model, qpos, noise, chain)
@@ -125,17 +127,15 @@ def logged(
                 found[f"qvel/{name_of(model, 'joint', joint)}"] = rates[:, joint]
         else:
             found["qvel"] = rates
-    _commands(found, run, model, chain, taken, rng, applied)
+    _commands(found, run, model, chain, grid, rng, applied)
     kept = _kept(len(taken), chain, rng)
     return {name: values[kept] for name, values in found.items()}
 
 
-def _clock(run: Run, chain: Chain, rng: np.random.Generator) -> tuple[Floats, Floats]:
+def _clock(nominal: Floats, chain: Chain, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """When samples are taken, and what is logged as their time."""
-    step, end = 1 / chain.rate, float(run.time[-1])
-    nominal = np.arange(2, int(end * chain.rate)) * step  # on the grid of the commands
     if "jitter" in chain.artefacts:
-        return nominal + JITTER * step * rng.normal(size=len(nominal)), nominal
+        return nominal + JITTER / chain.rate * rng.normal(size=len(nominal)), nominal
     if "host_stamps" in chain.artefacts:
         # a bus and a scheduler: 2 ms on average, with a tail; never out of order
         arrive = nominal + rng.gamma(2.0, 0.001, len(nominal))
@@ -239,12 +239,13 @@ def _commands(
     run: Run,
     model: mujoco.MjModel,
     chain: Chain,
-    taken: Floats,
+    grid: Floats,
     rng: np.random.Generator,
     applied: bool,
 ) -> None:
-    """What was sent last when the sample was taken, and torques."""
-    rows = np.clip(np.searchsorted(run.time, taken + 1e-9, side="right") - 1, 0, None)
+    """What was sent last on the grid of the samples, and torques: a sensor that is read a little
+    beside it does not change what a cycle has sent."""
+    rows = np.clip(np.searchsorted(run.time, grid + 1e-9, side="right") - 1, 0, None)
     torques = run.sent[rows] if applied else run.drive[rows]
     if not applied and run.sent.shape[1]:
         found["ctrl"] = run.sent[rows]
