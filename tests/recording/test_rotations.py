@@ -86,3 +86,19 @@ def test_rates_are_in_the_body_frame(std):
         assert found.noise_std == pytest.approx(std, rel=0.1)
         assert 0.3 < error / found.angvel_std[inside].mean() < 1.3
     np.testing.assert_allclose(np.linalg.norm(found.quat, axis=1), 1, rtol=1e-12)
+
+
+@pytest.mark.parametrize("turn", [0.5, 0.8, 1.2])
+def test_a_fast_spin_is_known_at_the_ends(turn: float) -> None:
+    """Of a ball that turns by so much from sample to sample, about an axis of its own."""
+    rng, interval, count = np.random.default_rng(1), 8e-3, 90
+    t = interval * np.arange(count)
+    w = turn / interval * np.array([0.6, -0.64, 0.48])
+    q = quat.multiply(quat.exp(np.array([0.3, 1.0, -0.2])), quat.exp(w * t[:, None]))
+    noisy = quat.multiply(q, quat.exp(4e-3 * rng.standard_normal((count, 3))))
+    noisy[40:43] = np.nan
+    found = smooth_rotation(t, noisy)
+    assert np.abs(found.angvel - w).max() < 0.02 * np.linalg.norm(w)
+    assert found.noise_std == pytest.approx(4e-3, rel=0.3)
+    off = quat.log(quat.multiply(quat.conjugate(q), found.quat))
+    assert np.abs(off).max() < 0.02
