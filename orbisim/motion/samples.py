@@ -20,11 +20,13 @@ from orbisim.effects.base import Extent
 from orbisim.errors import RecordingError
 from orbisim.recording import Bound, Recording, bind, estimate_motion, noise_std
 from orbisim.recording.actuators import actuators
+from orbisim.recording.binding import held_inputs
 from orbisim.recording.command_clock import Lead, command_clock, command_period
 from orbisim.recording.initial import activations, histories, starts
 from orbisim.recording.joints import Kind, joints
 from orbisim.recording.noise import lattice_step
-from orbisim.recording.zero_order_hold import led
+from orbisim.recording.thinning import Thinned
+from orbisim.recording.zero_order_hold import Held, led
 from orbisim.scene import Scene
 
 Floats = npt.NDArray[np.float64]
@@ -52,6 +54,8 @@ class Samples:
       lead: [T - 1] each, by what share of an interval controls, and forces, change before the
         sample that logs them; None where all change at their samples. `ctrl` and `force` are means
         over the interval that follows each sample then.
+      between: controls and forces as they are held between the samples of the recording that this
+        one is thinned of; None if it is not. `ctrl` and `force` are means then, too.
     """
 
     bound: Bound
@@ -71,6 +75,7 @@ class Samples:
     usable: Bools
     jumps: Bools
     lead: tuple[Floats, Floats] | None = None
+    between: tuple[Held, Held] | None = None
 
     def __len__(self) -> int:
         return len(self.time)
@@ -104,6 +109,9 @@ class Samples:
     def inputs(self, parts: int) -> tuple[Floats, Floats]:
         """Means of controls [T, parts, nu] and forces [T, parts, nv] over equal parts of the
         interval that follows each sample."""
+        if self.between is not None:
+            ctrl, force = (_within(held, self.time, parts) for held in self.between)
+            return ctrl, force
         signals = self.bound.ctrl, _applied(self.bound)
         none = np.zeros(len(self) - 1)
         ctrl, force = map(led, signals, self.lead or (none, none), (parts, parts))
@@ -124,6 +132,13 @@ class Samples:
     def source(self) -> str:
         """Name of the recording."""
         return self.bound.recording.source
+
+
+def _within(held: Held, time: Floats, parts: int) -> Floats:
+    """[T, parts, n]: means over equal parts of the interval that follows each sample; the last
+    sample's is as long as the one before."""
+    length = np.diff(time, append=2 * time[-1] - time[-2])
+    return held.within(time[:, None] + length[:, None] * np.linspace(0.0, 1.0, parts + 1))
 
 
 def prepare(recording: Recording, scene: Scene) -> Samples:
@@ -170,6 +185,7 @@ def prepare(recording: Recording, scene: Scene) -> Samples:
         rounding=_rounding(bound),
         usable=np.asarray(usable),
         jumps=motion.jumps,
+        between=held_inputs(recording.whole, bound) if isinstance(recording, Thinned) else None,
     )
 
 
@@ -282,7 +298,7 @@ def _velocity_noise(bound: Bound) -> Floats:
 def parts_of(samples: Sequence[Samples], substeps: int) -> int:
     """Into how many parts, over which inputs are constant, intervals of so many timesteps fall:
     into all, where some inputs change within."""
-    return substeps if any(one.lead for one in samples) else 1
+    return substeps if any(one.lead or one.between for one in samples) else 1
 
 
 def substeps(duration: npt.ArrayLike, timestep: float) -> Ints:

@@ -19,7 +19,7 @@ from orbisim.recording.joints import Joint, body_label, joints
 from orbisim.recording.matching import matches
 from orbisim.recording.recording import Recording
 from orbisim.recording.sensors import reads_state, sensors
-from orbisim.recording.zero_order_hold import filled
+from orbisim.recording.zero_order_hold import Held, filled
 from orbisim.scene import Scene
 from orbisim.scene.hidden import hidden_joints
 
@@ -51,6 +51,17 @@ def bind(recording: Recording, scene: Scene) -> Bound:
     found = tuple(suspicions(bound))
     notes = (*bound.notes, *(one.text for one in found))
     return dataclasses.replace(bound, notes=notes, suspicions=found)
+
+
+def held_inputs(recording: Recording, like: Bound) -> tuple[Held, Held]:
+    """Controls [., nu] and the joint forces that drive the scene [., nv], as they are held from
+    sample to sample, of a recording with the signals of one that is bound."""
+    binder = _Binder(recording, like.scene)
+    ctrl = binder.fill("ctrl", like.model.nu, {a.name: a.ctrl for a in binder.actuators})
+    torque = binder.fill("torque", like.model.nv, {j.name: j.v for j in binder.joints})
+    applied = np.where(like.applied, np.nan_to_num(torque), 0.0)
+    time = recording.time
+    return Held(time, binder.hold(ctrl, like.switched_off)), Held(time, applied)
 
 
 class _Binder(Assembly):

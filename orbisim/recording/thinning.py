@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +15,7 @@ from orbisim.recording.zero_order_hold import led
 
 Floats = npt.NDArray[np.float64]
 
-MOST_SAMPLES = 200
+MOST_SAMPLES = 400
 """Sampling intervals of a window at most."""
 
 
@@ -24,6 +26,30 @@ FEW_SAMPLES = 30
 MOST_OF_TIME = 0.75
 """A window is no longer than recordings that hold this share of the recorded time: in shorter ones
 no window fits."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Thinned(Recording):
+    """A recording of which every so many samples is kept; its controls are means.
+
+    Attributes:
+      whole: the recording that it was made of, which says when controls changed in between.
+    """
+
+    whole: Recording = dataclasses.field(kw_only=True)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        recording, plain = super().__reduce__()
+        return (_thinned, (recording, plain, self.whole))
+
+
+def _thinned(recording: type[Recording], plain: tuple[Any, ...], whole: Recording) -> Thinned:
+    return _of(recording(*plain), whole)
+
+
+def _of(one: Recording, whole: Recording) -> Thinned:
+    kept = {f.name: getattr(one, f.name) for f in dataclasses.fields(one)}
+    return Thinned(**{**kept, "whole": whole})
 
 
 def usual_window(recordings: Sequence[Recording]) -> float:
@@ -46,7 +72,8 @@ def usual_window(recordings: Sequence[Recording]) -> float:
 def thinned(recordings: Sequence[Recording], window: float, notes: list[str]) -> list[Recording]:
     """Recordings with at most `MOST_SAMPLES` intervals to a window: every so many samples is kept.
 
-    Controls and torques become their means over what is left out, so that their impulse stays.
+    Controls and torques become their means over what is left out, so that their impulse stays;
+    simulations in shorter steps take them from `Thinned.whole`.
 
     Args:
       window: duration, s. notes: gets a line if anything is left out.
@@ -60,7 +87,7 @@ def thinned(recordings: Sequence[Recording], window: float, notes: list[str]) ->
         total = sum(len(one) for one in recordings)
         notes.append(
             f"windows of {window:g} s have more than {MOST_SAMPLES} samples: the search takes "
-            f"{total - left_out} of {total}, with the mean of the controls in between"
+            f"{total - left_out} of {total}, and all controls in between"
         )
     return found
 
@@ -139,7 +166,7 @@ def _kept(one: Recording, every: int) -> Recording:
         for name, values in one.signals.items()
         if names.split(name)[0] in names.HELD
     }
-    return part.replace(signals={**part.signals, **held})
+    return _of(part.replace(signals={**part.signals, **held}), one)
 
 
 def _means(time: Floats, values: Floats, rows: npt.NDArray[np.intp]) -> Floats:

@@ -84,6 +84,15 @@ class Held:
             means[mixed] = (area - self._integral(borders[mixed], low[mixed])) / step
         return means
 
+    def within(self, borders: Floats) -> Floats:
+        """[N, parts, n]: averages between the borders [N, parts + 1], s, of parts of N intervals
+        from the first sample on; the last value stays after the last sample."""
+        ends = np.append(self.time, np.maximum(borders.max(), self.time[-1] + 1.0))
+        area = np.append(self._area, self._area[-1:] + (ends[-1] - ends[-2]) * self.values[-1:], 0)
+        upto = [np.interp(borders, ends, column) for column in area.T]
+        whole = np.stack(upto, axis=-1) if upto else np.zeros((*borders.shape, 0))
+        return np.asarray(np.diff(whole, axis=1) / np.diff(borders, axis=1)[..., None])
+
     def _integral(self, time: Floats, row: npt.NDArray[np.int64]) -> Floats:
         since = (time - self.time[row])[:, None]
         return np.asarray(self._area[row] + self.values[row] * since)

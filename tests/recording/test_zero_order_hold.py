@@ -41,3 +41,14 @@ def test_a_missing_sample_changes_none_beside_it() -> None:
     values = np.array([[1.0], [np.nan], [3.0], [5.0]])
     found = led(values, 0.5)[:, 0]
     np.testing.assert_array_equal(found, [[1.0], [np.nan], [4.0], [5.0]])
+
+
+def test_means_between_borders_are_those_of_steps() -> None:
+    rng = np.random.default_rng(3)
+    held = Held(np.cumsum(rng.uniform(0.5, 1.5, 30)), rng.normal(size=(30, 2)))
+    borders = held.time[0] + 0.37 * np.arange(91)
+    found = held.within(np.stack([borders[:-1:3], borders[1::3], borders[2::3], borders[3::3]], 1))
+    steps = held.means(held.time[0], 0.37, 0, 90)
+    np.testing.assert_allclose(found, steps.reshape(30, 3, 2), atol=1e-12)
+    assert borders[-1] > held.time[-1]  # the last value stays
+    assert Held(held.time, np.zeros((30, 0))).within(borders[None]).shape == (1, 90, 0)
