@@ -46,10 +46,11 @@ from orbisim.host.progress import status
 from orbisim.motion.samples import forces_known, prepare_all
 from orbisim.recording import Recording
 from orbisim.recording.derived import independent
+from orbisim.recording.gaps import bridged
 from orbisim.recording.split import bounded, some_of, split
 from orbisim.recording.stamps import regular
 from orbisim.recording.suspicious import refuse, within_range
-from orbisim.recording.thinning import bridged, held_led, thinned
+from orbisim.recording.thinning import held_led, thinned
 from orbisim.scene import Scene, load_scene
 from orbisim.sensing.faults import Sensed
 from orbisim.shooting.bench import Bench, Noise, make_bench
@@ -311,8 +312,7 @@ def _held_back(scene: Scene, held: Sequence[Recording], window: float, noise: No
     try:
         return make_bench(scene, prepare_all(held, scene), window, noise=noise)
     except InputError as error:
-        sources = ", ".join(one.source for one in held)
-        raise InputError(f"held-out data ({sources}): {error}") from None
+        raise InputError(f"held-out data ({', '.join(o.source for o in held)}): {error}") from None
 
 
 def _result(

@@ -103,6 +103,10 @@ class Samples:
         signals = self.bound.ctrl, _applied(self.bound)
         ctrl, force = (lead.shares(self.time, values) for values in signals)
         led = dataclasses.replace(self, lead=(ctrl, force))
+        if isinstance(self.bound.recording, Thinned):
+            every = held_inputs(self.bound.recording.whole, self.bound)
+            moved = tuple(held.moved(lead.shares(held.time, held.values)) for held in every)
+            led = dataclasses.replace(led, between=(moved[0], moved[1]))
         ctrl, force = (values[:, 0] for values in led.inputs(1))
         return dataclasses.replace(led, ctrl=ctrl, force=force)
 

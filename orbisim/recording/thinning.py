@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.recording import Recording, names
-from orbisim.recording.command_clock import Lead, command_period
+from orbisim.recording.command_clock import Lead
 from orbisim.recording.zero_order_hold import led
 
 Floats = npt.NDArray[np.float64]
@@ -30,10 +30,10 @@ no window fits."""
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Thinned(Recording):
-    """A recording of which every so many samples is kept; its controls are means.
+    """A recording with fewer samples than its controls have; it has their means.
 
     Attributes:
-      whole: the recording that it was made of, which says when controls changed in between.
+      whole: controls and torques, as they were in between.
     """
 
     whole: Recording = dataclasses.field(kw_only=True)
@@ -44,10 +44,11 @@ class Thinned(Recording):
 
 
 def _thinned(recording: type[Recording], plain: tuple[Any, ...], whole: Recording) -> Thinned:
-    return _of(recording(*plain), whole)
+    return thinned_of(recording(*plain), whole)
 
 
-def _of(one: Recording, whole: Recording) -> Thinned:
+def thinned_of(one: Recording, whole: Recording) -> Thinned:
+    """The same samples, with controls in between."""
     kept = {f.name: getattr(one, f.name) for f in dataclasses.fields(one)}
     return Thinned(**{**kept, "whole": whole})
 
@@ -92,45 +93,6 @@ def thinned(recordings: Sequence[Recording], window: float, notes: list[str]) ->
     return found
 
 
-def bridged(recordings: Sequence[Recording], notes: list[str]) -> list[Recording]:
-    """Recordings whose controls and torques are means where samples are missing: what they were in
-    between is not known, and to hold the last one drives a machine on that had long been told
-    otherwise. A mean is that of a course in equal steps from the last known one to the next. Those
-    that follow a clock of their own stay: when they change, the log as it is says.
-
-    Args:
-      notes: gets a line if anything is missing.
-    """
-    found, missing = [], 0
-    for one in recordings:
-        steps = np.diff(one.time)
-        count = np.ones(len(one)) if len(one) < 2 else np.append(steps / np.median(steps), 1.0)
-        rows = np.flatnonzero(count > _GAP)
-        changed: dict[str, Floats] = {}
-        for name, values in one.signals.items():
-            wide = np.array(values, np.float64).reshape(len(one), -1)
-            held = len(rows) and names.split(name)[0] in names.HELD
-            if held and command_period(one.time, wide) is None:
-                share = (np.round(count[rows]) - 1) / (2 * np.round(count[rows]))
-                step = share[:, None] * (wide[rows + 1] - wide[rows])
-                wide[rows] += np.where(np.isfinite(step), step, 0.0)  # the next may be missing, too
-                changed[name] = wide.reshape(values.shape)
-        if any(not np.array_equal(one.signals[n], v, equal_nan=True) for n, v in changed.items()):
-            missing += len(rows)
-            one = one.replace(signals={**one.signals, **changed})
-        found.append(one)
-    if missing:
-        notes.append(
-            f"samples are missing at {missing} places: the controls there are means between the "
-            "last that is known and the next"
-        )
-    return found
-
-
-_GAP = 1.5
-"""Typical sampling intervals that are a gap."""
-
-
 def held_led(recordings: Sequence[Recording], lead: Lead) -> list[Recording]:
     """Recordings with controls and torques that change before the samples that log them; those of
     one kind follow one clock."""
@@ -166,7 +128,8 @@ def _kept(one: Recording, every: int) -> Recording:
         for name, values in one.signals.items()
         if names.split(name)[0] in names.HELD
     }
-    return _of(part.replace(signals={**part.signals, **held}), one)
+    whole = one.whole if isinstance(one, Thinned) else one
+    return thinned_of(part.replace(signals={**part.signals, **held}), whole)
 
 
 def _means(time: Floats, values: Floats, rows: npt.NDArray[np.intp]) -> Floats:

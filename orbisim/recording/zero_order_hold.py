@@ -84,6 +84,17 @@ class Held:
             means[mixed] = (area - self._integral(borders[mixed], low[mixed])) / step
         return means
 
+    def moved(self, shares: Floats) -> Held:
+        """With changes that come before the samples that log them, or after.
+
+        Args:
+          shares: [T - 1] of the interval before each sample, as of `led`.
+        """
+        length = np.diff(self.time)
+        after = np.append(length[1:], length[-1:])
+        earlier = np.where(shares > 0, shares * length, shares * after)
+        return Held(np.append(self.time[:1], self.time[1:] - earlier), self.values)
+
     def within(self, borders: Floats) -> Floats:
         """[N, parts, n]: averages between the borders [N, parts + 1], s, of parts of N intervals
         from the first sample on; the last value stays after the last sample."""

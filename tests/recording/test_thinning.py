@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from orbisim.recording import Recording
-from orbisim.recording.thinning import MOST_SAMPLES, Thinned, bridged, thinned, usual_window
+from orbisim.recording.thinning import MOST_SAMPLES, Thinned, thinned, usual_window
 
 TIME = np.arange(0, 4, 1e-3)
 
@@ -77,42 +77,3 @@ def test_windows_are_no_longer_than_most_recordings() -> None:
     assert usual_window([*short, flight(0.6)]) == pytest.approx(0.3)
     assert usual_window([flight(0.02) for _ in range(20)]) == pytest.approx(0.06)
     assert usual_window([flight(0.3), flight(4.0)]) == pytest.approx(0.5)
-
-
-def test_controls_where_samples_are_missing_are_means() -> None:
-    """One lost sample: a half of the interval as it was, the other half way to the next. Three: in
-    equal steps. What is not held stays."""
-    kept = np.delete(np.arange(20), [5, 10, 11, 12])
-    control = np.stack([2.0 * kept, np.zeros(len(kept))], axis=1)
-    one = Recording(0.01 * kept, {"qpos": control, "ctrl": control, "torque/a": 3.0 * kept})
-    notes: list[str] = []
-    (found,) = bridged([one], notes)
-    expected = control.copy()
-    expected[kept == 4, 0] += 0.5 * 2.0
-    expected[kept == 9, 0] += 1.5 * 2.0
-    np.testing.assert_allclose(found["ctrl"], expected, rtol=1e-12)
-    assert found["torque/a"][kept == 9] == pytest.approx(3.0 * 9 + 1.5 * 3.0)
-    assert np.array_equal(found["qpos"], control)
-    assert "missing at 2 places" in notes[0]
-
-
-def test_recordings_without_gaps_or_with_steady_controls_stay_as_they_are() -> None:
-    notes: list[str] = []
-    whole = Recording(TIME, {"qpos/a": TIME, "ctrl/m": np.sin(TIME)})
-    steady = Recording(np.delete(TIME, 7), {"qpos/a": TIME[1:], "ctrl/m": np.ones(len(TIME) - 1)})
-    assert all(
-        a is b for a, b in zip(bridged([whole, steady], notes), [whole, steady], strict=True)
-    )
-    assert not notes
-
-
-def test_a_known_control_stays_where_the_next_is_missing_or_has_a_clock() -> None:
-    kept = np.delete(np.arange(400), [5, 200])
-    lost = 1.0 * kept
-    lost[kept == 6] = np.nan
-    ticks = np.floor((0.01 * kept - 0.004) / 0.0273)  # a clock of its own
-    one = Recording(0.01 * kept, {"qpos/a": lost, "ctrl/lost": lost, "ctrl/clock": ticks})
-    (found,) = bridged([one], [])
-    assert found["ctrl/lost"][kept == 4] == 4.0
-    assert found["ctrl/lost"][kept == 199] == pytest.approx(199.5)
-    assert np.array_equal(found["ctrl/clock"], ticks)
