@@ -180,7 +180,7 @@ def _by_motion(
     held = some_of(held, window, enough, notes)
     fit, held = bridged(fit, notes), bridged(held, [])
     fewer = thinned(fit, window, notes)
-    bare = within_samples(scene.without_images(), fewer, notes)  # compiled thousands of times
+    bare = within_samples(scene.without_images(), fit, notes)  # compiled thousands of times
     bench = make_bench(bare, prepare_all(bounded(fewer, notes), bare), window)
     if bench.looked_at < 1:
         notes.append(

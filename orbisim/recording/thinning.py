@@ -15,7 +15,7 @@ from orbisim.recording.zero_order_hold import led
 
 Floats = npt.NDArray[np.float64]
 
-MOST_SAMPLES = 400
+MOST_SAMPLES = 200
 """Sampling intervals of a window at most."""
 
 

@@ -22,6 +22,7 @@ from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench, Noise, make_bench
 from orbisim.shooting.cutting import windows_enough
 from orbisim.shooting.regress import normal_equations
+from orbisim.shooting.stepping import within_samples
 
 Floats = npt.NDArray[np.float64]
 
@@ -35,6 +36,7 @@ def telling_window(scene: Scene, recordings: Sequence[Recording]) -> float:
     if 2 * window > longest / _PARTS:
         return window
     recordings = some_of(recordings, window, windows_enough(scene, recordings, window), [])
+    scene = within_samples(scene, recordings, [])  # else thinning lengthens steps, which bend runs
     bench = _bench(scene, recordings, window, None)
     if bench is None or bench.contacts:
         return window

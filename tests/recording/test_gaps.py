@@ -10,7 +10,7 @@ from orbisim.motion.samples import prepare_all
 from orbisim.recording import Recording
 from orbisim.recording.command_clock import Lead
 from orbisim.recording.gaps import bridged, interpolated
-from orbisim.recording.thinning import Thinned, thinned
+from orbisim.recording.thinning import MOST_SAMPLES, Thinned, thinned
 from tests.motion.test_samples import ARM
 
 TIME = np.arange(0, 4, 1e-3)
@@ -113,5 +113,5 @@ def test_steps_between_samples_see_each_control() -> None:
     np.testing.assert_allclose(ctrl[row], course[400:403], atol=1e-3)
     led = samples.led(Lead(0.5)).inputs(3)[0]
     np.testing.assert_allclose(led[row], (course[400:403] + course[401:404]) / 2, atol=1e-3)
-    (few,) = prepare_all(thinned([found], 1.5 * 400 * 0.01, []), arm)
+    (few,) = prepare_all(thinned([found], 3 * MOST_SAMPLES * 0.005, []), arm)
     np.testing.assert_allclose(few.inputs(3)[0][100], course[300:303], atol=1e-9)

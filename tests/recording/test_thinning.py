@@ -23,8 +23,8 @@ def test_windows_have_at_most_so_many_samples() -> None:
         },
     )
     notes: list[str] = []
-    (slow,) = thinned([fast], 2.0, notes)
-    assert 2.0 / np.diff(slow.time).mean() == pytest.approx(MOST_SAMPLES, rel=1e-6)
+    (slow,) = thinned([fast], 1.0, notes)
+    assert 1.0 / np.diff(slow.time).mean() == pytest.approx(MOST_SAMPLES, rel=1e-6)
     assert np.array_equal(slow["qpos/a"], fast["qpos/a"][::5])
     assert slow["xpos/b"].shape == (len(slow), 3)
     assert slow["ctrl/m"][7] == pytest.approx(fast["ctrl/m"][35:40].mean())
@@ -44,13 +44,13 @@ def test_slow_recordings_have_longer_windows(rate: float, duration: float, windo
 def test_missing_controls_stay_missing() -> None:
     control = np.ones(len(TIME))
     control[12] = np.nan
-    (slow,) = thinned([Recording(TIME, {"qpos/a": TIME, "ctrl/m": control})], 2.0, [])
+    (slow,) = thinned([Recording(TIME, {"qpos/a": TIME, "ctrl/m": control})], 1.0, [])
     assert np.flatnonzero(np.isnan(slow["ctrl/m"])).tolist() == [2]
 
 
 def test_what_is_thinned_keeps_the_whole_through_cuts_and_copies() -> None:
     whole = Recording(TIME, {"qpos/a": TIME, "ctrl/m": np.sin(TIME)}, source="a.npz")
-    (slow,) = thinned([whole], 2.0, [])
+    (slow,) = thinned([whole], 1.0, [])
     part = slow.rows(slice(10, 40)).replace(source="a.npz[10:40]")
     for one in (slow, part, copy.deepcopy(part), pickle.loads(pickle.dumps(part))):
         assert isinstance(one, Thinned)
