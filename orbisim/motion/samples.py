@@ -54,8 +54,8 @@ class Samples:
       lead: [T - 1] each, by what share of an interval controls, and forces, change before the
         sample that logs them; None where all change at their samples. `ctrl` and `force` are means
         over the interval that follows each sample then.
-      between: controls and forces as they are held between the samples of the recording that this
-        one is thinned of; None if it is not. `ctrl` and `force` are means then, too.
+      between: controls and forces as they are held between the samples, where more is known of
+        them (`Thinned`); else None. `ctrl` and `force` are means then, too.
     """
 
     bound: Bound

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.recording import Recording, names
+from orbisim.recording.blocks import LONGEST_GAP
 from orbisim.recording.command_clock import command_period
 from orbisim.recording.thinning import thinned_of
-from orbisim.recording.zero_order_hold import Held
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -22,7 +22,8 @@ def bridged(recordings: Sequence[Recording], notes: list[str]) -> list[Recording
     drives a machine on that had long been told otherwise. What they were there is the likeliest by
     the samples to either side (`interpolated`); the recording has their means, and `Thinned.whole`
     each of them. Those that follow a clock of their own stay: when they change, the log as it is
-    says.
+    says. So do all in gaps over which no motion is estimated (`LONGEST_GAP`), as nothing is
+    simulated there.
 
     Args:
       notes: gets a line if anything is missing.
@@ -30,15 +31,10 @@ def bridged(recordings: Sequence[Recording], notes: list[str]) -> list[Recording
     found, missing = [], 0
     for one in recordings:
         count = _counted(one.time)
-        held = [n for n in one.signals if names.split(n)[0] in names.HELD]
-        wide = {n: np.asarray(one.signals[n], np.float64).reshape(len(one), -1) for n in held}
-        held = [n for n in held if command_period(one.time, wide[n]) is None]
-        if (count > 1).any() and held:
-            whole = _whole(one, count, {n: wide[n] for n in held})
-            means = {n: _means(one.time, whole, n).reshape(one.signals[n].shape) for n in held}
-            if any(not _same(one.signals[n], v) for n, v in means.items()):
-                missing += int((count > 1).sum())
-                one = thinned_of(one.replace(signals={**one.signals, **means}), whole)
+        through = one if (count == 1).all() else thinned_of(one, _whole(one, count))
+        if not all(_same(values, through.signals[n]) for n, values in one.signals.items()):
+            missing += int((count > 1).sum())
+            one = through
         found.append(one)
     if missing:
         notes.append(
@@ -49,45 +45,35 @@ def bridged(recordings: Sequence[Recording], notes: list[str]) -> list[Recording
 
 
 def _same(one: Floats, other: Floats) -> bool:
-    """Whether controls are the same to rounding."""
+    """Whether signals are the same to rounding."""
     return np.allclose(one, other, rtol=1e-9, atol=1e-12, equal_nan=True)
 
 
 def _counted(time: Floats) -> Ints:
-    """[T - 1]: typical sampling intervals that each one lasts: 1 where nothing is missing."""
+    """[T - 1]: typical sampling intervals that each one lasts: 1 where nothing is missing, or too
+    much."""
     if len(time) < 2:
         return np.ones(0, np.int64)
     steps = np.diff(time)
-    return np.maximum(np.round(steps / np.median(steps)), 1).astype(np.int64)
+    count = np.round(steps / np.median(steps))
+    return np.where((count > 1) & (count <= LONGEST_GAP), count, 1).astype(np.int64)
 
 
-def _whole(one: Recording, count: Ints, held: dict[str, Floats]) -> Recording:
+def _whole(one: Recording, count: Ints) -> Recording:
     """All held signals at the samples that there are and at those that are missing. A sample that
     is there and has no value (NaN) keeps none."""
     rows = np.concatenate([[0], np.cumsum(count)])
     every = np.arange(rows[-1] + 1)
-    there = np.isin(every, rows)
-    signals = {n: one.signals[n][np.searchsorted(rows, every, side="right") - 1] for n in
-               one.signals if names.split(n)[0] in names.HELD}  # fmt: skip
-    for name, values in held.items():
-        full = np.full((len(every), values.shape[1]), np.nan)
-        full[rows] = values
-        for column in full.T:
-            column[:] = interpolated(column, there)
-        signals[name] = full.reshape(-1, *one.signals[name].shape[1:])
+    there, signals = np.isin(every, rows), dict[str, Floats]()
+    for name, values in one.signals.items():
+        if names.split(name)[0] not in names.HELD:
+            continue
+        wide = values.reshape(len(one), -1)
+        full = wide[np.searchsorted(rows, every, side="right") - 1]
+        if command_period(one.time, wide) is None:
+            full = np.stack([interpolated(column, there) for column in full.T], axis=1)
+        signals[name] = full.reshape(-1, *values.shape[1:])
     return Recording(np.interp(every, rows, one.time), signals, source=one.source)
-
-
-def _means(time: Floats, whole: Recording, name: str) -> Floats:
-    """[T, n]: means of a held signal from each sample to the next; NaN beside a missing value."""
-    values = whole.signals[name].reshape(len(whole), -1)
-    borders = np.stack([time[:-1], time[1:]], axis=1)
-    means = Held(whole.time, np.nan_to_num(values)).within(borders)[:, 0]
-    rows = np.searchsorted(whole.time, time)
-    unknown = np.logical_or.reduceat(np.isnan(values), rows, axis=0)
-    simple = np.append(np.diff(rows) == 1, True)
-    found = np.where(simple[:, None], values[rows], np.append(means, values[-1:], axis=0))
-    return np.where(unknown & ~simple[:, None], values[rows], found)
 
 
 def interpolated(values: Floats, there: Bools) -> Floats:
@@ -101,11 +87,12 @@ def interpolated(values: Floats, there: Bools) -> Floats:
     sample to the next.
 
     Args:
-      values: [N]. there: [N] whether a sample was logged; one that was and is NaN stays so.
+      values: [N]; what they are where no sample was logged does not matter.
+      there: [N] whether a sample was logged; one that was and is NaN stays so.
     """
     known = there & np.isfinite(values)
-    if known.sum() < 2:
-        return values
+    if not known.any():
+        return np.full(len(values), np.nan)
     every = np.arange(len(values))
     found = np.where(there, values, np.interp(every, every[known], values[known]))
     holes = np.flatnonzero(np.diff(np.concatenate([[True], there, [True]]).astype(int)))

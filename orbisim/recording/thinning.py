@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -30,27 +31,32 @@ no window fits."""
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Thinned(Recording):
-    """A recording with fewer samples than its controls have; it has their means.
+    """A recording with fewer samples than are known of its controls; it has their means.
 
     Attributes:
-      whole: controls and torques, as they were in between.
+      whole: controls and torques at these samples and at those in between.
     """
 
     whole: Recording = dataclasses.field(kw_only=True)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        recording, plain = super().__reduce__()
-        return (_thinned, (recording, plain, self.whole))
-
-
-def _thinned(recording: type[Recording], plain: tuple[Any, ...], whole: Recording) -> Thinned:
-    return thinned_of(recording(*plain), whole)
+        return (functools.partial(Thinned, whole=self.whole), super().__reduce__()[1])
 
 
 def thinned_of(one: Recording, whole: Recording) -> Thinned:
-    """The same samples, with controls in between."""
-    kept = {f.name: getattr(one, f.name) for f in dataclasses.fields(one)}
-    return Thinned(**{**kept, "whole": whole})
+    """Samples of a recording, with the means of controls until the next.
+
+    Args:
+      one: the samples. whole: has all of these times, and more.
+    """
+    rows = np.searchsorted(whole.time, one.time)
+    held = {
+        name: _means(whole.time, values, rows)
+        for name, values in whole.signals.items()
+        if names.split(name)[0] in names.HELD
+    }
+    kept = {f.name: getattr(one, f.name) for f in dataclasses.fields(Recording)}
+    return Thinned(**{**kept, "signals": {**one.signals, **held}}, whole=whole)
 
 
 def usual_window(recordings: Sequence[Recording]) -> float:
@@ -96,20 +102,24 @@ def thinned(recordings: Sequence[Recording], window: float, notes: list[str]) ->
 def held_led(recordings: Sequence[Recording], lead: Lead) -> list[Recording]:
     """Recordings with controls and torques that change before the samples that log them; those of
     one kind follow one clock."""
-    found = []
-    for one in recordings:
-        changed: dict[str, Floats] = {}
-        for kind in names.HELD:
-            held = [n for n in one.signals if names.split(n)[0] == kind]
-            if held:
-                wide = [one.signals[n].reshape(len(one), -1) for n in held]
-                values = np.concatenate(wide, axis=1)
-                means = led(values, lead.shares(one.time, values))[:, 0]
-                ends = np.cumsum([part.shape[1] for part in wide])[:-1]
-                parts = zip(held, np.split(means, ends, axis=1), strict=True)
-                changed |= {n: part.reshape(one.signals[n].shape) for n, part in parts}
-        found.append(one.replace(signals={**one.signals, **changed}))
-    return found
+    return [
+        thinned_of(one, _led(one.whole, lead)) if isinstance(one, Thinned) else _led(one, lead)
+        for one in recordings
+    ]
+
+
+def _led(one: Recording, lead: Lead) -> Recording:
+    changed: dict[str, Floats] = {}
+    for kind in names.HELD:
+        held = [n for n in one.signals if names.split(n)[0] == kind]
+        if held:
+            wide = [one.signals[n].reshape(len(one), -1) for n in held]
+            values = np.concatenate(wide, axis=1)
+            means = led(values, lead.shares(one.time, values))[:, 0]
+            ends = np.cumsum([part.shape[1] for part in wide])[:-1]
+            parts = zip(held, np.split(means, ends, axis=1), strict=True)
+            changed |= {n: part.reshape(one.signals[n].shape) for n, part in parts}
+    return one.replace(signals={**one.signals, **changed})
 
 
 def _every(one: Recording, window: float) -> int:
@@ -121,20 +131,16 @@ def _every(one: Recording, window: float) -> int:
 
 
 def _kept(one: Recording, every: int) -> Recording:
-    rows = np.arange(0, len(one), every)
-    part = one.rows(rows)
-    held = {
-        name: _means(one.time, values, rows)
-        for name, values in one.signals.items()
-        if names.split(name)[0] in names.HELD
-    }
-    whole = one.whole if isinstance(one, Thinned) else one
-    return thinned_of(part.replace(signals={**part.signals, **held}), whole)
+    part = one.rows(np.arange(0, len(one), every))
+    return thinned_of(part, one.whole if isinstance(one, Thinned) else one)
 
 
 def _means(time: Floats, values: Floats, rows: npt.NDArray[np.intp]) -> Floats:
-    """Means of a held signal from each row to the next; missing where a sample is missing."""
+    """Means of a held signal from each row to the next; missing where a sample is missing. What
+    does not change in between stays to the bit: clocks are told by where commands change."""
     columns = values.reshape(len(values), -1)
+    first = columns[rows]
     step = np.diff(time, append=time[-1] + (time[-1] - time[-2]))[:, None]
-    total = np.add.reduceat(columns * step, rows, axis=0)
-    return np.asarray((total / np.add.reduceat(step, rows, axis=0)).reshape(-1, *values.shape[1:]))
+    later = columns - np.repeat(first, np.diff(rows, append=len(columns)), axis=0)
+    mean = np.add.reduceat(later * step, rows, axis=0) / np.add.reduceat(step, rows, axis=0)
+    return np.asarray((first + mean).reshape(-1, *values.shape[1:]))

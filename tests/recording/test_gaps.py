@@ -1,5 +1,7 @@
 """Controls where samples are missing."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,9 +12,9 @@ from orbisim.motion.samples import prepare_all
 from orbisim.recording import Recording
 from orbisim.recording.command_clock import Lead
 from orbisim.recording.gaps import bridged, interpolated
-from orbisim.recording.thinning import MOST_SAMPLES, Thinned, thinned
-from tests.motion.test_samples import ARM
+from orbisim.recording.thinning import MOST_SAMPLES, Thinned, held_led, thinned
 
+ARM = Path(__file__).parents[2] / "mjcf_assets" / "arm2" / "scene.xml"
 TIME = np.arange(0, 4, 1e-3)
 
 
@@ -56,6 +58,35 @@ def test_a_value_that_is_not_known_stays_so_and_a_clock_of_its_own_ticks_on() ->
     assert np.isnan(found["ctrl/lost"][kept == 6]).all()
     assert found["ctrl/lost"][kept == 199] == pytest.approx(199.5)
     assert np.array_equal(found["ctrl/clock"], ticks)
+
+
+@pytest.mark.parametrize("pause", [20.0, 1e9])
+def test_nothing_is_made_up_in_a_pause(pause: float) -> None:
+    time = np.append(0.01 * np.arange(300), pause + 0.01 * np.arange(300))
+    one = Recording(time, {"qpos/a": time, "ctrl/m": np.sin(np.arange(600.0))})
+    assert bridged([one], [])[0] is one
+
+
+def test_one_known_control_is_held() -> None:
+    control = np.full(40, np.nan)
+    control[0] = 2.0
+    time = 0.01 * np.delete(np.arange(41), 1)
+    (found,) = bridged([Recording(time, {"qpos/a": time, "ctrl/m": control})], [])
+    assert found["ctrl/m"][0] == 2.0
+    assert np.isnan(found["ctrl/m"][1:]).all()
+
+
+def test_controls_that_lead_do_so_in_between_too() -> None:
+    time = 0.01 * np.arange(400)
+    run = Recording(time, {"qpos/a": time, "ctrl/m": np.sin(2 * time)})
+    gone = np.delete(np.arange(400), [100, 101, 102])
+    (part,) = bridged([run.rows(gone)], [])
+    (found,), (expected,) = held_led([part], Lead(0.5)), held_led([run], Lead(0.5))
+    assert isinstance(found, Thinned)
+    np.testing.assert_allclose(found.whole["ctrl/m"], expected["ctrl/m"], atol=1e-3)
+    row = int(np.flatnonzero(gone == 99)[0])
+    assert found["ctrl/m"][row] == pytest.approx(expected["ctrl/m"][99:103].mean(), abs=1e-3)
+    np.testing.assert_allclose(found["ctrl/m"][:90], expected["ctrl/m"][:90], rtol=1e-12)
 
 
 def test_smooth_controls_are_continued_smoothly() -> None:

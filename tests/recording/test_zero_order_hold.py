@@ -52,3 +52,12 @@ def test_means_between_borders_are_those_of_steps() -> None:
     np.testing.assert_allclose(found, steps.reshape(30, 3, 2), atol=1e-12)
     assert borders[-1] > held.time[-1]  # the last value stays
     assert Held(held.time, np.zeros((30, 0))).within(borders[None]).shape == (1, 90, 0)
+
+
+@given(st.floats(-1.0, 1.0), st.integers(1, 7), st.integers(0, 99))
+def test_a_hold_that_is_moved_is_a_signal_that_leads(share: float, parts: int, seed: int) -> None:
+    values = np.random.default_rng(seed).normal(size=(12, 2))
+    time = 0.5 + 0.01 * np.arange(12)
+    borders = time[:-1, None] + 0.01 * np.linspace(0.0, 1.0, parts + 1)
+    found = Held(time, values).moved(np.full(11, share)).within(borders)
+    np.testing.assert_allclose(found, led(values, share, parts)[:-1], atol=1e-9)
