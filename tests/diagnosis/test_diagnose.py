@@ -151,3 +151,14 @@ def test_a_scene_with_longer_steps_than_samples_is_augmented_with_those_taken(
         assert any(
             "samples are closer than the declared timestep of 0.02 s" in n for n in found.notes
         )
+
+
+def test_samples_that_are_left_out_do_not_lengthen_steps(arm: orbisim.Scene) -> None:
+    euler = int(mujoco.mjtIntegrator.mjINT_EULER)
+    long, true = (with_stepping(arm, Stepping(step, euler)) for step in (0.02, 0.005))
+    runs = inject_effect(true, [], rate=200.0, seed=0, **SHORT)
+    few = orbisim.diagnosis.Settings(retune=False, effects=("viscous_damping",))
+    found = orbisim.diagnose(long, runs, settings=few, window=1.5, progress=False)
+    assert any("more than 200 samples" in note for note in found.notes)
+    assert any("free runs take a timestep of 0.005 s" in note for note in found.notes)
+    assert found.verdict == "no_residual"
