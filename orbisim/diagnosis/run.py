@@ -178,7 +178,7 @@ def _by_motion(
     enough = windows_enough(scene, fit, window)
     fit = some_of(fit, window, enough, notes)
     held = some_of(held, window, enough, notes)
-    fit, held = bridged(fit, notes), bridged(held, [])
+    fit, held = bridged(fit, window, notes), bridged(held, window, [])
     fewer = thinned(fit, window, notes)
     bare = within_samples(scene.without_images(), fit, notes)  # compiled thousands of times
     bench = make_bench(bare, prepare_all(bounded(fewer, notes), bare), window)

@@ -22,6 +22,7 @@ from orbisim.recording import Bound, Recording, bind, estimate_motion, noise_std
 from orbisim.recording.actuators import actuators
 from orbisim.recording.binding import held_inputs
 from orbisim.recording.command_clock import Lead, command_clock, command_period
+from orbisim.recording.gaps import LONGEST, Bridged
 from orbisim.recording.initial import activations, histories, starts
 from orbisim.recording.joints import Kind, joints
 from orbisim.recording.noise import lattice_step
@@ -54,6 +55,8 @@ class Samples:
       lead: [T - 1] each, by what share of an interval controls, and forces, change before the
         sample that logs them; None where all change at their samples. `ctrl` and `force` are means
         over the interval that follows each sample then.
+      driven: [T] whether controls and forces from each sample to the next are known, also where
+        they change up to an interval earlier or later than logged (`Lead`); not in gaps.
       between: controls and forces as they are held between the samples, where more is known of
         them (`Thinned`); else None. `ctrl` and `force` are means then, too.
     """
@@ -74,6 +77,7 @@ class Samples:
     rounding: Floats
     usable: Bools
     jumps: Bools
+    driven: Bools
     lead: tuple[Floats, Floats] | None = None
     between: tuple[Held, Held] | None = None
 
@@ -189,8 +193,23 @@ def prepare(recording: Recording, scene: Scene) -> Samples:
         rounding=_rounding(bound),
         usable=np.asarray(usable),
         jumps=motion.jumps,
+        driven=_driven(recording),
         between=held_inputs(recording.whole, bound) if isinstance(recording, Thinned) else None,
     )
+
+
+def _driven(recording: Recording) -> Bools:
+    """[T]: see `Samples.driven`."""
+    every = recording.whole if isinstance(recording, Thinned) else recording
+    step = np.diff(every.time)
+    at = every.time[:-1][step > (LONGEST + 1.5) * np.median(step)]
+    unknown = np.searchsorted(recording.time, at, side="right") - 1
+    if isinstance(every, Bridged):
+        at = np.searchsorted(recording.time, every.unknown, side="right") - 1
+        unknown = np.append(unknown, at[:, None] + np.arange(-1, 2))
+    driven = np.ones(len(recording), bool)
+    driven[unknown[(unknown >= 0) & (unknown < len(driven))]] = False
+    return driven
 
 
 def _applied(bound: Bound) -> Floats:

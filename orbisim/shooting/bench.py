@@ -153,7 +153,7 @@ def make_bench(
     Raises:
       InputError: the recordings are too short for a window.
     """
-    rows = [np.flatnonzero(s.usable[:-1] & s.usable[1:]) for s in samples]
+    rows = [np.flatnonzero(s.usable[:-1] & s.usable[1:] & s.driven[:-1]) for s in samples]
     if not sum(len(r) for r in rows):
         raise InputError("no two consecutive samples are usable")
     contacts = touches(scene, samples)
