@@ -157,13 +157,13 @@ def _pruned(context: Context, judged: Judged) -> Judged:
 
 
 def best_few(context: Context, current: Judged, fitted: Sequence[Judged]) -> list[Judged]:
-    """The few with an effect that are worth most."""
+    """The few with an effect that are worth most; where bodies touch, without those that surely are
+    worth nothing: they began where windows start without them, and restarts help either alike."""
     fitted = [one for one in fitted if one.hypothesis.effects]
-    if not fitted:
-        return []
     known = gains(context.bench, current, fitted)
     order = sorted(range(len(fitted)), key=lambda i: -known[i].total)
-    return [fitted[i] for i in order[:FEW]]
+    may = [i for i in order if not context.bench.contacts or known[i].total + known[i].error > 0]
+    return [fitted[i] for i in may[:FEW]]
 
 
 EVEN = 0.5

@@ -47,19 +47,23 @@ class Measurement:
         """Whether any reading is late, or early."""
         return self.delay is not None and bool(self.delay.any())
 
-    def of(self, reference: Floats, deviation: Floats, time: Floats) -> Floats:
+    def of(
+        self, reference: Floats, deviation: Floats, time: Floats, stagger: float = 0.0
+    ) -> Floats:
         """Measured minus reference coordinates.
 
         Args:
           reference: [W, K, 2 nv] absolute coordinates (zero where there are none).
           deviation: [W, K, 2 nv] true minus reference. time: [W, K], s.
+          stagger: by how much before its position the velocity of a simulated state belongs, s:
+            half a step of semi-implicit integrators.
         """
         if self.bias is None or self.scale is None or self.delay is None:
             return deviation
         truth = reference + deviation
         late = np.flatnonzero(self.delay)
         if late.size:
-            truth = self._delayed(truth, reference, late, time)
+            truth = self._delayed(truth, reference, late, time, stagger)
         read = self.scale * truth + self.bias
         for q, waves in self.laws:
             v = q + truth.shape[-1] // 2
@@ -70,7 +74,12 @@ class Measurement:
         return np.asarray(read - reference)
 
     def _delayed(
-        self, truth: Floats, reference: Floats, late: npt.NDArray[np.int64], time: Floats
+        self,
+        truth: Floats,
+        reference: Floats,
+        late: npt.NDArray[np.int64],
+        time: Floats,
+        stagger: float,
     ) -> Floats:
         """Cubic in positions, and its slope in velocities; extrapolated at a window's ends: before
         it with the shape of what was measured, as that is the same motion late."""
@@ -80,7 +89,7 @@ class Measurement:
             t = time[w]
             for c in late:
                 delay = float(self.delay[c])
-                value = self._at(truth[w], t, t - delay, c)
+                value = self._at(truth[w], t, t - delay, c, stagger)
                 early = t < t[0] + delay
                 if t[0] + delay < t[-1]:
                     there = self._at(reference[w], t, t[:1] + delay, c, noisy=True)
@@ -95,10 +104,13 @@ class Measurement:
         return float(self.scale[c])
 
     @staticmethod
-    def _at(values: Floats, t: Floats, at: Floats, c: int, noisy: bool = False) -> Floats:
+    def _at(
+        values: Floats, t: Floats, at: Floats, c: int, stagger: float = 0.0, noisy: bool = False
+    ) -> Floats:
         """One column of [K, 2 nv] at other times; linear beyond the ends.
 
         Args:
+          stagger: as of `of`. What goes with what is asked for is moved to the time of that.
           noisy: whether positions are measured: they would make velocities noisy, which are linear
             between samples then.
         """
@@ -111,14 +123,17 @@ class Measurement:
             line = v[k] + u * (v[k + 1] - v[k])
             if noisy:
                 return np.asarray(line)
-            slope = _hermite_slope(inside, y[k], y[k + 1], h * v[k], h * v[k + 1]) / h
+            before, after = y[k] - stagger * v[k], y[k + 1] - stagger * v[k + 1]
+            slope = _hermite_slope(inside, before, after, h * v[k], h * v[k + 1]) / h
             near = v[np.clip(k[:, None] + np.arange(-1, 3), 0, len(v) - 1)]
             most = np.ptp(near, axis=1) / _RESOLVED
             return np.asarray(
                 line + np.clip(slope + (u - inside) * (v[k + 1] - v[k]) - line, -most, most)
             )
-        cubic = _hermite(inside, y[k], y[k + 1], h * v[k], h * v[k + 1])
-        return np.asarray(cubic + (u - inside) * h * np.where(u < 0, v[k], v[k + 1]))
+        later = stagger * (v[k + 1] - v[k]) / h  # velocities, moved to the time of positions
+        before, after = v[k] + later, v[k + 1] + later
+        cubic = _hermite(inside, y[k], y[k + 1], h * before, h * after)
+        return np.asarray(cubic + (u - inside) * h * np.where(u < 0, before, after))
 
 
 def _hermite(u: Floats, y0: Floats, y1: Floats, d0: Floats, d1: Floats) -> Floats:

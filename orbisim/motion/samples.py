@@ -202,8 +202,8 @@ def _driven(recording: Recording) -> Bools:
     """[T]: see `Samples.driven`."""
     every = recording.whole if isinstance(recording, Thinned) else recording
     step = np.diff(every.time)
-    at = every.time[:-1][step > (LONGEST + 1.5) * np.median(step)]
-    unknown = np.searchsorted(recording.time, at, side="right") - 1
+    gaps = every.time[:-1][step > (LONGEST + 1.5) * np.median(step)]
+    unknown = np.searchsorted(recording.time, gaps, side="right") - 1
     if isinstance(every, Bridged):
         at = np.searchsorted(recording.time, every.unknown, side="right") - 1
         unknown = np.append(unknown, at[:, None] + np.arange(-1, 2))

@@ -62,7 +62,7 @@ def starts(
         if not (np.isfinite(recorded[:, j.v]).all() and np.isfinite(bound.qpos[:, j.q]).all())
     ]
     motion = motion or estimate_motion(bound, {j.id for j in lacking})
-    early = motion.qvel - 0.5 * _stagger(bound.model) * np.nan_to_num(motion.qacc)
+    early = motion.qvel - 0.5 * stagger(bound.model) * np.nan_to_num(motion.qacc)
     estimated = [j.label for j in lacking if not np.isfinite(recorded[:, j.v]).any()]
     notes = [f"velocities of {', '.join(map(repr, estimated))} are estimated from the positions"]
     qpos, qvel = carry_unread(
@@ -87,8 +87,8 @@ def _begin(bound: Bound, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         data.history[:] = histories(bound, row)[0]
 
 
-def _stagger(model: mujoco.MjModel) -> float:
-    """Time by which the velocities of MuJoCo's states lie behind positions, in half units, s.
+def stagger(model: mujoco.MjModel) -> float:
+    """Twice the time by which velocities of MuJoCo's states belong before their positions, s.
 
     Its semi-implicit integrators advance positions with the new velocity: q(k+1) = q(k) + h v(k+1).
     That is the leapfrog scheme with v(k) at the time of q(k) less half a step (Hairer, Lubich and

@@ -21,6 +21,7 @@ from orbisim.host.deadline import NEVER, Deadline
 from orbisim.motion.hidden import Layout, carried_along
 from orbisim.motion.linear import Intervals
 from orbisim.motion.samples import Samples, parts_of, substeps
+from orbisim.recording.initial import stagger
 from orbisim.recording.joints import Kind, joints
 from orbisim.scene import Scene
 from orbisim.shooting.windows import Windows, chosen, start_size, whitening_of
@@ -153,7 +154,7 @@ class Shooter:
             return out
         return self._simulated(variant, start)
 
-    def _read(self, measurement: Measurement, out: Floats) -> Floats:
+    def _read(self, variant: Variant, out: Floats) -> Floats:
         """What is measured of true deviations [W, K + 1, 2 nv].
 
         A late sensor reads, at a window's beginning, what was before, which nothing says: there the
@@ -162,12 +163,16 @@ class Shooter:
         is then no less for a longer delay. Where nearly all of a window is read from beyond it, the
         readings stay extrapolated (`Measurement`).
         """
+        measurement, model = variant.measurement, variant.scene.model
         if not measurement:
             return out
-        runs = measurement.of(self.absolute, out, self.time)
+        lengths = np.diff(self.time, axis=1)
+        step = float(np.median(lengths)) / (self.substeps * measurement.clock)
+        early = step / 2.0 if stagger(model) else 0.0
+        runs = measurement.of(self.absolute, out, self.time, early)
         delay = np.zeros(out.shape[-1]) if measurement.delay is None else measurement.delay
         ends = np.arange(len(self)), np.minimum(self.windows.reach(), self.horizon)
-        near = np.median(np.diff(self.time, axis=1)) / 2.0  # `Measurement` is good so far beyond
+        near = np.median(lengths) / 2.0  # `Measurement` is good so far beyond
         for k, column in enumerate(self.measured):
             if not delay[column]:
                 continue
@@ -188,7 +193,7 @@ class Shooter:
         out[:, 0] = start[:, : 2 * self.nv]
         for span, qpos, qvel in self._run(variant, start, hooks):
             out[:, span] = self._deviation(span, qpos, qvel)
-        return self._read(variant.measurement, out)
+        return self._read(variant, out)
 
     def simulate_each(self, variants: Sequence[Variant], start: Floats) -> list[Floats]:
         """As `simulate`, of several scenes from the same starts. Those that differ only in how they
@@ -208,8 +213,8 @@ class Shooter:
             true = dataclasses.replace(first, measurement=Measurement(first.measurement.clock))
             out = part._simulated(true, np.tile(start, (runs, 1)), joined)
             for k, i in enumerate(same):
-                own, seen = variants[i].measurement, out.reshape(runs, *self.shape)[k % runs]
-                found[i] = self._read(own, seen)
+                seen = out.reshape(runs, *self.shape)[k % runs]
+                found[i] = self._read(variants[i], seen)
         return [one for one in found if one is not None]
 
     def _alike(
