@@ -154,6 +154,12 @@ class Shooter:
             return out
         return self._simulated(variant, start)
 
+    def staggered(self, variant: Variant) -> float:
+        """By how much before their positions velocities of simulated states belong, s."""
+        interval = float(np.median(np.diff(self.time, axis=1)))
+        step = interval / (self.substeps * variant.measurement.clock)
+        return step / 2.0 if stagger(variant.scene.model) else 0.0
+
     def _read(self, variant: Variant, out: Floats) -> Floats:
         """What is measured of true deviations [W, K + 1, 2 nv].
 
@@ -163,16 +169,13 @@ class Shooter:
         is then no less for a longer delay. Where nearly all of a window is read from beyond it, the
         readings stay extrapolated (`Measurement`).
         """
-        measurement, model = variant.measurement, variant.scene.model
+        measurement = variant.measurement
         if not measurement:
             return out
-        lengths = np.diff(self.time, axis=1)
-        step = float(np.median(lengths)) / (self.substeps * measurement.clock)
-        early = step / 2.0 if stagger(model) else 0.0
-        runs = measurement.of(self.absolute, out, self.time, early)
+        runs = measurement.of(self.absolute, out, self.time, self.staggered(variant))
         delay = np.zeros(out.shape[-1]) if measurement.delay is None else measurement.delay
         ends = np.arange(len(self)), np.minimum(self.windows.reach(), self.horizon)
-        near = np.median(lengths) / 2.0  # `Measurement` is good so far beyond
+        near = np.median(np.diff(self.time, axis=1)) / 2.0  # `Measurement` is good so far beyond
         for k, column in enumerate(self.measured):
             if not delay[column]:
                 continue

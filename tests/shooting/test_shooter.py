@@ -68,9 +68,9 @@ def test_a_few_readings_do_not_stand_for_a_whole_window(
     shooter = bench.shooter(bench.fit)
     start = np.zeros((len(shooter), 2 * shooter.nv))
     variant = Hypothesis((LATE.replace(delay=delay),)).variant(bench.scene)
-    read = variant.measurement.of(
-        shooter.absolute, shooter.simulate(Variant(bench.scene), start), shooter.time
-    )
+    free, early = shooter.simulate(Variant(bench.scene), start), shooter.staggered(variant)
+    read = variant.measurement.of(shooter.absolute, free, shooter.time, early)
+    assert early > 0
     assert np.array_equal(shooter.simulate(variant, start), read) == extrapolated
 
 
