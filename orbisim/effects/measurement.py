@@ -85,17 +85,13 @@ class Measurement:
         it with the shape of what was measured, as that is the same motion late."""
         assert self.delay is not None
         out = truth.copy()
-        for w in range(len(truth)):
-            t = time[w]
-            for c in late:
-                delay = float(self.delay[c])
-                value = self._at(truth[w], t, t - delay, c, stagger)
-                early = t < t[0] + delay
-                if t[0] + delay < t[-1]:
-                    there = self._at(reference[w], t, t[:1] + delay, c, noisy=True)
-                    shape = reference[w, early, c] - there
-                    value[early] = truth[w, 0, c] + shape / self._scale(c)
-                out[w, :, c] = value
+        for delay in np.unique(self.delay[late]):
+            seen, first = _Between(time, time - delay), _Between(time, time[:, :1] + delay)
+            early = (time < time[:, :1] + delay) & (time[:, :1] + delay < time[:, -1:])
+            for c in late[self.delay[late] == delay]:
+                shape = reference[..., c] - first.of(reference, c, noisy=True)
+                before = truth[:, :1, c] + shape / self._scale(c)
+                out[..., c] = np.where(early, before, seen.of(truth, c, stagger))
         return out
 
     def _scale(self, c: int) -> float:
@@ -103,37 +99,52 @@ class Measurement:
         assert self.scale is not None
         return float(self.scale[c])
 
-    @staticmethod
-    def _at(
-        values: Floats, t: Floats, at: Floats, c: int, stagger: float = 0.0, noisy: bool = False
-    ) -> Floats:
-        """One column of [K, 2 nv] at other times; linear beyond the ends.
+
+class _Between:
+    """Places between samples.
+
+    Args:
+      time: [W, K] of the samples, s. at: [W, N] the places; what lies beyond the ends goes on as a
+        straight line.
+    """
+
+    def __init__(self, time: Floats, at: Floats) -> None:
+        rows = zip(time, at, strict=True)
+        after = np.stack([np.searchsorted(t, wanted, side="right") for t, wanted in rows])
+        self._k = np.clip(after - 1, 0, time.shape[1] - 2)
+        start, stop = (np.take_along_axis(time, self._k + i, axis=1) for i in (0, 1))
+        self._h, self._u = stop - start, (at - start) / (stop - start)
+        self._inside = np.clip(self._u, 0.0, 1.0)
+
+    def _sample(self, values: Floats, away: int) -> Floats:
+        """[W, N]: of values [W, K], those of a sample so many after the one before a place."""
+        k = np.clip(self._k + away, 0, values.shape[1] - 1)
+        return np.take_along_axis(values, k, axis=1)
+
+    def of(self, values: Floats, c: int, stagger: float = 0.0, noisy: bool = False) -> Floats:
+        """[W, N]: one column of [W, K, 2 nv].
 
         Args:
-          stagger: as of `of`. What goes with what is asked for is moved to the time of that.
+          stagger: as of `Measurement.of`. What goes with what is asked for is moved to the time of
+            that.
           noisy: whether positions are measured: they would make velocities noisy, which are linear
             between samples then.
         """
-        nv = values.shape[1] // 2
-        k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
-        h, u = t[k + 1] - t[k], (at - t[k]) / (t[k + 1] - t[k])
-        y, v = values[:, c % nv], values[:, nv + c % nv]
-        inside = np.clip(u, 0.0, 1.0)
-        if c >= nv:
-            line = v[k] + u * (v[k + 1] - v[k])
-            if noisy:
-                return np.asarray(line)
-            before, after = y[k] - stagger * v[k], y[k + 1] - stagger * v[k + 1]
-            slope = _hermite_slope(inside, before, after, h * v[k], h * v[k + 1]) / h
-            near = v[np.clip(k[:, None] + np.arange(-1, 3), 0, len(v) - 1)]
-            most = np.ptp(near, axis=1) / _RESOLVED
-            return np.asarray(
-                line + np.clip(slope + (u - inside) * (v[k + 1] - v[k]) - line, -most, most)
-            )
-        later = stagger * (v[k + 1] - v[k]) / h  # velocities, moved to the time of positions
-        before, after = v[k] + later, v[k + 1] + later
-        cubic = _hermite(inside, y[k], y[k + 1], h * before, h * after)
-        return np.asarray(cubic + (u - inside) * h * np.where(u < 0, before, after))
+        nv, h, u, inside = values.shape[-1] // 2, self._h, self._u, self._inside
+        y0, y1 = (self._sample(values[..., c % nv], i) for i in (0, 1))
+        near = [self._sample(values[..., nv + c % nv], i) for i in (-1, 0, 1, 2)]
+        v0, v1 = near[1:3]
+        if c < nv:
+            later = stagger * (v1 - v0) / h  # velocities, moved to the time of positions
+            before, after = v0 + later, v1 + later
+            cubic = _hermite(inside, y0, y1, h * before, h * after)
+            return np.asarray(cubic + (u - inside) * h * np.where(u < 0, before, after))
+        line = v0 + u * (v1 - v0)
+        if noisy:
+            return line
+        slope = _hermite_slope(inside, y0 - stagger * v0, y1 - stagger * v1, h * v0, h * v1) / h
+        most = np.ptp(near, axis=0) / _RESOLVED
+        return line + np.clip(slope + (u - inside) * (v1 - v0) - line, -most, most)
 
 
 def _hermite(u: Floats, y0: Floats, y1: Floats, d0: Floats, d1: Floats) -> Floats:

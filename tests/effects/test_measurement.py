@@ -9,7 +9,7 @@ import pytest
 import orbisim
 from orbisim.effects import EffectInstance
 from orbisim.effects.measured import distort
-from orbisim.effects.measurement import TRUE, Measurement, measurement_of
+from orbisim.effects.measurement import TRUE, Measurement, _Between, measurement_of
 from orbisim.recording import Recording
 
 SCENE = """
@@ -70,10 +70,11 @@ def test_a_late_velocity_follows_what_samples_resolve_and_does_not_swing() -> No
     t = np.arange(8) * 0.1
     at = t[2:6] + 0.05
     smooth = np.stack([t**3, 3 * t**2], axis=1)
-    np.testing.assert_allclose(Measurement._at(smooth, t, at, 1), 3 * at**2, atol=1e-12)
+    found = _Between(t[None], at[None]).of(smooth[None], 1)[0]
+    np.testing.assert_allclose(found, 3 * at**2, atol=1e-12)
     speed = np.where(np.arange(8) < 4, 0.0, 1.0)  # and a leap of the position in between
     jump = np.stack([np.where(np.arange(8) < 4, 0.0, 0.5), speed], axis=1)
-    found = Measurement._at(jump, t, t[3:4] + 0.05, 1)
+    found = _Between(t[None], t[None, 3:4] + 0.05).of(jump[None], 1)[0]
     assert abs(found[0] - 0.5) <= 1 / 8 + 1e-12  # the cubic's own slope there is 7.25
 
 
