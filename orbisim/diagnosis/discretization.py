@@ -32,7 +32,7 @@ from orbisim.shooting.forms import command_clock, foreseen_anew, linearized, unt
 from orbisim.shooting.halving import MATTERS, coarsest, difference, exact_enough, matters
 from orbisim.shooting.judge import Judged
 from orbisim.shooting.stepping import Stepping, stepping
-from orbisim.shooting.timestep import held, peak, stepped, taken, typical_interval
+from orbisim.shooting.timestep import held, is_exact, lengths, peak, stepped, taken
 
 Other = tuple[Context, Judged]
 
@@ -253,19 +253,19 @@ def resolved(context: Context, judged: Judged) -> Other:
 
 
 def _held(context: Context, judged: Judged) -> Other | None:
-    """The same explanation in steps over which forces are held, instead of exact ones, of the
-    length that predicts best: a simulated machine has steps of its own, and what they do would be
-    named as an inertia or a damping (MuJoCo's implicit damping adds its product with the step to
-    the inertia). What they do grows as the step does, so that three lengths tell the best."""
-    interval = typical_interval(context.bench)
-    long = interval / _HELD
-    other = held(context.bench, long)
-    if other is None:
+    """The same explanation in steps over which forces are held, instead of exact ones or ones of
+    another length, of the length that predicts best: a simulated machine has steps of its own, and
+    what they do would be named as an inertia or a damping (MuJoCo's implicit damping adds its
+    product with the step to the inertia). What they do grows as the step does, so that three
+    lengths tell the best."""
+    bench, tried = context.bench, lengths(context.bench)
+    if bench.contacts and not is_exact(bench):
         return None
-    if not difference(context.bench, other) > MATTERS * max(judged.ratio, 1.0):
+    if not difference(bench, held(bench, tried[-1])) > MATTERS * max(judged.ratio, 1.0):
         return None
+    long, known = max(tried), 0.0 if is_exact(bench) else taken(bench)
     ends = long / _SHORTEST, 2.0 * long
-    return _best(context, judged, held, (long / 2.0, long), (0.0,), ends, long / _LIKE, 1)
+    return _best(context, judged, held, tried, (known,), ends, long / _LIKE, 1)
 
 
 def _other_friction(context: Context, judged: Judged, **form: bool) -> Other | None:
@@ -325,9 +325,9 @@ def _best(
 
 _FALLS = 10.0
 """Times by which what is left may fall: real machines' models leave a fortieth to a quarter."""
-_HELD, _SHORTEST, _LIKE = 8, 8, 32
-"""Steps a sampling interval that are tried first, as a simulated machine's own; shares of these:
-the shortest, which is as good as exact, and by which steps differ that are tried."""
+_SHORTEST, _LIKE = 8, 32
+"""Shares of the longest of the steps that are tried first: the shortest, which is as good as exact,
+and by which steps differ that are tried."""
 _HALVINGS = 5
 """At once: a simulation takes as many times as long."""
 _SHORT_FOR_IMPACTS = 4e-4

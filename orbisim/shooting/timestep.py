@@ -49,14 +49,22 @@ def is_exact(bench: Bench) -> bool:
     return stepping(bench.scene).integrator == _RK4
 
 
-def held(bench: Bench, timestep: float) -> Bench | None:
-    """In steps over which forces are held, by MuJoCo's implicitfast integrator, a whole number in a
-    sampling interval; None for those of another integrator than `exact` ones."""
-    if not is_exact(bench):
-        return None
-    interval, integrator = typical_interval(bench), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+def held(bench: Bench, timestep: float) -> Bench:
+    """In steps over which forces are held, a whole number in a sampling interval: by MuJoCo's
+    implicitfast integrator in the place of exact steps, else by the one that there is."""
+    interval, known = typical_interval(bench), stepping(bench.scene).integrator
+    integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST) if is_exact(bench) else known
     count = max(round(interval / timestep), 1)
     return stepped(bench, interval / count, integrator=integrator)
+
+
+def lengths(bench: Bench) -> tuple[float, ...]:
+    """Of steps over which forces may be held, the first to be tried, s: a sixteenth and an eighth
+    of a sampling interval instead of exact ones, else one step more in an interval and one less."""
+    interval = typical_interval(bench)
+    count = 12 if is_exact(bench) else round(interval / taken(bench))
+    more = 4 if is_exact(bench) else 1
+    return tuple(interval / one for one in (count + more, count - more) if one)
 
 
 def _early(bench: Bench) -> float:

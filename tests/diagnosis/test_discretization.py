@@ -64,6 +64,20 @@ def test_a_step_that_is_too_long_is_shortened_instead_of_explained() -> None:
     assert result.error["held_out"]["after"] < 0.8 * result.error["held_out"]["before"]
 
 
+@pytest.mark.parametrize("count", [4, 6])
+def test_steps_of_a_simulated_machine_are_found_that_are_no_half_of_others(count: int) -> None:
+    """Five in a sampling interval: what four or six leave of that was named as an inertia."""
+    runs = inject_effect(
+        _scene(0.002), [], rate=100.0, duration=2.0, episodes=3, noise=1e-5, seed=1
+    )
+    scene = _scene(0.01 / count)
+    context, judged = _judged(make_bench(scene, prepare_all(runs, scene), 0.5))
+    found = settled(context, judged)
+    assert found is not None
+    assert stepping(found[0].bench.scene).timestep == pytest.approx(0.002)
+    assert done(*found) and not done(context, judged)
+
+
 def test_an_effect_is_found_beside_it() -> None:
     friction = EffectInstance("coulomb_friction", "hinge", {"torque": 0.05})
     runs = inject_effect(_scene(0.0005), friction, duration=2.0, episodes=3, noise=5e-4, seed=1)

@@ -10,7 +10,16 @@ import orbisim
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import make_bench
 from orbisim.shooting.stepping import Stepping, stepping, with_stepping
-from orbisim.shooting.timestep import exact, held, is_exact, peak, taken, typical_interval
+from orbisim.shooting.timestep import (
+    exact,
+    held,
+    is_exact,
+    lengths,
+    peak,
+    stepped,
+    taken,
+    typical_interval,
+)
 from orbisim.testing import inject_effect
 
 
@@ -47,11 +56,20 @@ def test_exact_steps_divide_the_sampling_interval(arm: orbisim.Scene) -> None:
     found = stepping(other.scene)
     assert found.integrator == int(mujoco.mjtIntegrator.mjINT_RK4)
     assert found.timestep == pytest.approx(0.0025)  # four make an interval of 10 ms
-    assert held(bench, 0.001) is None
     own = held(other, 0.001)
-    assert own is not None
     assert stepping(own.scene).integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
     assert stepping(own.scene).timestep == pytest.approx(0.001)
     between = held(other, 0.0011)  # nine make an interval
-    assert between is not None
     assert stepping(between.scene).timestep == pytest.approx(0.01 / 9)
+    same = stepping(held(bench, 0.001).scene)  # by the integrator that there is
+    assert same.integrator == int(mujoco.mjtIntegrator.mjINT_EULER)
+    assert same.timestep == pytest.approx(0.001)
+
+
+def test_lengths_to_try_lie_to_either_side_of_the_step(arm: orbisim.Scene) -> None:
+    """Instead of exact ones, those that simulations have; never a step beyond an interval."""
+    runs = inject_effect(arm, [], rate=100.0, duration=1.0, episodes=1, noise=1e-3, seed=0)
+    bench = make_bench(arm, prepare_all(runs, arm), 0.3)
+    assert lengths(exact(bench, 1)) == pytest.approx((0.01 / 16, 0.01 / 8))
+    assert lengths(stepped(bench, 0.0025)) == pytest.approx((0.002, 0.01 / 3))
+    assert lengths(stepped(bench, 0.01)) == pytest.approx((0.005,))
