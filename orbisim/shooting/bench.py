@@ -78,7 +78,7 @@ class Bench:
     def looked_at(self) -> float:
         """Share of the usable sampling intervals that windows are cut from: steps through contacts
         take long, and of many some are left out."""
-        usable = sum(np.count_nonzero(one.usable[:-1] & one.usable[1:]) for one in self.samples)
+        usable = sum(len(_usable(one)) for one in self.samples)
         return sum(len(rows) for rows in self.rows) / max(usable, 1)
 
     @property
@@ -128,6 +128,11 @@ class Bench:
         return dataclasses.replace(self, noise=_lower(found, self.samples))
 
 
+def _usable(one: Samples) -> Ints:
+    """Rows at which intervals start of which both ends and what drives them are known."""
+    return np.flatnonzero(one.usable[:-1] & one.usable[1:] & one.driven[:-1])
+
+
 def _lower(found: Noise, samples: Sequence[Samples]) -> Noise:
     """The lower of two estimates, both of which take unknown motion for noise; not below what
     rounding to the sensors' steps leaves, which repeats itself where motion is slow."""
@@ -153,7 +158,7 @@ def make_bench(
     Raises:
       InputError: the recordings are too short for a window.
     """
-    rows = [np.flatnonzero(s.usable[:-1] & s.usable[1:] & s.driven[:-1]) for s in samples]
+    rows = [_usable(one) for one in samples]
     if not sum(len(r) for r in rows):
         raise InputError("no two consecutive samples are usable")
     contacts = touches(scene, samples)

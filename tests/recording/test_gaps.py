@@ -64,6 +64,7 @@ def test_controls_that_neighbours_do_not_tell_divide_windows() -> None:
         rows = bench.intervals.row[bench.windows.first, None] + np.arange(bench.windows.length)
         assert np.isin([100, 300], rows).all() == (unknown == 0)
         assert not np.isin(lost, rows).any()
+        assert bench.looked_at == 1  # nothing is left out for want of time
 
 
 def test_of_fast_samples_one_control_says_little() -> None:
