@@ -62,7 +62,8 @@ def starts(
         if not (np.isfinite(recorded[:, j.v]).all() and np.isfinite(bound.qpos[:, j.q]).all())
     ]
     motion = motion or estimate_motion(bound, {j.id for j in lacking})
-    early = motion.qvel - 0.5 * stagger(bound.model) * np.nan_to_num(motion.qacc)
+    step = float(bound.model.opt.timestep)
+    early = motion.qvel - stagger(bound.model) * step * np.nan_to_num(motion.qacc)
     estimated = [j.label for j in lacking if not np.isfinite(recorded[:, j.v]).any()]
     notes = [f"velocities of {', '.join(map(repr, estimated))} are estimated from the positions"]
     qpos, qvel = carry_unread(
@@ -88,14 +89,13 @@ def _begin(bound: Bound, model: mujoco.MjModel, data: mujoco.MjData) -> None:
 
 
 def stagger(model: mujoco.MjModel) -> float:
-    """Twice the time by which velocities of MuJoCo's states belong before their positions, s.
+    """By how many steps the velocities of MuJoCo's states belong before their positions.
 
     Its semi-implicit integrators advance positions with the new velocity: q(k+1) = q(k) + h v(k+1).
     That is the leapfrog scheme with v(k) at the time of q(k) less half a step (Hairer, Lubich and
     Wanner, Geometric Numerical Integration, 2006, section I.1.4), which is second order from there.
     """
-    explicit = int(mujoco.mjtIntegrator.mjINT_RK4)
-    return 0.0 if model.opt.integrator == explicit else float(model.opt.timestep)
+    return 0.0 if model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4) else 0.5
 
 
 def activations(bound: Bound, states: Starts, rows: npt.NDArray[np.int64]) -> Floats:

@@ -158,7 +158,7 @@ class Shooter:
         """By how much before their positions velocities of simulated states belong, s."""
         interval = float(np.median(np.diff(self.time, axis=1)))
         step = interval / (self.substeps * variant.measurement.clock)
-        return step / 2.0 if stagger(variant.scene.model) else 0.0
+        return stagger(variant.scene.model) * step
 
     def _read(self, variant: Variant, out: Floats) -> Floats:
         """What is measured of true deviations [W, K + 1, 2 nv].
