@@ -143,15 +143,16 @@ def exchanges(
     fewer: Judged,
     others: Sequence[EffectInstance] = (),
 ) -> Iterator[Hypothesis]:
-    """Others in the place of one effect: what is known to look the same, the declared parameter
-    that it changes, and what a screening without it ranks best. Where it is of those that are also
-    declared (a mass), declared parameters may be off instead, beside a simpler effect.
+    """Others in the place of one effect: what is known to look the same, of a single one what did
+    best (steps and times of commands may be others since), the declared parameter that it changes,
+    what a screening without it ranks best, and what it is declared as (a mass) beside another one.
 
     Args:
       fewer: the explanation without it. others: what did best beside it in its round.
     """
     scene, own = context.bench.scene, current.hypothesis.effects[index]
     every = [*find(own.effect).equivalents(scene.model, own), *generalizations(context, own)]
+    every += others[:_FEW] if len(current.hypothesis.effects) == 1 else ()
     near = [clean(scene, one) for one in every if context.allowed(one)]
     # the same effect at the same target twice is one with other numbers
     seen = {(one.effect, one.target) for one in current.hypothesis.effects}

@@ -271,8 +271,7 @@ def _exchanged(found: Found, number: int) -> Found:
             context, best = found.context, found.best
             continue
         context.say(f"looking for another effect instead of {place[0]} at {place[1]}")
-        beside = sorted(found.tried, key=lambda t: -t.gain.total)
-        ranked = [t.last for t in beside if t.last is not None]
+        ranked = [t.last for t in sorted(found.tried, key=lambda t: -t.gain.total) if t.last]
         others = _all(context, exchanges(context, best, index, fewer, ranked), best)
         others += list(map(context.judge.closer, best_few(context, best, others)))
         if context.bench.contacts:

@@ -176,6 +176,27 @@ def test_what_looks_the_same_is_proposed_in_its_place(arm: orbisim.Scene) -> Non
     assert [list(factors) for factors in tuned] == [[Tunable("damping", "elbow")]]
 
 
+def test_what_did_nearly_as_well_is_proposed_in_the_place_of_a_single_effect(
+    arm: orbisim.Scene,
+) -> None:
+    """Steps, or times of commands, may have become others since it was compared. Beside others it
+    is not: all are selected anew together there."""
+    context = begun(bench_of(arm, DAMPING), Settings(), lambda _: None)
+    best = context.judge.judge(Hypothesis((DAMPING,)))
+    assert best is not None
+    friction = EffectInstance("coulomb_friction", "elbow", {"torque": 0.2})
+    runners = [DAMPING, friction]
+    fewer = dataclasses.replace(best, hypothesis=Hypothesis())
+    proposed = list(exchanges(context, best, 0, fewer, runners))
+    assert [one.effects for one in proposed].count((friction,)) == 1
+    assert not any(one.effects == (DAMPING,) for one in proposed)
+    spring = EffectInstance("joint_spring", "shoulder", {"stiffness": 1.0, "rest_position": 0.0})
+    two = dataclasses.replace(best, hypothesis=Hypothesis((DAMPING, spring)))
+    beside = dataclasses.replace(best, hypothesis=Hypothesis((spring,)))
+    proposed = list(exchanges(context, two, 0, beside, runners))
+    assert not any(friction in one.effects for one in proposed)
+
+
 def test_no_effect_is_proposed_twice_at_a_target(arm: orbisim.Scene) -> None:
     """What generalizes an effect may be there already: with other numbers it is the same one."""
     heavy = EffectInstance(
