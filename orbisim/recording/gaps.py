@@ -55,9 +55,9 @@ def bridged(recordings: Sequence[Recording], window: float, notes: list[str]) ->
         found.append(one)
     if missing:
         notes.append(
-            f"samples are missing at {missing} places: the controls there are the likeliest by "
-            "those before and after"
-            + (f"; {unknown} that these do not tell divide windows" if unknown else "")
+            f"samples are missing at {missing} places: their controls are the likeliest by those "
+            "before and after"
+            + (f"; {unknown} whose controls these do not tell are in no window" if unknown else "")
         )
     return found
 

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from orbisim.motion.samples import substeps
+from orbisim.recording.initial import stagger
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.stepping import stepping, with_stepping
 
@@ -62,15 +63,15 @@ def lengths(bench: Bench) -> tuple[float, ...]:
     """Of steps over which forces may be held, the first to be tried, s: a sixteenth and an eighth
     of a sampling interval instead of exact ones, else one step more in an interval and one less."""
     interval = typical_interval(bench)
-    count = 12 if is_exact(bench) else round(interval / taken(bench))
-    more = 4 if is_exact(bench) else 1
-    return tuple(interval / one for one in (count + more, count - more) if one)
+    now = round(interval / taken(bench))
+    counts = (16, 8) if is_exact(bench) else (now + 1, now - 1)
+    return tuple(interval / count for count in counts if count)
 
 
 def _early(bench: Bench) -> float:
     """By how much a force acts too early, s: MuJoCo's Euler and implicit integrators move a body by
     the velocity that a step ends with."""
-    return 0.0 if is_exact(bench) else taken(bench) / 2.0
+    return stagger(bench.scene.model) * taken(bench)
 
 
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)

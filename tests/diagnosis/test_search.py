@@ -111,6 +111,22 @@ def test_the_scene_as_declared_is_no_start_for_other_effects(arm: orbisim.Scene)
     assert best_few(context, one, [declared]) == []
 
 
+def test_through_impacts_what_surely_is_worth_nothing_is_not_restarted(arm: orbisim.Scene) -> None:
+    """Restarts take most of the time there; elsewhere a fit may yet get closer."""
+    context = begun(bench_of(arm, DAMPING), Settings(), lambda _: None)
+    best = context.judge.judge(Hypothesis((DAMPING,)))
+    idle = EffectInstance("coulomb_friction", "shoulder", {"torque": 1e-6})
+    more = context.judge.judge(Hypothesis((DAMPING, idle)))
+    declared = context.judge.judge(Hypothesis())
+    assert best is not None and more is not None and declared is not None
+    touching = context.on(dataclasses.replace(context.bench, contacts=True))
+    gain = worth(touching.bench, best, more)
+    assert gain.total + gain.error < 0
+    assert best_few(context, best, [more]) == [more]
+    assert best_few(touching, best, [more]) == []
+    assert best_few(touching, declared, [more]) == [more]
+
+
 def test_a_needless_effect_is_dropped(arm: orbisim.Scene) -> None:
     """On a machine with another effect besides; what is left is far above the noise."""
     other = EffectInstance("cogging", "elbow", {"amplitude": 0.1, "periods": 3.0, "phase": 0.4})

@@ -88,8 +88,8 @@ PENDULUM = """
 @pytest.mark.parametrize("integrator", ["EULER", "IMPLICITFAST", "RK4"])
 def test_a_late_velocity_of_a_simulated_motion_is_that_of_when_it_was_read(integrator: str) -> None:
     """Semi-implicit integrators advance positions with the new velocity, which belongs half a step
-    before. Slopes of the positions are half a step late beside it: 60 mm/s of this pendulum, many
-    times the noise of a sensor."""
+    before. Slopes of the positions are half a step late beside it: 0.06 rad/s of this pendulum,
+    many times the noise of a sensor."""
     model = orbisim.load_scene(PENDULUM).model
     model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator}")
     step, every, late = model.opt.timestep, 5, 2

@@ -36,7 +36,7 @@ def test_missing_samples_have_rows_without_readings_and_with_controls_in_equal_s
     assert np.isnan(found["qpos"][[5, 10, 11, 12]]).all()
     assert (found.source, found.metadata) == ("run", {"robot": "a"})
     assert "missing at 2 places" in notes[0]
-    assert "divide" not in notes[0]  # straight lines miss nothing of these
+    assert "in no window" not in notes[0]  # straight lines miss nothing of these
     assert isinstance(found, Bridged)
     assert len(found.unknown) == 0
     assert isinstance(pickle.loads(pickle.dumps(found)), Bridged)
@@ -56,7 +56,7 @@ def test_controls_that_neighbours_do_not_tell_divide_windows() -> None:
         (found,) = bridged([run.rows(kept)], 0.5, notes)
         assert isinstance(found, Bridged)
         np.testing.assert_allclose(found.unknown, time[[100, 101, 300][:unknown]], rtol=1e-12)
-        assert ("divide windows" in notes[0]) == bool(unknown)
+        assert (f"{unknown} whose controls these do not tell" in notes[0]) == bool(unknown)
         (samples,) = prepare_all([found], arm)
         lost = [99, 100, 101, 102, 299, 300, 301] if unknown else []
         assert np.array_equal(np.flatnonzero(~samples.driven), lost)
