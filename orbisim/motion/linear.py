@@ -129,7 +129,8 @@ class IntervalMap:
         for count in np.unique(self.substeps[wanted]):
             self.deadline.check()
             index = np.flatnonzero(wanted & (self.substeps == count))
-            threads = threads_for(len(index), len(index) * model.nv * int(count))
+            parts = parts_of([s for s, _ in self._pick], int(count))
+            threads = threads_for(model, len(index), 1 if hooks else int(count) // parts)
             batch = mujoco.batch.Batch(model, len(index), threads)
             Timesteps(model, batch).set(self.duration[index] / count)
             batch.bind("time")[:] = self.start[index]
@@ -138,7 +139,6 @@ class IntervalMap:
             batch.bind("qvel")[:, place.v] = qvel[index]
             batch.bind("act")[:] = self.act[index]
             batch.bind("history")[:] = self.history[index]
-            parts = parts_of([s for s, _ in self._pick], int(count))
             ctrl, applied = self._inputs(parts)
             if force is not None:
                 applied = applied + force[:, None]

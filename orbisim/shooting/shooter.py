@@ -284,8 +284,11 @@ class Shooter:
         """
         model, clock = variant.scene.model, variant.measurement.clock
         place = Layout(self.declared.model, model)
-        threads = threads_for(len(self), len(self) * model.nv * self.substeps)
         hooks = hooks or hooks_of(model)
+        last = np.minimum(self.windows.reach(), self.horizon)
+        spans = list(self._spans(last, one_by_one=bool(hooks)))
+        most = 1 if hooks else self.substeps * max((count for _, count in spans), default=1)
+        threads = threads_for(model, len(self), most)
         kept = bool(derived_of(hooks)) and self.horizon * self.substeps > _WORTH_KEEPING
         batch = mujoco.batch.Batch(model, len(self), threads, persistent=kept)
         qpos, qvel = self._moved(start)
@@ -304,8 +307,7 @@ class Shooter:
             batch.bind("act")[:], batch.bind("history")[:] = act, history
         timesteps, stepper = Timesteps(model, batch), BatchStepper(model, batch, hooks)
         applied, qpos, qvel = (batch.bind(n) for n in ("qfrc_applied", "qpos", "qvel"))
-        last = np.minimum(self.windows.reach(), self.horizon)
-        for k, count in self._spans(last, one_by_one=bool(hooks)):
+        for k, count in spans:
             self.deadline.check()
             length = (self.time[:, k + count] - self.time[:, k]) / (count * clock)
             timesteps.set(length / self.substeps)
