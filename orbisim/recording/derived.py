@@ -1,15 +1,16 @@
-"""Velocities that were made of the positions, by a difference and a filter.
+"""Velocities that were made of the positions, by differences and a filter.
 
-Most drivers have no sensor of velocities: they take differences of positions and smooth them. Such
-velocities say nothing that the positions do not, and they are late, by a few samples at high speed
-of change: a scene that is right misses them by that, and noise that is the positions' own counts
-twice. A first-order low pass of the true velocity, dv/dt = (dq/dt - v) / tau, has
+Most drivers have no sensor of velocities: they take differences of positions and smooth them, while
+they run or afterwards. Such velocities say nothing that the positions do not. They are late, or
+blurred, a scene that is right misses them by that, and noise that is the positions' own counts
+twice, as noise that lasts for as long as the filter.
 
-    q(b) - q(a) - integral of v from a to b = tau (v(b) - v(a)),
-
-exactly, and a plain difference the same with half a sampling interval. Of a velocity that was
-measured by itself, the left side has at least the noise of two positions; of one that was made of
-the same positions that noise is on both sides, and what is left is nothing.
+A velocity that was measured by itself knows nothing of the noise of the positions. Whatever is
+added up of slopes between positions around it, with weights u, is off from it by that noise: by
+sigma |w| at least, where w are the weights of the positions and sigma is their noise. Of a velocity
+that a linear filter has made of the same positions, whether it looks back, ahead, or to both sides,
+the right weights leave nothing; with neighbouring velocities among what is added up, filters that
+never forget (a low pass of first or second order, run once or to and fro) have few of them.
 """
 
 from __future__ import annotations
@@ -37,24 +38,22 @@ def independent(
     Returns:
       Both, in their order.
     """
-    told = [one for each in recordings for one in _of(each)]
-    late = [lag for lag, made in told if made]
-    if 2 * len(late) <= len(told) or not late:
+    told = [made for each in recordings for made in _of(each)]
+    if 2 * sum(told) <= len(told):
         return list(recordings), list(others)
-    lag = float(np.median(late))
-    found, also = ([_without(one, lag) for one in part] for part in (recordings, others))
+    found, also = ([_without(one) for one in part] for part in (recordings, others))
     return found, also
 
 
-def _without(recording: Recording, lag: float) -> Recording:
+def _without(recording: Recording) -> Recording:
     pairs = _pairs(recording)
     if not pairs:
         return recording
     gone = {name for _, name in pairs}
     kept = {name: values for name, values in recording.signals.items() if name not in gone}
     note = (
-        f"velocities ({', '.join(sorted(gone))}) were made of the positions, which they follow "
-        f"{1e3 * lag:.3g} ms late: they were left out"
+        f"velocities ({', '.join(sorted(gone))}) were made of the positions, by differences and a "
+        "filter: they were left out"
     )
     return recording.replace(signals=kept, notes=(*recording.notes, note))
 
@@ -70,41 +69,47 @@ def _pairs(recording: Recording) -> list[tuple[str, str]]:
     ]
 
 
-def _of(recording: Recording) -> list[tuple[float, bool]]:
-    """Of each velocity that moves: how late it is, s, and whether it was made of positions."""
+def _of(recording: Recording) -> list[bool]:
+    """Of each velocity that moves, whether it was made of positions."""
     found = []
     for position, velocity in _pairs(recording):
         columns = (recording[n].reshape(len(recording), -1).T for n in (position, velocity))
-        for q, v in zip(*columns, strict=True):
-            told = _told(recording.time, q, v)
-            if told is not None:
-                found.append(told)
-    return found
+        found += [_made(recording.time, q, v) for q, v in zip(*columns, strict=True)]
+    return [made for made in found if made is not None]
 
 
-def _told(time: Floats, q: Floats, v: Floats) -> tuple[float, bool] | None:
-    """How late a velocity is, s, and whether it was made of the positions; None of few samples."""
-    steps = np.diff(time)
-    passed = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * steps)])
-    first = np.arange(0, len(time) - _APART, _APART // 2)
-    last = first + _APART
-    even = time[last] - time[first] < 1.5 * _APART * float(np.median(steps))  # no gap
-    left = (q[last] - q[first]) - (passed[last] - passed[first])
-    change = v[last] - v[first]
-    known = np.isfinite(left) & np.isfinite(change) & even
-    left, change = left[known], change[known]
-    noise = float(noise_std(time, q))
-    if len(left) < _FEWEST or not change.any() or not noise > 0:
+def _made(time: Floats, q: Floats, v: Floats) -> bool | None:
+    """Whether a velocity was made of the positions; None of few samples, or at rest."""
+    reach = min(_REACH, len(time) // _SAMPLES)
+    if reach < _NEAREST:
         return None
-    lag = float(left @ change / (change @ change))
-    rest = float(np.sqrt(np.mean((left - lag * change) ** 2)))
-    return lag, rest < _SHARE * np.sqrt(2) * noise
+    steps, here = np.diff(time), np.arange(reach, len(time) - reach)
+    step = float(np.median(steps))
+    around = (np.diff(q) / steps)[here[:, None] + np.arange(-reach, reach)]
+    columns = np.concatenate([around, v[here[:, None] + np.array(_BESIDE)]], axis=1)
+    even = time[here + reach] - time[here - reach] < 1.5 * 2 * reach * step  # no gap
+    known = even & np.isfinite(columns).all(axis=1) & np.isfinite(v[here])
+    columns, wanted = columns[known], v[here][known]
+    noise = float(noise_std(time, q))
+    if len(wanted) < _EQUATIONS * columns.shape[1] or not np.ptp(wanted) > 0 or not noise > 0:
+        return None
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    weights = np.linalg.lstsq(columns / size, wanted, rcond=None)[0] / size
+    left = np.linalg.norm(wanted - columns @ weights) / np.sqrt(len(wanted) - len(weights))
+    of_positions = np.diff(weights[: 2 * reach], prepend=0.0, append=0.0) / step
+    return bool(left < _SHARE * noise * np.linalg.norm(of_positions))
 
 
-_APART = 12
-"""Samples between the two ends: a filter forgets within them, and there are many pairs."""
-_FEWEST = 20
-"""Pairs that tell."""
+_REACH, _NEAREST = 16, 8
+"""Samples to either side that a filter may look at: as far as the polynomials reach that are used
+to smooth logs, and as near as it takes to tell."""
+_SAMPLES = 12
+"""Of a recording, for each sample that is looked at to either side."""
+_BESIDE = (-2, -1, 1, 2)
+"""Samples at which velocities beside are looked at: filters of second order, to and fro."""
+_EQUATIONS = 3
+"""For each weight."""
 _SHARE = 0.5
-"""Of the noise of two positions: one that was measured by itself leaves all of it, one that was
-made of them nothing but what a filter of higher order does."""
+"""Of what the noise of the positions leaves at least of a velocity that was measured by itself; of
+real and simulated machines that is 0.8 times to many thousand times, of exact filters 0.003 at
+most."""

@@ -26,6 +26,7 @@ from orbisim.shooting.cutting import (
 )
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.impacts import near_jump
+from orbisim.shooting.lasting import lasting_noise
 from orbisim.shooting.noise import between_impacts, estimate_noise
 from orbisim.shooting.shooter import Shooter
 from orbisim.shooting.windows import Windows
@@ -120,12 +121,9 @@ class Bench:
 
     def with_noise_of(self, hypothesis: Hypothesis, intervals: Intervals) -> Bench:
         """The same bench with the noise estimated along a better scene."""
-        windows = self.windows.some(self.fit)
-        if self.contacts:
-            windows = between_impacts(self.samples, intervals, windows)
-        known = self.known_signal(hypothesis)
-        found = estimate_noise(self.samples, intervals, windows, known)
-        return dataclasses.replace(self, noise=_lower(found, self.samples))
+        windows, known = self.windows.some(self.fit), self.known_signal(hypothesis)
+        noise = _noise_of(self.samples, intervals, windows, self.contacts, known)
+        return dataclasses.replace(self, noise=noise)
 
 
 def _usable(one: Samples) -> Ints:
@@ -139,6 +137,22 @@ def _lower(found: Noise, samples: Sequence[Samples]) -> Noise:
     one, nv = samples[0], len(found[0])
     q, v = np.fmin(found[0], one.q_noise), np.fmin(found[1], one.v_noise)
     return np.maximum(q, one.rounding[:nv]), np.maximum(v, one.rounding[nv:])
+
+
+def _noise_of(
+    samples: Sequence[Samples],
+    intervals: Intervals,
+    windows: Windows,
+    contacts: bool,
+    known: Sequence[Floats] | None = None,
+) -> Noise:
+    """Noise of positions and velocities; with rounding and, of positions where bodies touch, what
+    lasts."""
+    if not contacts:
+        return _lower(estimate_noise(samples, intervals, windows, known), samples)
+    between = between_impacts(samples, intervals, windows)
+    q, v = _lower(estimate_noise(samples, intervals, between, known), samples)
+    return np.fmax(q, lasting_noise(samples, intervals, between, known)), v
 
 
 def make_bench(
@@ -170,13 +184,12 @@ def make_bench(
     if not len(windows):
         raise InputError(TOO_SHORT)
     if contacts:
-        between = between_impacts(samples, intervals, windows)
-        noise = noise or _lower(estimate_noise(samples, intervals, between), samples)
+        noise = noise or _noise_of(samples, intervals, windows, contacts)
         windows = without_lost(
             predictable_windows(scene, samples, intervals, noise, windows.length), intervals
         )
     held = every_third(windows, len(samples), check)
-    noise = noise or _lower(estimate_noise(samples, intervals, windows.some(~held)), samples)
+    noise = noise or _noise_of(samples, intervals, windows.some(~held), contacts)
     return Bench(
         scene, tuple(samples), tuple(kept), intervals, windows, ~held, held, noise, contacts
     )

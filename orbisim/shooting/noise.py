@@ -7,6 +7,7 @@ of arbitrary slow course in every joint, what is left over is the noise.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,6 +20,8 @@ from orbisim.shooting.impacts import near_jump
 from orbisim.shooting.windows import Windows, cut_windows, evenly, hats_at, start_size
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+Bools = npt.NDArray[np.bool_]
 
 _KNOT = 4
 """Samples between knots of the missing force: what changes faster is taken for noise."""
@@ -46,18 +49,76 @@ def estimate_noise(
       known: for each recording what measurement effects add to it, [T, 2 nv].
     """
     nv = intervals.B.shape[2]
+    one = samples[0]
+    stretches = stretches_of(samples, intervals, windows, known)
+    if stretches is None:
+        return one.q_noise, one.v_noise
+    found = np.full(2 * nv, np.nan)
+    found[stretches.measured] = noise_left(stretches)[0]
+    return found[:nv], found[nv:]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Stretches:
+    """What a motion and its noise have to do with each other, over stretches of recordings.
+
+    Attributes:
+      measured: [ny] columns of positions and velocities that are measured.
+      design: [W, K, ny, P] responses to starts and forces. target: [W, K, ny] deviations.
+      seen: [W, K, ny] whether these are there. guess: [ny] standard deviations to begin with.
+    """
+
+    measured: Ints
+    design: Floats
+    target: Floats
+    seen: Bools
+    guess: Floats
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Left:
+    """What a weighted fit leaves of each stretch.
+
+    Attributes:
+      square: [W] sum of squares. freedom: [W] data less what was fitted to them.
+      inner: [W] logarithm of the determinant of the normal matrix.
+    """
+
+    square: Floats
+    freedom: Floats
+    inner: Floats
+
+
+def stretches_of(
+    samples: Sequence[Samples],
+    intervals: Intervals,
+    windows: Windows,
+    known: Sequence[Floats] | None = None,
+    stiff: bool = False,
+) -> Stretches | None:
+    """Some windows, spread evenly; None where there are none, or nothing is measured.
+
+    Args:
+      known: as of `estimate_noise`.
+      stiff: whether a force has one slope over a window, instead of a knot every few samples.
+    """
     guess = np.concatenate([samples[0].q_noise, samples[0].v_noise])
     measured = np.flatnonzero(np.isfinite(guess))
     if not len(windows) or not len(measured):
-        return guess[:nv], guess[nv:]
+        return None
     some = windows.some(evenly(np.ones(len(windows), bool), _MAX_WINDOWS))
-    design, target, seen = _flexible(samples, intervals, some, measured, known)
-    sigma = np.maximum(guess[measured], 1e-12)
+    knots = 2 if stiff else max(2, windows.length // _KNOT + 1)
+    flexible = _flexible(samples, intervals, some, measured, known, knots)
+    return Stretches(measured, *flexible, np.maximum(guess[measured], 1e-12))
+
+
+def noise_left(stretches: Stretches) -> tuple[Floats, Left]:
+    """[ny]: noise of each signal, degrees of freedom counted; and what the last fit leaves."""
+    sigma, left = stretches.guess, None
     for _ in range(_ROUNDS):
-        sigma = _round(design, target, seen, sigma)
-    found = np.full(2 * nv, np.nan)
-    found[measured] = sigma
-    return found[:nv], found[nv:]
+        sigma, left = _round(stretches, sigma)
+    assert left is not None
+    return sigma, left
 
 
 def between_impacts(samples: Sequence[Samples], intervals: Intervals, windows: Windows) -> Windows:
@@ -94,12 +155,12 @@ def _flexible(
     samples: Sequence[Samples],
     intervals: Intervals,
     windows: Windows,
-    measured: npt.NDArray[np.int64],
+    measured: Ints,
     known: Sequence[Floats] | None,
-) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
+    knots: int,
+) -> tuple[Floats, Floats, Bools]:
     """Responses [W, K + 1, ny, P] to start and force knots, deviations and which are there."""
     n2, nv, k = intervals.A.shape[1], intervals.B.shape[2], windows.length
-    knots = max(2, k // _KNOT + 1)
     hats = hats_at(np.linspace(0, k - 1, knots), k)
     width = n2 + nv * knots
     x = np.zeros((len(windows), n2, width + 1))
@@ -125,24 +186,29 @@ def _flexible(
     return design, target, np.isfinite(target)
 
 
-def _round(design: Floats, target: Floats, seen: npt.NDArray[np.bool_], sigma: Floats) -> Floats:
-    """Noise of each signal from the residuals of one weighted fit."""
-    windows, count = len(design), len(sigma)
+def _round(stretches: Stretches, sigma: Floats) -> tuple[Floats, Left]:
+    """Noise of each signal from the residuals of one weighted fit, and what that leaves."""
+    windows, count = len(stretches.design), len(sigma)
     squares, freedom = np.zeros((windows, count)), np.zeros((windows, count))
+    inner = np.zeros(windows)
     for w in range(windows):
-        weight = seen[w] / sigma
-        matrix = (design[w] * weight[..., None]).reshape(-1, design.shape[3])
-        values = (np.where(seen[w], target[w], 0.0) * weight).ravel()
+        seen = stretches.seen[w]
+        weight = seen / sigma
+        matrix = (stretches.design[w] * weight[..., None]).reshape(-1, stretches.design.shape[3])
+        values = (np.where(seen, stretches.target[w], 0.0) * weight).ravel()
         scale = np.linalg.norm(matrix, axis=0)
-        matrix = matrix / np.where(scale > 0, scale, 1.0)
+        scale = np.where(scale > 0, scale, 1.0)
+        matrix = matrix / scale
         gram = matrix.T @ matrix + _BRACE * np.eye(matrix.shape[1])
         upper = np.linalg.cholesky(gram).T
         u = scipy.linalg.solve_triangular(upper, matrix.T, trans="T", check_finite=False).T
-        left = (values - u @ (u.T @ values)).reshape(seen[w].shape)
-        leverage = (u**2).sum(axis=1).reshape(seen[w].shape)
+        left = (values - u @ (u.T @ values)).reshape(seen.shape)
+        leverage = (u**2).sum(axis=1).reshape(seen.shape)
         squares[w] = (left**2).sum(axis=0)
-        freedom[w] = (seen[w] * (1 - leverage)).sum(axis=0)
-    return np.maximum(sigma * np.sqrt(_typical(squares, freedom)), 1e-12)
+        freedom[w] = (seen * (1 - leverage)).sum(axis=0)
+        inner[w] = 2 * np.log(np.diag(upper) * scale).sum()
+    found = np.maximum(sigma * np.sqrt(_typical(squares, freedom)), 1e-12)
+    return found, Left(squares.sum(axis=1), freedom.sum(axis=1), inner)
 
 
 def _typical(squares: Floats, freedom: Floats) -> Floats:
