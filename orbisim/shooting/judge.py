@@ -394,20 +394,26 @@ class Judge:
         the step, and than the cost rises a tenth of each and half of it beside them, all others
         and the starts fitted there (profile likelihood): what a contact does depends on the step,
         and a fit through impacts ends in one of many narrow holes, whose width says nothing of how
-        deep others are. Far away, windows are also begun where they were measured to. Where the
-        time is up, numbers are as sure as is known by then.
+        deep others are. Far away, windows are also begun where they were measured to. What leaves
+        less there is the better fit, and asked in turn. Where the time is up, numbers are as sure
+        as is known by then.
         """
-        fit, hypothesis = judged.fit, judged.hypothesis
-        if not self.bench.contacts or is_structural(hypothesis) or not hypothesis.effects:
+        if not self.bench.contacts or is_structural(judged.hypothesis):
             return judged
-        for asked in (self._as_sure_as_steps, self._as_sure_as_costs):
-            with contextlib.suppress(TimeIsUpError):
-                for surer in asked(dataclasses.replace(judged, fit=fit)):
-                    fit = surer
-        if fit is judged.fit:
-            return judged
-        same = judged.check_fit is judged.fit
-        return dataclasses.replace(judged, fit=fit, check_fit=fit if same else judged.check_fit)
+        for _ in range(_FURTHER if judged.hypothesis.effects else 0):
+            fit, deeper = judged.fit, None
+            for asked in (self._as_sure_as_steps, self._as_sure_as_costs):
+                with contextlib.suppress(TimeIsUpError):
+                    for one in asked(dataclasses.replace(judged, fit=fit)):
+                        fit, deeper = (fit, one) if isinstance(one, Judged) else (one, None)
+            if deeper is None and fit is judged.fit:
+                return judged
+            if deeper is None:
+                same = judged.check_fit is judged.fit
+                checked = fit if same else judged.check_fit
+                return dataclasses.replace(judged, fit=fit, check_fit=checked)
+            judged = deeper
+        return judged
 
     def _as_sure_as_steps(self, judged: Judged) -> Iterator[Fit]:
         """Fits that are no surer than half of the step moves their numbers."""
@@ -422,22 +428,33 @@ class Judge:
             fit = _no_surer(fit, k, 0.0, float(finer.values[k] - fit.values[k]))
             yield fit
 
-    def _as_sure_as_costs(self, judged: Judged) -> Iterator[Fit]:
-        """Fits that are no surer than the cost rises beside their numbers."""
+    def _as_sure_as_costs(self, judged: Judged) -> Iterator[Fit | Judged]:
+        """Fits that are no surer than the cost rises beside their numbers; where it falls, what is
+        fitted from there, if that leaves less, as the last."""
         fit, hypothesis, begin = judged.fit, judged.hypothesis, self.begin(judged)
         for k, (number, name) in enumerate(hypothesis.free(self.bench.scene)):
             for near in () if _stepwise(hypothesis, number, name) else _BESIDE:
-                beside, away = [], near * abs(float(fit.values[k]))
+                beside, away = list[tuple[Hypothesis, Fit]](), near * abs(float(fit.values[k]))
                 starts = (begin, self.cold) if near == max(_BESIDE) else (begin,)
                 for move, start in itertools.product((-away, away) if away else (), starts):
                     values = fit.values + move * (np.arange(len(fit.values)) == k)
                     with contextlib.suppress(OrbiSimError, np.linalg.LinAlgError):
                         moved = hypothesis.at(self.bench.scene, values)
                         held = dataclasses.replace(moved, frozen=moved.frozen | {(number, name)})
-                        beside.append(self._fit(held, 2, start).square)
-                if beside:
-                    fit = _no_surer(fit, k, min(beside) - fit.square, away)
-                    yield fit
+                        beside.append((held, self._fit(held, 2, start)))
+                if not beside:
+                    continue
+                held, least = min(beside, key=lambda one: one[1].square)
+                if least.square < _LITTLE * fit.square:
+                    there = held.at(self.bench.scene, least.values)
+                    free = dataclasses.replace(there, frozen=hypothesis.frozen)
+                    from_there = self._beginning(free, least.start, None)
+                    deeper = self.judge(free, begin=from_there)
+                    if deeper is not None and deeper.loss < judged.loss:
+                        yield deeper
+                        return
+                fit = _no_surer(fit, k, least.square - fit.square, away)
+                yield fit
 
     def glance(self, hypothesis: Hypothesis, begin: Beginning, every: bool = False) -> float:
         """As `sized_glance`, without the size."""

@@ -343,6 +343,18 @@ def test_no_number_is_surer_than_its_cost_rises_beside_it(softened: tuple[Judge,
     assert judge.as_sure(wide) is wide
 
 
+def test_what_leaves_less_beside_a_fit_is_taken(softened: tuple[Judge, Judged]) -> None:
+    """How sure a number is cannot be asked of a fit that another place leaves behind."""
+    judge, found = _softness(softened)
+    far = EffectInstance("restitution", "head", {"coefficient": 0.36, "stiffness": 2000.0})
+    poor = judge.judge(Hypothesis((far,)), 0, begin=judge.begin(found))
+    assert poor is not None
+    sure = judge.as_sure(poor)
+    assert sure.loss < poor.loss and sure.fit.square < 0.99 * poor.fit.square
+    assert sure.hypothesis.effects[0].values == pytest.approx(SOFT, rel=0.1)
+    assert sure.hypothesis.frozen == poor.hypothesis.frozen
+
+
 def test_no_number_is_surer_than_it_stays_in_half_of_the_step(
     softened: tuple[Judge, Judged], monkeypatch: pytest.MonkeyPatch
 ) -> None:
