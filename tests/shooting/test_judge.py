@@ -345,9 +345,10 @@ def test_no_number_is_surer_than_its_cost_rises_beside_it(softened: tuple[Judge,
 
 def test_what_leaves_less_beside_a_fit_is_taken(softened: tuple[Judge, Judged]) -> None:
     """How sure a number is cannot be asked of a fit that another place leaves behind."""
-    judge, found = _softness(softened)
-    far = EffectInstance("restitution", "head", {"coefficient": 0.36, "stiffness": 2000.0})
-    poor = judge.judge(Hypothesis((far,)), 0, begin=judge.begin(found))
+    judge, nothing = softened
+    hard = {"coefficient": restitution_of(1.0), "stiffness": 6000.0}
+    far = Hypothesis((EffectInstance("restitution", "head", hard),))
+    poor = judge.judge(far, begin=judge.begin(nothing))
     assert poor is not None
     sure = judge.as_sure(poor)
     assert sure.loss < poor.loss and sure.fit.square < 0.99 * poor.fit.square
