@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from orbisim.effects.measurement import TRUE, Measurement
 from orbisim.errors import OrbiSimError
 from orbisim.motion.hidden import Layout
 from orbisim.shooting.fits import Fit, Hints, Unknown
@@ -127,10 +128,8 @@ class Problem:
         damping, brakes = _DAMPED, np.full(len(shooter), 1e-9)
         free, at = self.hints.free, here
         hinted = free is not None and free.shape[2] == xi.shape[1]
-        # what starts do to a late sensor is not what they do to the motion
-        rough = self.hints.rough or self.build(values).measurement.shifted
-        if free is None or not hinted:
-            free = self.start_jacobian(here)
+        known_free, rough = free if hinted else None, self.hints.rough
+        free = self.start_jacobian(here) if known_free is None else known_free
         active = np.ones(len(shooter), bool)
         hints, iteration = self.hints, 0
         again = (hints.exact or hints.rough) and not hints.quick
@@ -145,6 +144,8 @@ class Problem:
                 free, at = self._updated(free, at, here)
             slopes = self.slopes(here) if known is None else known
             known = None
+            if hinted and known_free is not None:
+                free = shooter.read_late(known_free, here.measurement)
             found = self._search(here, slopes, free, damping, brakes, active)
             if found is None:
                 known = slopes
@@ -246,13 +247,15 @@ class Problem:
         Args:
           only: [W] the windows to simulate; all if None. others: where the other windows are from.
         """
-        simulated = self.shooter.simulate(self.build(values), xi, only)
+        variant = self.build(values)
+        simulated = self.shooter.simulate(variant, xi, only)
         if only is not None and others is not None:
             simulated = np.where(only[:, None, None], simulated, others.simulated)
             xi = np.where(only[:, None], xi, others.xi)
         residual = self.shooter.residual(simulated)
         cost = self.window_costs(residual)
-        return Trial(values, xi, simulated, residual, cost, self.penalty(values))
+        penalty = self.penalty(values)
+        return Trial(values, xi, simulated, residual, cost, penalty, variant.measurement)
 
     def _search(
         self,
@@ -295,6 +298,7 @@ class Problem:
             np.where(pick, one.residual, other.residual),
             np.where(keep, one.cost, other.cost),
             one.penalty,
+            one.measurement,
         )
 
     def weights(self, residual: Floats) -> Floats:
@@ -535,7 +539,8 @@ class Problem:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Trial:
-    """Parameters and starts, simulated. cost: [W] of each window. penalty: of the priors."""
+    """Parameters and starts, simulated, and how that is measured. cost: [W] of each window.
+    penalty: of the priors."""
 
     values: Floats
     xi: Floats
@@ -543,6 +548,7 @@ class Trial:
     residual: Floats
     cost: Floats
     penalty: float
+    measurement: Measurement = TRUE
 
     @property
     def total(self) -> float:

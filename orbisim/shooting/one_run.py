@@ -106,8 +106,11 @@ def moved_along(
     """
     problem = Problem(shooter, lambda _: variant, own.unknowns, hints, robust)
     here = problem.trial(own.values, start)
-    free, problem.scale = hints.free, problem.half(here.cost)
-    assert free is not None
+    assert hints.free is not None
+    free, problem.scale = (
+        shooter.read_late(hints.free, variant.measurement),
+        problem.half(here.cost),
+    )
     if step is None:
         left, weighted = problem.shares(here, own.slopes, free)
         step = problem.parameter_step(own.values, left, weighted, _DAMPING)

@@ -173,21 +173,53 @@ class Shooter:
         if not measurement:
             return out
         runs = measurement.of(self.absolute, out, self.time, self.staggered(variant))
-        delay = np.zeros(out.shape[-1]) if measurement.delay is None else measurement.delay
+        for k, column, delay in self._late(measurement):
+            counts, target = self._counts(k, delay), self.target[..., k] / self.weight[k]
+            inferred = np.where(counts > 0, target + counts * (runs[..., column] - target), target)
+            runs[..., column] = np.where(counts == 1, runs[..., column], inferred)
+        return runs
+
+    def _late(self, measurement: Measurement) -> Iterator[tuple[int, int, float]]:
+        """Numbers of measured signals that are late, their columns, and by how much, s."""
+        if measurement.delay is not None:
+            for k, column in enumerate(self.measured):
+                if measurement.delay[column]:
+                    yield k, int(column), float(measurement.delay[column])
+
+    def _counts(self, k: int, delay: float) -> Floats:
+        """[W, K + 1] by how much what is off in a late signal counts: zero where it reads from
+        beyond the window, elsewhere more than one; one of all where nearly all is from beyond."""
         ends = np.arange(len(self)), np.minimum(self.windows.reach(), self.horizon)
         near = np.median(np.diff(self.time, axis=1)) / 2.0  # `Measurement` is good so far beyond
-        for k, column in enumerate(self.measured):
-            if not delay[column]:
-                continue
-            at, seen = self.time - delay[column], self.seen[..., k]
-            known = (at > self.time[:, :1] - near) & (at < self.time[ends][:, None] + near)
-            every, left = seen.sum(axis=1), (seen & known).sum(axis=1)
-            some = _KNOWN * left > every
-            more = np.sqrt(every / np.maximum(left, 1))[:, None]
-            target = self.target[..., k] / self.weight[k]
-            inferred = np.where(known, target + more * (runs[..., column] - target), target)
-            runs[..., column] = np.where(some[:, None], inferred, runs[..., column])
-        return runs
+        at, seen = self.time - delay, self.seen[..., k]
+        known = (at > self.time[:, :1] - near) & (at < self.time[ends][:, None] + near)
+        every, left = seen.sum(axis=1), (seen & known).sum(axis=1)
+        more = np.sqrt(every / np.maximum(left, 1))[:, None]
+        return np.where((_KNOWN * left > every)[:, None], np.where(known, more, 0.0), 1.0)
+
+    def read_late(self, free: Floats, measurement: Measurement) -> Floats:
+        """Derivatives of the weighted data by the window starts as late sensors read them: linear
+        between samples.
+
+        Args:
+          free: [W, data, 2 nv] of the motion; returned as they are where no sensor is late, and
+            where impacts leave data unknown together.
+        """
+        if not measurement.shifted or self.whitening is not None:
+            return free
+        out = free.reshape(len(self), self.windows.length + 1, len(self.measured), -1).copy()
+        windows = np.arange(len(self))[:, None]
+        for k, _, delay in self._late(measurement):
+            at = self.time - delay
+            rows = zip(self.time, at, strict=True)
+            before = np.stack([np.searchsorted(t, wanted, side="right") - 1 for t, wanted in rows])
+            before = np.clip(before, 0, self.windows.length - 1)
+            start, stop = self.time[windows, before], self.time[windows, before + 1]
+            share = np.clip((at - start) / (stop - start), 0.0, 1.0)[..., None]
+            there = out[:, :, k]
+            read = (1 - share) * there[windows, before] + share * there[windows, before + 1]
+            out[:, :, k] = read * (self._counts(k, delay) * self.seen[..., k])[..., None]
+        return out.reshape(free.shape)
 
     def _simulated(
         self, variant: Variant, start: Floats, hooks: list[Hook] | None = None

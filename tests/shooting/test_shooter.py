@@ -9,6 +9,7 @@ from orbisim.effects import EffectInstance
 from orbisim.effects.carry import hooks_of
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import Bench, make_bench
+from orbisim.shooting.gauss_newton import start_derivatives
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.shooter import Variant
 from orbisim.testing import inject_effect
@@ -72,6 +73,22 @@ def test_a_few_readings_do_not_stand_for_a_whole_window(
     read = variant.measurement.of(shooter.absolute, free, shooter.time, early)
     assert early > 0
     assert np.array_equal(shooter.simulate(variant, start), read) == extrapolated
+
+
+@pytest.mark.parametrize("delay", [0.037, -0.037, 0.3, 0.45])
+def test_what_starts_do_to_a_late_sensor_follows_from_what_they_do_to_the_motion(
+    bench: Bench, delay: float
+) -> None:
+    shooter = bench.shooter(bench.fit)
+    variant = Hypothesis((LATE.replace(delay=delay),)).variant(bench.scene)
+    start = np.zeros((len(shooter), 2 * shooter.nv))
+    free = shooter.chained(bench.intervals)
+    assert shooter.read_late(free, Variant(bench.scene).measurement) is free
+    shown = start_derivatives(shooter, variant, start)
+    found = shooter.read_late(free, variant.measurement)
+    plainly = np.linalg.norm(start_derivatives(shooter, Variant(bench.scene), start) - free)
+    assert np.linalg.norm(found - shown) < 2 * plainly + 0.02 * np.linalg.norm(shown)
+    assert np.linalg.norm(free - shown) > 2 * np.linalg.norm(found - shown)
 
 
 def test_starts_that_are_moved_together_are_moved_one_by_one(bench: Bench) -> None:
