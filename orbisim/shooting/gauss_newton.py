@@ -144,7 +144,7 @@ class Problem:
                 free, at = self._updated(free, at, here)
             slopes = self.slopes(here) if known is None else known
             known = None
-            if hinted and known_free is not None:
+            if hinted and known_free is not None and not rough:
                 free = shooter.read_late(known_free, here.measurement)
             found = self._search(here, slopes, free, damping, brakes, active)
             if found is None:

@@ -521,14 +521,16 @@ class Judge:
         """By how much less `Judged.loss` of the same explanation would be in this form of the data,
         at the price of one simulation of the windows without impacts: numbers and starts corrected
         linearly, by what they do in the form that it was fitted in. None where differences have to
-        show what starts do, and of other steps where bodies touch: what a contact does depends on
-        them. Negative and infinite if it cannot be simulated.
+        show what starts do, of late sensors (which of their readings are of a window changes with
+        the delay), and of other steps where bodies touch: what a contact does depends on them.
+        Negative and infinite if it cannot be simulated.
 
         Args:
           judged: in the other form. other: what judged it.
         """
         touched = self.bench.contacts and stepping(self.bench.scene) != stepping(other.bench.scene)
-        moves = None if touched else other.moves(judged)
+        late = judged.hypothesis.variant(self.bench.scene).measurement.shifted
+        moves = None if touched or late else other.moves(judged)
         if moves is None:
             return None
         some, others = self._smooth, self._check_smooth

@@ -202,10 +202,9 @@ class Shooter:
         between samples.
 
         Args:
-          free: [W, data, 2 nv] of the motion; returned as they are where no sensor is late, and
-            where impacts leave data unknown together.
+          free: [W, data, 2 nv] of the motion; returned as they are where no sensor is late.
         """
-        if not measurement.shifted or self.whitening is not None:
+        if not measurement.shifted:
             return free
         out = free.reshape(len(self), self.windows.length + 1, len(self.measured), -1).copy()
         windows = np.arange(len(self))[:, None]

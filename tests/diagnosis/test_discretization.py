@@ -161,7 +161,7 @@ def _loss_without_impacts(bench: Bench, judged: Judged) -> float:
 
 
 def test_of_late_sensors_nothing_is_foreseen() -> None:
-    """What a start does to what a late sensor reads is not what it does to the motion."""
+    """Which of their readings are of a window changes with how late they are."""
     scene = _scene(0.005)
     late = EffectInstance("sensor_delay", "hinge", {"delay": 0.01})
     runs = inject_effect(scene, late, duration=2.0, episodes=2, noise=5e-4, seed=1)
