@@ -152,6 +152,8 @@ def _noise_of(
         return _lower(estimate_noise(samples, intervals, windows, known), samples)
     between = between_impacts(samples, intervals, windows)
     q, v = _lower(estimate_noise(samples, intervals, between, known), samples)
+    if between is windows:  # no stretches without impacts
+        return q, v
     return np.fmax(q, lasting_noise(samples, intervals, between, known)), v
 
 

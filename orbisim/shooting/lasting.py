@@ -28,7 +28,10 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 LASTING = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0)
-"""Samples over which noise is lost (to 1/e), as far as stretches of sixteen tell."""
+"""Samples over which noise is lost (to 1/e), as far as stretches of sixteen tell. What the longest
+of them explains best goes on beyond a stretch, as an error of the motion does."""
+_FEW = 0.1
+"""Share of the stretches that may be no likelier: by chance, or by an impact that nobody saw."""
 
 
 def lasting_noise(
@@ -55,7 +58,9 @@ def lasting_noise(
         other = _fitted(stretches, positions, lost)
         if _surely(other.likelihood - best.likelihood):
             best = other
-    if best is not white:
+    # noise is in all stretches, and lost within them: what is not is something that a scene lacks
+    everywhere = float(np.quantile(best.likelihood - white.likelihood, _FEW)) > 0
+    if everywhere and best is not other:
         found[stretches.measured[positions]] = best.sigma[positions]
     return found
 
