@@ -54,13 +54,13 @@ def lasting_noise(
         return found
     positions = np.flatnonzero(stretches.measured < nv)
     best = white = _fitted(stretches, positions, 0.0)
-    for lost in LASTING:  # of two that are as likely, the shorter leaves the lower noise
-        other = _fitted(stretches, positions, lost)
-        if _surely(other.likelihood - best.likelihood):
-            best = other
+    longer = [_fitted(stretches, positions, lost) for lost in LASTING]
+    for one in longer:  # of two that are as likely, the shorter leaves the lower noise
+        if _surely(one.likelihood - best.likelihood):
+            best = one
     # noise is in all stretches, and lost within them: what is not is something that a scene lacks
     everywhere = float(np.quantile(best.likelihood - white.likelihood, _FEW)) > 0
-    if everywhere and best is not other:
+    if everywhere and best is not longer[-1]:
         found[stretches.measured[positions]] = best.sigma[positions]
     return found
 

@@ -106,11 +106,8 @@ def moved_along(
     """
     problem = Problem(shooter, lambda _: variant, own.unknowns, hints, robust)
     here = problem.trial(own.values, start)
-    assert hints.free is not None
-    free, problem.scale = (
-        shooter.read_late(hints.free, variant.measurement),
-        problem.half(here.cost),
-    )
+    free, problem.scale = hints.free, problem.half(here.cost)
+    assert free is not None
     if step is None:
         left, weighted = problem.shares(here, own.slopes, free)
         step = problem.parameter_step(own.values, left, weighted, _DAMPING)

@@ -69,6 +69,24 @@ def test_white_noise_and_a_missing_force_do_not_last() -> None:
         np.testing.assert_allclose(np.nanmedian(bench.noise[0]), SIZE, rtol=0.2)
 
 
+BALL = """<mujoco><option timestep="{step}"/><worldbody>
+  <geom name="floor" type="plane" size="5 5 .1"/>
+  <body pos="0 0 .5"><freejoint name="free"/><geom type="sphere" size=".05" mass=".2"/></body>
+  <body pos="1 0 1"><joint name="hinge" axis="0 1 0" damping=".01"/>
+  <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass=".3"/></body></worldbody>
+  <actuator><position name="servo" joint="hinge" kp="4" kv=".2"/></actuator></mujoco>"""
+
+
+def test_a_step_that_is_too_long_is_no_noise() -> None:
+    """What it bends, it bends in few of the stretches, but much: all together gain by it."""
+    truth, scene = (orbisim.load_scene(BALL.format(step=step)) for step in (0.001, 0.008))
+    runs = inject_effect(truth, [], duration=1.0, episodes=3, noise=2e-4, seed=1)
+    bench = make_bench(scene, samples := prepare_all(runs, scene), 0.25)
+    stretches = between_impacts(samples, bench.intervals, bench.windows)
+    assert stretches is not bench.windows
+    assert np.isnan(lasting_noise(samples, bench.intervals, stretches)).all()
+
+
 def test_nothing_is_known_of_what_is_not_there() -> None:
     bench, samples = _bench(2.0, [])
     none = bench.windows.some(np.zeros(0, np.int64))
