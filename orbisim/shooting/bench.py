@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from orbisim.errors import InputError
 from orbisim.host.deadline import NEVER, Deadline
-from orbisim.motion.linear import IntervalMap, Intervals, linearize
+from orbisim.motion.linear import IntervalMap, Intervals, extrapolated, linearize
 from orbisim.motion.samples import Samples
 from orbisim.recording.command_clock import Lead
 from orbisim.scene import Scene
@@ -122,7 +122,8 @@ class Bench:
     def with_noise_of(self, hypothesis: Hypothesis, intervals: Intervals) -> Bench:
         """The same bench with the noise estimated along a better scene."""
         windows, known = self.windows.some(self.fit), self.known_signal(hypothesis)
-        noise = _noise_of(self.samples, intervals, windows, self.contacts, known)
+        flow = self.flow(hypothesis) if self.contacts else None
+        noise = _noise_of(self.samples, intervals, windows, flow, known)
         return dataclasses.replace(self, noise=noise)
 
 
@@ -143,18 +144,19 @@ def _noise_of(
     samples: Sequence[Samples],
     intervals: Intervals,
     windows: Windows,
-    contacts: bool,
+    flow: IntervalMap | None,
     known: Sequence[Floats] | None = None,
 ) -> Noise:
     """Noise of positions and velocities; with rounding and, of positions where bodies touch, what
-    lasts."""
-    if not contacts:
+    lasts. flow: of the intervals, where bodies touch; else None."""
+    if flow is None:
         return _lower(estimate_noise(samples, intervals, windows, known), samples)
     between = between_impacts(samples, intervals, windows)
     q, v = _lower(estimate_noise(samples, intervals, between, known), samples)
     if between is windows:  # no stretches without impacts
         return q, v
-    return np.fmax(q, lasting_noise(samples, intervals, between, known)), v
+    forms = intervals, extrapolated(flow, intervals)
+    return np.fmax(q, lasting_noise(samples, forms, between, known)), v
 
 
 def make_bench(
@@ -181,17 +183,19 @@ def make_bench(
     step = float(np.median(np.concatenate([np.diff(s.time) for s in samples])))
     length = int(np.clip(round(window / step), 4, 200))
     windows, kept = spread_windows(samples, rows, length, most_intervals(scene, contacts))
-    intervals = linearize(IntervalMap(scene, samples, kept))
+    flow = IntervalMap(scene, samples, kept)
+    intervals = linearize(flow)
     windows = without_lost(windows, intervals)
     if not len(windows):
         raise InputError(TOO_SHORT)
     if contacts:
-        noise = noise or _noise_of(samples, intervals, windows, contacts)
+        noise = noise or _noise_of(samples, intervals, windows, flow)
         windows = without_lost(
             predictable_windows(scene, samples, intervals, noise, windows.length), intervals
         )
     held = every_third(windows, len(samples), check)
-    noise = noise or _noise_of(samples, intervals, windows.some(~held), contacts)
+    between = windows.some(~held)
+    noise = noise or _noise_of(samples, intervals, between, flow if contacts else None)
     return Bench(
         scene, tuple(samples), tuple(kept), intervals, windows, ~held, held, noise, contacts
     )

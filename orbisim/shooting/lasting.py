@@ -6,7 +6,8 @@ white comes out too low, and what is then left of free runs is named. Elsewhere 
 whole stretches tells (`orbisim.shooting.disturbances`); where bodies touch, stretches between
 impacts are short: in them a start and a force with one slope are all that is unknown, and the
 restricted likelihood of what these leave (Patterson and Thompson, Biometrika 58, 1971) tells how
-long noise lasts. A force that a scene lacks hardly bends within them.
+long noise lasts. A force that a scene lacks hardly bends within them. What a timestep that is too
+long does would look like noise that lasts, so that the motion may be that of ever shorter ones.
 """
 
 from __future__ import annotations
@@ -28,15 +29,12 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 LASTING = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0)
-"""Samples over which noise is lost (to 1/e), as far as stretches of sixteen tell. What the longest
-of them explains best goes on beyond a stretch, as an error of the motion does."""
-_FEW = 0.1
-"""Share of the stretches that may be no likelier: by chance, or by an impact that nobody saw."""
+"""Samples over which noise is lost (to 1/e), as far as stretches of sixteen tell."""
 
 
 def lasting_noise(
     samples: Sequence[Samples],
-    intervals: Intervals,
+    forms: Sequence[Intervals],
     windows: Windows,
     known: Sequence[Floats] | None = None,
 ) -> Floats:
@@ -44,25 +42,32 @@ def lasting_noise(
     white, or not measured. Velocities are left out: a force that is missing bends them at once.
 
     Args:
+      forms: the intervals in the scene's steps and in others (`linear.extrapolated`): the likelier
+        ones count.
       windows: stretches between impacts (`orbisim.shooting.noise.between_impacts`).
       known: for each recording what measurement effects add to it, [T, 2 nv].
     """
-    nv = intervals.B.shape[2]
+    nv = forms[0].B.shape[2]
     found = np.full(nv, np.nan)
-    stretches = stretches_of(samples, intervals, windows, known, stiff=True)
-    if stretches is None or not (stretches.measured < nv).any():
+    every = [stretches_of(samples, one, windows, known, stiff=True) for one in forms]
+    some = [one for one in every if one is not None]
+    positions = np.flatnonzero(some[0].measured < nv) if some else np.zeros(0, np.int64)
+    if not len(positions):
         return found
-    positions = np.flatnonzero(stretches.measured < nv)
-    best = white = _fitted(stretches, positions, 0.0)
-    longer = [_fitted(stretches, positions, lost) for lost in LASTING]
-    for one in longer:  # of two that are as likely, the shorter leaves the lower noise
+    best = white = _likeliest(some, positions, 0.0)
+    for lost in LASTING:  # of two that are as likely, the shorter leaves the lower noise
+        one = _likeliest(some, positions, lost)
         if _surely(one.likelihood - best.likelihood):
             best = one
-    # noise is in all stretches, and lost within them: what is not is something that a scene lacks
-    everywhere = float(np.quantile(best.likelihood - white.likelihood, _FEW)) > 0
-    if everywhere and best is not longer[-1]:
-        found[stretches.measured[positions]] = best.sigma[positions]
+    if best is not white:
+        found[some[0].measured[positions]] = best.sigma[positions]
     return found
+
+
+def _likeliest(forms: Sequence[Stretches], positions: Ints, lost: float) -> _Fit:
+    """In the form in which a typical stretch is the likeliest."""
+    fits = [_fitted(one, positions, lost) for one in forms]
+    return max(fits, key=lambda one: float(np.median(one.likelihood)))
 
 
 def _surely(gains: Floats) -> bool:

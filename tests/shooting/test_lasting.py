@@ -5,14 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 import scipy.signal
 
 import orbisim
 from orbisim.effects import EffectInstance
+from orbisim.motion.linear import extrapolated
 from orbisim.motion.samples import Samples, prepare_all
 from orbisim.recording import Recording
 from orbisim.shooting.bench import Bench, make_bench
+from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.lasting import lasting_noise
 from orbisim.shooting.noise import between_impacts, estimate_noise
 from orbisim.testing import inject_effect
@@ -46,6 +49,13 @@ def _bench(lost: float, effects: list[EffectInstance]) -> tuple[Bench, list[Samp
     return make_bench(scene, samples, 0.5), samples
 
 
+def _lasting(bench: Bench, samples: list[Samples]) -> npt.NDArray[np.float64]:
+    stretches = between_impacts(samples, bench.intervals, bench.windows)
+    assert stretches is not bench.windows
+    exact = extrapolated(bench.flow(Hypothesis()), bench.intervals)
+    return lasting_noise(samples, [bench.intervals, exact], stretches)
+
+
 @pytest.mark.parametrize("lost", [2.0, 4.0])
 def test_all_of_the_noise_is_seen(lost: float) -> None:
     """White noise of the same roughness is a half of it."""
@@ -54,7 +64,7 @@ def test_all_of_the_noise_is_seen(lost: float) -> None:
     stretches = between_impacts(samples, bench.intervals, bench.windows)
     white, _ = estimate_noise(samples, bench.intervals, stretches)
     assert np.nanmedian(white) < 0.75 * SIZE
-    found = lasting_noise(samples, bench.intervals, stretches)
+    found = _lasting(bench, samples)
     assert np.nanmedian(found) == pytest.approx(SIZE, rel=0.3)
     assert np.nanmedian(bench.noise[0]) == pytest.approx(SIZE, rel=0.3)
 
@@ -63,8 +73,7 @@ def test_white_noise_and_a_missing_force_do_not_last() -> None:
     drag = EffectInstance("viscous_damping", "x", {"coefficient": 3.0})
     for effects in [], [drag]:
         bench, samples = _bench(0.0, effects)
-        stretches = between_impacts(samples, bench.intervals, bench.windows)
-        found = lasting_noise(samples, bench.intervals, stretches)
+        found = _lasting(bench, samples)
         assert np.isnan(found).all() or np.nanmedian(found) < 1.2 * SIZE
         np.testing.assert_allclose(np.nanmedian(bench.noise[0]), SIZE, rtol=0.2)
 
@@ -78,16 +87,16 @@ BALL = """<mujoco><option timestep="{step}"/><worldbody>
 
 
 def test_a_step_that_is_too_long_is_no_noise() -> None:
-    """What it bends, it bends in few of the stretches, but much: all together gain by it."""
+    """In these steps it would be: most stretches gain by noise that lasts."""
     truth, scene = (orbisim.load_scene(BALL.format(step=step)) for step in (0.001, 0.008))
     runs = inject_effect(truth, [], duration=1.0, episodes=3, noise=2e-4, seed=1)
     bench = make_bench(scene, samples := prepare_all(runs, scene), 0.25)
+    assert np.isnan(_lasting(bench, samples)).all()
     stretches = between_impacts(samples, bench.intervals, bench.windows)
-    assert stretches is not bench.windows
-    assert np.isnan(lasting_noise(samples, bench.intervals, stretches)).all()
+    assert np.isfinite(lasting_noise(samples, [bench.intervals], stretches)).all()
 
 
 def test_nothing_is_known_of_what_is_not_there() -> None:
     bench, samples = _bench(2.0, [])
     none = bench.windows.some(np.zeros(0, np.int64))
-    assert np.isnan(lasting_noise(samples, bench.intervals, none)).all()
+    assert np.isnan(lasting_noise(samples, [bench.intervals], none)).all()
