@@ -113,6 +113,12 @@ def _upright(joint: str) -> tuple[Same, ...]:
     return _both(("sensor_bias", joint), ("gravity_tilt", "world"))
 
 
+def _last(joint: str, body: str) -> tuple[Same, ...]:
+    """Of the last link of a planar machine, forces know only where its centre of mass is: an
+    encoder that is off by an angle is a centre of mass that has turned about the joint by it."""
+    return _both(("sensor_bias", joint), ("com_offset", body))
+
+
 MACHINES: dict[str, Machine] = {
     one.name: one
     for one in (
@@ -133,6 +139,7 @@ MACHINES: dict[str, Machine] = {
             same=(
                 *_both(("armature", "slider"), ("payload", "cart")),
                 *_both(("torque_bias", "slide"), ("constant_force", "cart")),
+                *_last("hinge_1", "pole_1"),
             ),
         ),
         Machine("suite_reacher", "suite:reacher.xml", same=_turning("arm", "shoulder")),
@@ -140,7 +147,7 @@ MACHINES: dict[str, Machine] = {
             "suite_acrobot",
             "suite:acrobot.xml",
             start=(3.14159, 0.0),
-            same=_upright("shoulder"),
+            same=(*_upright("shoulder"), *_last("elbow", "lower_arm")),
         ),
         Machine("suite_finger", "suite:finger.xml"),
         Machine(
@@ -155,7 +162,12 @@ MACHINES: dict[str, Machine] = {
             fit=3,
             left_out=("goal_slidey", "goal_slidex", "obj_slidey", "obj_slidex"),
         ),
-        Machine("urdf_arm2", "hand:arm2.urdf", drive="applied", same=_upright("hip")),
+        Machine(
+            "urdf_arm2",
+            "hand:arm2.urdf",
+            drive="applied",
+            same=(*_upright("hip"), *_last("knee", "distal")),
+        ),
         Machine("urdf_arm6", "hand:arm6.urdf", drive="applied", same=_turning("shoulder", "a1")),
         Machine(
             "servo_arm",

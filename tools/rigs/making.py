@@ -10,13 +10,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from rigs import instruments
 from rigs.draws import Draw
 from rigs.excitation import Motion, joint_of, motion
 from rigs.instruments import Chain, logged
-from rigs.law import Floats, Law, Usual
+from rigs.law import Floats, Law, Usual, index_of
 from rigs.machines import MACHINES, Machine, Missing
 from rigs.showing import beside, visibility
 from rigs.sizing import nameless, possible
@@ -186,7 +187,7 @@ def _written(
         signals = logged(run, plain.model, chain, laws, i, truth.applied)
         np.savez_compressed(folder / f"{part}.npz", **signals)
     return {
-        "laws": [law.to_json() for law in laws],
+        "laws": [as_read(law, plain.model, chain) for law in laws],
         "same": [
             [*other, law.effect, law.target]
             for law in laws
@@ -200,6 +201,14 @@ def _written(
         "velocities": chain.velocities,
         "allowed": _allowed(wish),
     }
+
+
+def as_read(law: Law, model: mujoco.MjModel, chain: Chain) -> dict[str, Any]:
+    """A law for the truth's file; a sensor that the chain delays, too, is late by the sum."""
+    told = law.to_json()
+    if law.effect == "sensor_delay":
+        told["value"] += float(chain.delays[index_of(model, "joint", law.target)])
+    return told
 
 
 def _allowed(wish: Plan) -> list[str]:

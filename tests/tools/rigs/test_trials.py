@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -19,9 +20,10 @@ sys.path.insert(0, str(TOOLS))
 import rig_trials  # noqa: E402  (needs the path above)
 from processes import read_lines  # noqa: E402
 from rigs import instruments, running, scoring, stability  # noqa: E402
+from rigs.bodies import Misread  # noqa: E402
 from rigs.excitation import motion  # noqa: E402
 from rigs.machines import MACHINES  # noqa: E402
-from rigs.making import Wish, make, name_of  # noqa: E402
+from rigs.making import Wish, as_read, make, name_of  # noqa: E402
 from rigs.outcomes import Outcome  # noqa: E402
 from rigs.running import Job, jobs_of  # noqa: E402
 from rigs.truth import Run, Stepping, Truth  # noqa: E402
@@ -235,6 +237,46 @@ def test_without_an_effect_nothing_may_be_off() -> None:
     assert not dataclasses.replace(late, retuned=("mass of m",)).quiet
     assert dataclasses.replace(outcome([], "none"), verdict="no_residual").quiet
     assert not outcome([], "none").quiet  # explained by nothing
+
+
+@pytest.mark.parametrize("name", ["suite_cartpole", "suite_acrobot", "urdf_arm2"])
+def test_an_encoder_of_a_last_link_that_is_off_is_a_turned_centre_of_mass(name: str) -> None:
+    one = MACHINES[name]
+    pairs = {(a[1], b[1]) for a, b in one.same if (a[0], b[0]) == ("sensor_bias", "com_offset")}
+    ((joint, body),) = pairs
+    runs = []
+    for off in (0.0, 0.05):
+        model = Truth(one, one.text(), Stepping(1e-3, "rk4"), ()).model
+        hinge, link = model.joint(joint), model.body(body).id
+        assert (model.body_parentid != link).all() and not hinge.pos.any()
+        turn = np.empty(4)
+        mujoco.mju_axisAngle2Quat(turn, hinge.axis, -off)
+        mujoco.mju_rotVecQuat(model.body_ipos[link], model.body_ipos[link].copy(), turn)
+        model.dof_damping[:], model.jnt_limited[:] = 0.01, 0
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        data, address = mujoco.MjData(model), int(hinge.qposadr[0])
+        data.qpos[:], data.qvel[:] = 0.3, 1.0
+        data.qpos[address] += off  # as it is read
+        rows = []
+        for _ in range(300):
+            mujoco.mj_step(model, data)
+            rows.append(data.qpos.copy())
+        rows = np.array(rows)
+        rows[:, address] -= off
+        runs.append(rows)
+    np.testing.assert_allclose(runs[1], runs[0], atol=1e-9)
+
+
+def test_a_delay_of_the_chain_adds_to_a_sensors_own(arm: tuple[Truth, Run]) -> None:
+    model, late = arm[0].model, Misread("sensor_delay", "lift", 0.004, 0.004)
+    for artefacts in ((), ("sensor_delays",)):
+        chain = instruments.drawn(model, 100.0, artefacts, np.random.default_rng(2))
+        more = float(chain.delays[model.joint("lift").id])
+        assert (more > 0) == bool(artefacts)
+        told = as_read(late, model, chain)
+        assert told["value"] == pytest.approx(0.004 + more) and told["size"] == 0.004
+    scaled = Misread("sensor_scale", "lift", 1.1, 0.1)
+    assert as_read(scaled, model, chain)["value"] == 1.1
 
 
 def test_late_stamps_have_the_sensors_clock() -> None:
