@@ -1,8 +1,8 @@
-"""Sets of effects, fitted together and without what they do not need; and another set in the place
-of what is there."""
+"""Sets of effects, fitted together without what they do not need, and put in another's place."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Iterator
 
@@ -23,8 +23,7 @@ def reselected(found: Found) -> Found:
 
     What is chosen while much is left is chosen along a motion that late sensors and missing forces
     bend, and beside a timestep that makes up for a part. Along the free runs of what was found, all
-    effects are selected once more, as if none had been: one that does what several did is then
-    seen, which exchanges of one for another do not reach.
+    effects are selected as if none had been: one that does what several did is then seen.
     """
     best, whole = found.best, found.context.deadline
     if not best.hypothesis.effects or found.context.bench.contacts:
@@ -41,7 +40,8 @@ def reselected(found: Found) -> Found:
         for judged in fitted_set(context, other, best):
             form = context, judged
             if _places(judged.hypothesis) != _places(best.hypothesis):
-                form = settled(*form, found.stepping) or form
+                with contextlib.suppress(TimeIsUpError):  # the next round looks for it again
+                    form = settled(*form, found.stepping) or form
             if worth(form[0].bench, best, form[1]).sure > 0:
                 return in_form(found, (form[0].until(whole), form[1]))
     except TimeIsUpError:

@@ -14,7 +14,7 @@ from orbisim.diagnosis.reselection import reselected
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.simplification import not_vague
 from orbisim.effects import EffectInstance
-from orbisim.host.deadline import Deadline
+from orbisim.host.deadline import Deadline, TimeIsUpError
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import make_bench
 from orbisim.shooting.hypothesis import Hypothesis
@@ -86,6 +86,17 @@ def test_what_is_there_stays_where_the_time_is_up(
     monkeypatch.setattr(reselection, "_OF_TIME", 0.0)  # its share is over, not the whole time
     soon = dataclasses.replace(found, context=found.context.until(Deadline.after(100.0)))
     assert not reselected(soon).late and reselected(soon).best is found.best
+
+
+def test_a_set_is_taken_where_there_is_no_time_for_its_form(
+    arm: orbisim.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def late(*_: object) -> None:
+        raise TimeIsUpError
+
+    monkeypatch.setattr(reselection, "settled", late)
+    later = reselected(found_of(arm, (LATE, DAMPING), (DAMPING,)))
+    assert names(later) == {(one.effect, one.target) for one in (LATE, DAMPING)}
 
 
 FEW = (
