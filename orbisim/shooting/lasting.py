@@ -42,8 +42,8 @@ def lasting_noise(
     white, or not measured. Velocities are left out: a force that is missing bends them at once.
 
     Args:
-      forms: the intervals in the scene's steps and in others (`linear.extrapolated`): the likelier
-        ones count.
+      forms: the intervals in the scene's steps, and in others (`linear.extrapolated`): those count
+        in which all stretches together are the likeliest.
       windows: stretches between impacts (`orbisim.shooting.noise.between_impacts`).
       known: for each recording what measurement effects add to it, [T, 2 nv].
     """
@@ -54,20 +54,15 @@ def lasting_noise(
     positions = np.flatnonzero(some[0].measured < nv) if some else np.zeros(0, np.int64)
     if not len(positions):
         return found
-    best = white = _likeliest(some, positions, 0.0)
-    for lost in LASTING:  # of two that are as likely, the shorter leaves the lower noise
-        one = _likeliest(some, positions, lost)
+    fitted = [[_fitted(one, positions, lost) for lost in (0.0, *LASTING)] for one in some]
+    white, *longer = max(fitted, key=lambda fits: max(one.likelihood.sum() for one in fits))
+    best = white
+    for one in longer:  # of two that are as likely, the shorter leaves the lower noise
         if _surely(one.likelihood - best.likelihood):
             best = one
     if best is not white:
         found[some[0].measured[positions]] = best.sigma[positions]
     return found
-
-
-def _likeliest(forms: Sequence[Stretches], positions: Ints, lost: float) -> _Fit:
-    """In the form in which a typical stretch is the likeliest."""
-    fits = [_fitted(one, positions, lost) for one in forms]
-    return max(fits, key=lambda one: float(np.median(one.likelihood)))
 
 
 def _surely(gains: Floats) -> bool:
