@@ -16,7 +16,7 @@ from orbisim.diagnosis.search import search
 from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.simplification import Sure, only_sure, plain, told
 from orbisim.diagnosis.suspects import Screening
-from orbisim.diagnosis.worth import prior, vague, worth
+from orbisim.diagnosis.worth import log_prior, prior, vague, worth
 from orbisim.effects import EffectInstance, find
 from orbisim.evidence import NEAR, Gain
 from orbisim.host.deadline import NEVER, Deadline, TimeIsUpError
@@ -25,7 +25,7 @@ from orbisim.shooting.bench import Bench
 from orbisim.shooting.disturbances import Remainder
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
-from orbisim.shooting.remainder import left_of
+from orbisim.shooting.remainder import bare_is_noise, left_of
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -40,8 +40,7 @@ class Attribution:
       evidence: for each effect twice the log odds that it brings beside the others.
       rejected: effects that lowered the residual but were not believed, with the reason.
       cut_short: whether the search ended because its time was up.
-      rugged: whether effects on contacts leave more than noise where bodies touch: their intervals
-        then say less than they seem to.
+      rugged: whether effects on contacts leave more than noise: intervals say less than they seem.
       law: a law without a name that is the better explanation; empty if none is.
       left: what is left in the end, as noise; None if that is not known.
     """
@@ -97,8 +96,7 @@ _AFTERWARDS = 0.05
 
 def _best_first(found: Found) -> list[Judged]:
     """The explanation that was taken, if it explains anything, and what else was surely worth it at
-    first, best first: where nothing is left of the former on all windows, or the time was up when
-    only the form of the data had been changed, another may be."""
+    first, best first: that of the former nothing is left on all windows says nothing of another."""
     best = found.best.hypothesis
     first = [one for one in found.tried if one.round == 1 and one.gain.sure > 0]
     first.sort(key=lambda one: -one.gain.total)
@@ -141,16 +139,20 @@ def concluded(found: Found, deadline: Deadline) -> Attribution:
             rejected += doubted
             if after.hypothesis.effects or after.hypothesis.factors:
                 break
+    bench, left = context.bench, left_of(context.bench, after)
+    odds = 0.0 if left is None else log_prior(bench, after, left.data.y.size)
+    if noise := bare_is_noise(bench, before, after, left, odds):
+        rejected += [(effect, _NOISE) for effect in after.hypothesis.effects]
+        after, gains, left = before, (), noise
     return Attribution(
         _open(found.context.bench), before, after, found.screening, rivals_of(found.tried),
         tuple(2 * one.total for one in gains), tuple(rejected), found.late,
-        bool(_on_contacts(context, after)), found.law, left_of(context.bench, after),
+        bool(_on_contacts(context, after)), found.law, left,
     )  # fmt: skip
 
 
 def _as_found(found: Found, until: Deadline = NEVER) -> Attribution:
-    """What the search had when the time was up, without what cannot be told from nothing there, if
-    that is known in time."""
+    """What the search had when the time was up, without what is no more than nothing there."""
     bench, context = found.context.bench, found.context.until(until)
 
     def refit(less: Hypothesis, now: Judged) -> Judged | None:
@@ -229,6 +231,7 @@ def _sure(context: Context, before: Judged, after: Judged) -> Sure:
 
 
 _VAGUE = "its interval includes nothing of it"
+_NOISE = "beside noise that lasts it is not surely worth it"
 
 
 def _on_contacts(context: Context, after: Judged) -> list[int]:
@@ -240,9 +243,9 @@ def _on_contacts(context: Context, after: Judged) -> list[int]:
 
 
 def _resized(context: Context, after: Judged) -> Judged:
-    """The same effects with other numbers of contacts, where bodies touch and more than noise is
-    left: through impacts the cost is rugged, and a fit stays where it began. The first parameter of
-    each such effect is simulated once at other sizes, and fitted from those that leave least."""
+    """The same effects with other numbers of contacts, where more than noise is left: through
+    impacts a fit stays where it began. The first parameter of each is simulated once at other
+    sizes, and fitted from those that leave least."""
     model = context.bench.scene.model
     for number in _on_contacts(context, after):
         effect = after.hypothesis.effects[number]
@@ -279,6 +282,6 @@ def rivals_of(tried: Sequence[Tried]) -> tuple[Rival, ...]:
 
 _SIZES = (0.6, 0.75, 0.9, 1.1, 1.3, 1.5)
 _CLOSEST = 2
-"""Of these, how many are fitted: one simulation ranks them well, and a fit hardly moves them."""
+"""Of these are fitted: one simulation ranks them well, and a fit hardly moves them."""
 _MOST_WINDOWS = 96
 """What final fits take: as many as `windows_enough` has fitted of 144."""

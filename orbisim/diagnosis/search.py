@@ -1,11 +1,10 @@
 """The search: from the scene as declared to the explanation that predicts best.
 
 A state is an explanation (`Judged`): effects with their values, retuned declared parameters,
-fitted starts. A move adds an effect (or several at once) or retunes declared parameters
-(`orbisim.diagnosis.moves`), removes one, exchanges one or merges two
-(`orbisim.diagnosis.simplification`), or changes the timestep or when controls change
-(`orbisim.diagnosis.discretization`). One number decides each: what the later explanation is surely
-worth more (`orbisim.diagnosis.worth`). The search ends where no move is, or the time is up.
+fitted starts. A move adds effects or retunes declared parameters (`orbisim.diagnosis.moves`),
+removes, exchanges or merges effects (`.simplification`), or changes the timestep or when controls
+change (`.discretization`). One number decides each: what the later explanation is surely worth more
+(`.worth`). The search ends where no move is, or the time is up.
 """
 
 from __future__ import annotations
@@ -76,8 +75,7 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
 
 def _to_the_end(context: Context, judged: Judged) -> Judged:
     """The declared scene where it is near the noise and bodies touch, restarted as long as that
-    leaves less: what starts through impacts leave is nothing that is missing. If more than noise
-    is left, the search begins where it was: beside a scene's own best starts no suspect shows."""
+    leaves less: what starts leave is nothing that is missing. Far from it no suspect would show."""
     for _ in range(_FURTHER if context.bench.contacts and judged.ratio <= NEAR else 0):
         further = context.judge.closer(judged, restarts=TO_THE_END)
         if further is judged or worth(context.bench, judged, further).total < EVEN:
@@ -188,9 +186,8 @@ def _made(found: Found, number: int, best: Judged) -> Found:
 
 
 def _fairly(context: Context, current: Judged, better: Judged) -> Judged | None:
-    """What there is, fitted again from where the better explanation has windows start, if that is
-    then no longer surely worth more: a start that was not found is no reason for an effect. Through
-    impacts it is restarted as often as the better one was."""
+    """What there is, fitted again from where the better explanation has windows start, and through
+    impacts restarted as often, if that is then no longer surely worth more."""
     judge = context.judge
     again = judge.judge(current.hypothesis, begin=judge.begin(better), restarts=TO_THE_END)
     if again is None or not again.loss < current.loss:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orbisim.evidence import NEAR
+from orbisim.evidence import NEAR, gain_of
 from orbisim.host.deadline import TimeIsUpError
 from orbisim.motion.linear import linearize
 from orbisim.recording.joints import joints
@@ -32,6 +32,25 @@ def left_of(bench: Bench, judged: Judged) -> Remainder | None:
         return None if data is None else remainder(data, bench.deadline)
     except TimeIsUpError:
         return None
+
+
+def bare_is_noise(
+    bench: Bench, bare: Judged, after: Judged, left: Remainder | None, prior: float
+) -> Remainder | None:
+    """What the bare scene leaves, where that is noise alone, as is what effects leave, and with
+    these the data are not surely likelier; else None. Free runs count what they miss as white
+    noise: of noise that lasts, an effect takes up a little.
+
+    Args:
+      bare, after: without and with effects. left: what the latter leaves. prior: logarithm of the
+        effects' prior odds, less what their numbers cost.
+    """
+    if not after.hypothesis.effects or left is None or left.structured:
+        return None
+    found = left_of(bench, bare)
+    if found is None or found.structured:
+        return None
+    return None if gain_of(left.noise.score - found.noise.score, prior).sure > 0 else found
 
 
 def told_as_noise(bench: Bench, judged: Judged, left: Remainder | None) -> str | None:

@@ -17,7 +17,7 @@ from orbisim.recording import Recording
 from orbisim.shooting.bench import Bench, make_bench
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judge, Judged
-from orbisim.shooting.remainder import left_of, told_as_noise
+from orbisim.shooting.remainder import bare_is_noise, left_of, told_as_noise
 from orbisim.testing import inject_effect
 
 NOISE = 1e-3
@@ -71,6 +71,23 @@ def test_what_is_structured_is_not_called_noise(arm: orbisim.Scene) -> None:
     left = left_of(bench, judged)
     assert left is not None and left.structured
     assert told_as_noise(bench, judged, left) is None
+
+
+@pytest.mark.parametrize("true", [1.0, 1.02])
+def test_an_effect_has_to_be_worth_it_beside_noise_that_lasts(
+    arm: orbisim.Scene, true: float
+) -> None:
+    scale = EffectInstance("sensor_scale", "elbow", {"factor": true})
+    bench, bare = _judged(arm, _runs(arm, [scale] if true != 1 else [], 3))
+    after = Judge(bench, bench.intervals).judge(Hypothesis((scale.replace(factor=1.001),)))
+    assert after is not None
+    left = left_of(bench, after)
+    assert left is not None and not left.structured
+    found = bare_is_noise(bench, bare, after, left, -8.0)
+    assert (found is not None) == (true == 1)
+    assert bare_is_noise(bench, bare, bare, left, 0.0) is None  # nothing to weigh
+    slow = dataclasses.replace(left, structured=True)
+    assert bare_is_noise(bench, bare, after, slow, -8.0) is None
 
 
 def test_nothing_is_said_where_that_is_not_known(arm: orbisim.Scene) -> None:
