@@ -96,7 +96,7 @@ _AFTERWARDS = 0.05
 
 def _best_first(found: Found) -> list[Judged]:
     """The explanation that was taken, if it explains anything, and what else was surely worth it at
-    first, best first: that of the former nothing is left on all windows says nothing of another."""
+    first, best first: where nothing of the former is left on all windows, another may hold."""
     best = found.best.hypothesis
     first = [one for one in found.tried if one.round == 1 and one.gain.sure > 0]
     first.sort(key=lambda one: -one.gain.total)
@@ -140,7 +140,7 @@ def concluded(found: Found, deadline: Deadline) -> Attribution:
             if after.hypothesis.effects or after.hypothesis.factors:
                 break
     bench, left = context.bench, left_of(context.bench, after)
-    odds = 0.0 if left is None else log_prior(bench, after, left.data.y.size)
+    odds = 0.0 if left is None else log_prior(bench, after, np.isfinite(left.data.y).sum())
     if noise := bare_is_noise(bench, before, after, left, odds):
         rejected += [(effect, _NOISE) for effect in after.hypothesis.effects]
         after, gains, left = before, (), noise
@@ -282,6 +282,6 @@ def rivals_of(tried: Sequence[Tried]) -> tuple[Rival, ...]:
 
 _SIZES = (0.6, 0.75, 0.9, 1.1, 1.3, 1.5)
 _CLOSEST = 2
-"""Of these are fitted: one simulation ranks them well, and a fit hardly moves them."""
+"""So many of these are fitted: one simulation ranks them well, a fit hardly moves them."""
 _MOST_WINDOWS = 96
 """What final fits take: as many as `windows_enough` has fitted of 144."""

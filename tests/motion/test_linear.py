@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.motion.linear import IntervalMap, linearize
+from orbisim.motion.linear import IntervalMap, extrapolated, linearize
 from orbisim.motion.samples import prepare_all
 from orbisim.testing import inject_effect
 
@@ -40,6 +40,27 @@ def test_a_motion_of_the_scene_itself_has_no_defect(flow: IntervalMap) -> None:
     size = np.abs(flow.tangent(flow.qpos, flow.qvel, flow.after_qpos, flow.after_qvel)).max(axis=0)
     assert found.usable.all()
     assert (np.abs(found.defect[2:-2]).max(axis=0) < 0.1 * size).all()  # smoothing at the ends
+
+
+PENDULUM = """<mujoco><option timestep="{step}" integrator="{integrator}"/><worldbody>
+  <body><joint name="hinge" axis="0 1 0" damping=".02"/>
+  <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass=".3"/></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(("integrator", "closer"), [("Euler", 0.1), ("RK4", 0.5)])
+def test_what_half_of_a_step_does_tells_what_none_would(integrator: str, closer: float) -> None:
+    truth = orbisim.load_scene(PENDULUM.format(step=2e-4, integrator="RK4"))
+    scene = orbisim.load_scene(PENDULUM.format(step=0.02, integrator=integrator))
+    runs = inject_effect(truth, [], rate=50.0, duration=2.0, episodes=2, noise=1e-9, seed=1)
+    samples = prepare_all(runs, scene)
+    every = [np.arange(len(one) - 1) for one in samples]
+    flow = IntervalMap(scene, samples, every)
+    declared, exact = (linearize(IntervalMap(one, samples, every)) for one in (scene, truth))
+    found = extrapolated(flow, declared)
+    usable = declared.usable & exact.usable
+    before, after = (np.abs(one.defect - exact.defect)[usable].max() for one in (declared, found))
+    assert after < closer * before
+    np.testing.assert_array_equal(found.A, declared.A)
 
 
 def test_positions_move_along_the_tangent_space() -> None:

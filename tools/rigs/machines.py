@@ -116,7 +116,7 @@ def _upright(joint: str) -> tuple[Same, ...]:
 def _last(joint: str, body: str) -> tuple[Same, ...]:
     """Of the last link of a planar machine, forces know only where its centre of mass is: an
     encoder that is off by an angle is a centre of mass that has turned about the joint by it."""
-    return _both(("sensor_bias", joint), ("com_offset", body))
+    return ((("sensor_bias", joint), ("com_offset", body)),)
 
 
 MACHINES: dict[str, Machine] = {
