@@ -152,7 +152,7 @@ def concluded(found: Found, deadline: Deadline) -> Attribution:
 
 
 def _as_found(found: Found, until: Deadline = NEVER) -> Attribution:
-    """What the search had when the time was up, without what is no more than nothing there."""
+    """What the search had when the time was up, without what cannot be told from nothing."""
     bench, context = found.context.bench, found.context.until(until)
 
     def refit(less: Hypothesis, now: Judged) -> Judged | None:

@@ -75,7 +75,7 @@ def search(bench: Bench, settings: Settings, say: Progress = lambda _: None) -> 
 
 def _to_the_end(context: Context, judged: Judged) -> Judged:
     """The declared scene where it is near the noise and bodies touch, restarted as long as that
-    leaves less: what starts leave is nothing that is missing. With more left, it hides suspects."""
+    leaves less: what starts leave is nothing that is missing. Else best starts hide suspects."""
     for _ in range(_FURTHER if context.bench.contacts and judged.ratio <= NEAR else 0):
         further = context.judge.closer(judged, restarts=TO_THE_END)
         if further is judged or worth(context.bench, judged, further).total < EVEN:

@@ -194,8 +194,8 @@ def make_bench(
             predictable_windows(scene, samples, intervals, noise, windows.length), intervals
         )
     held = every_third(windows, len(samples), check)
-    between = windows.some(~held)
-    noise = noise or _noise_of(samples, intervals, between, flow if contacts else None)
+    fitted = windows.some(~held)
+    noise = noise or _noise_of(samples, intervals, fitted, flow if contacts else None)
     return Bench(
         scene, tuple(samples), tuple(kept), intervals, windows, ~held, held, noise, contacts
     )

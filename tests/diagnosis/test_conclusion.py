@@ -10,16 +10,21 @@ import numpy as np
 import pytest
 
 import orbisim
-from orbisim.diagnosis.conclusion import rivals_of
-from orbisim.diagnosis.explanations import Tried
+from orbisim.diagnosis import conclusion
+from orbisim.diagnosis.conclusion import concluded, rivals_of
+from orbisim.diagnosis.context import begun
+from orbisim.diagnosis.explanations import Found, Tried
 from orbisim.diagnosis.findings import effects_of
+from orbisim.diagnosis.settings import Settings
 from orbisim.diagnosis.wording import described, interval
 from orbisim.effects import EffectInstance
 from orbisim.evidence import Gain
+from orbisim.host.deadline import NEVER
 from orbisim.motion.samples import prepare_all
 from orbisim.shooting.bench import make_bench
 from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judge
+from orbisim.shooting.stepping import stepping
 from orbisim.testing import inject_effect
 
 
@@ -74,3 +79,31 @@ def test_the_size_of_a_vector_has_no_interval_where_a_component_has_none(
         size, one = found.parameters["magnitude"], found.parameters["x"]
         assert one.ci95[0] < 3.0 < one.ci95[1] and size.value == pytest.approx(5.0, rel=0.05)
         assert np.isnan(size.ci95).all() == bool(judged.hypothesis.frozen)
+
+
+@pytest.mark.parametrize("noise", [True, False])
+def test_effects_go_where_noise_that_lasts_is_all(
+    arm: orbisim.Scene, monkeypatch: pytest.MonkeyPatch, noise: bool
+) -> None:
+    """And stay where it is not."""
+    runs = inject_effect(arm, [LOAD], duration=2.0, episodes=2, noise=2e-4, seed=3)
+    bench = make_bench(arm, prepare_all(runs, arm), 0.5)
+    context = begun(bench, Settings(effects=("payload",)), lambda _: None)
+    declared, best = (context.judge.judge(Hypothesis(some)) for some in ((), (LOAD,)))
+    assert declared is not None and best is not None
+    left: Any = SimpleNamespace(structured=False, data=SimpleNamespace(y=np.zeros((2, 9, 4))))
+    odds: list[float] = []
+
+    def bare_is_noise(*args: Any) -> Any:
+        odds.append(args[-1])
+        return left if noise else None
+
+    monkeypatch.setattr(conclusion, "left_of", lambda *_: left)
+    monkeypatch.setattr(conclusion, "bare_is_noise", bare_is_noise)
+    found = concluded(Found(context, *[stepping(arm)] * 2, declared, best), NEVER)
+    assert odds[0] < 0  # what the load's numbers cost
+    assert bool(found.hypothesis.effects) == (not noise)
+    reasons = [why for effect, why in found.rejected if effect.effect == "payload"]
+    assert any("noise that lasts" in why for why in reasons) == noise
+    if noise:
+        assert found.after is found.before and found.left is left and not found.evidence

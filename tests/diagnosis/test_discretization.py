@@ -30,6 +30,7 @@ from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.judge import Judged
 from orbisim.shooting.stepping import Stepping, stepping, with_stepping
 from orbisim.testing import inject_effect
+from tests.balls import in_long_steps
 
 SERVO = """<mujoco><option timestep="{step}" integrator="implicitfast"/><worldbody>
 <body><joint name="hinge" axis="0 1 0" damping=".01"/>
@@ -464,15 +465,7 @@ def test_a_step_is_halved_where_another_integrator_is_not_stable() -> None:
 
 
 def test_a_step_is_shortened_where_bodies_touch() -> None:
-    ball = """<mujoco><option timestep="{step}"/><worldbody>
-      <geom name="floor" type="plane" size="5 5 .1"/>
-      <body pos="0 0 .5"><freejoint name="free"/><geom type="sphere" size=".05" mass=".2"/></body>
-      <body pos="1 0 1"><joint name="hinge" axis="0 1 0" damping=".01"/>
-      <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass=".3"/></body></worldbody>
-      <actuator><position name="servo" joint="hinge" kp="4" kv=".2"/></actuator></mujoco>"""
-    truth, scene = (orbisim.load_scene(ball.format(step=step)) for step in (0.001, 0.008))
-    runs = inject_effect(truth, [], duration=1.0, episodes=3, noise=2e-4, seed=1)
-    bench = make_bench(scene, prepare_all(runs, scene), 0.25)
+    bench = in_long_steps()
     context, judged = _judged(bench)
     found = settled(context, judged)
     assert found is not None and found[0].bench.contacts

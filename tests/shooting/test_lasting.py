@@ -19,6 +19,7 @@ from orbisim.shooting.hypothesis import Hypothesis
 from orbisim.shooting.lasting import lasting_noise
 from orbisim.shooting.noise import between_impacts, estimate_noise
 from orbisim.testing import inject_effect
+from tests.balls import in_long_steps
 
 PUCK = Path(__file__).parents[2] / "mjcf_assets" / "gripper_push" / "scene.xml"
 SIZE = 1e-3
@@ -78,19 +79,10 @@ def test_white_noise_and_a_missing_force_do_not_last() -> None:
         np.testing.assert_allclose(np.nanmedian(bench.noise[0]), SIZE, rtol=0.2)
 
 
-BALL = """<mujoco><option timestep="{step}"/><worldbody>
-  <geom name="floor" type="plane" size="5 5 .1"/>
-  <body pos="0 0 .5"><freejoint name="free"/><geom type="sphere" size=".05" mass=".2"/></body>
-  <body pos="1 0 1"><joint name="hinge" axis="0 1 0" damping=".01"/>
-  <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass=".3"/></body></worldbody>
-  <actuator><position name="servo" joint="hinge" kp="4" kv=".2"/></actuator></mujoco>"""
-
-
 def test_a_step_that_is_too_long_is_no_noise() -> None:
     """In these steps it would be: most stretches gain by noise that lasts."""
-    truth, scene = (orbisim.load_scene(BALL.format(step=step)) for step in (0.001, 0.008))
-    runs = inject_effect(truth, [], duration=1.0, episodes=3, noise=2e-4, seed=1)
-    bench = make_bench(scene, samples := prepare_all(runs, scene), 0.25)
+    bench = in_long_steps()
+    samples = list(bench.samples)
     assert np.isnan(_lasting(bench, samples)).all()
     stretches = between_impacts(samples, bench.intervals, bench.windows)
     assert np.isfinite(lasting_noise(samples, [bench.intervals], stretches)).all()
