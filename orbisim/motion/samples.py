@@ -21,7 +21,7 @@ from orbisim.errors import RecordingError
 from orbisim.recording import Bound, Recording, bind, estimate_motion, noise_std
 from orbisim.recording.actuators import actuators
 from orbisim.recording.binding import held_inputs
-from orbisim.recording.command_clock import Lead, command_clock, command_period
+from orbisim.recording.command_clock import Lead, Periods, command_clock, command_periods
 from orbisim.recording.gaps import LONGEST, Bridged
 from orbisim.recording.initial import activations, histories, starts
 from orbisim.recording.joints import Kind, joints
@@ -126,9 +126,10 @@ class Samples:
         return ctrl, force
 
     @functools.cached_property
-    def command_period(self) -> float | None:
-        """Period of the clock by which controls, or forces, change, s; None if none shows."""
-        periods = (command_period(self.time, v) for v in (self.bound.ctrl, _applied(self.bound)))
+    def command_periods(self) -> Periods | None:
+        """What periods the clock may have by which controls, or forces, change; None if none
+        shows."""
+        periods = (command_periods(self.time, v) for v in (self.bound.ctrl, _applied(self.bound)))
         return next((one for one in periods if one is not None), None)
 
     def clocked(self, period: float) -> bool:

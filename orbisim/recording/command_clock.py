@@ -8,6 +8,7 @@ these intervals and in no other, so that the time of each is known to a small pa
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +19,8 @@ from orbisim.recording.stamps import regular_interval
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
+Periods = tuple[float, float]
+"""Shortest and longest, s."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,8 +70,9 @@ def command_clock(time: Floats, values: Floats, period: float = 0.0) -> Floats |
     return shares
 
 
-def command_period(time: Floats, values: Floats) -> float | None:
-    """Period of the clock by which commands change, s; None where the log shows none.
+def command_periods(time: Floats, values: Floats) -> Periods | None:
+    """Shortest and longest period that the clock may have by which commands change, s; None where
+    the log shows none.
 
     Args:
       time: [T], s. values: [T, n] commands as logged.
@@ -77,17 +81,28 @@ def command_period(time: Floats, values: Floats) -> float | None:
     return None if found is None else found[2]
 
 
-def _clock(time: Floats, values: Floats, period: float) -> tuple[Ints, Floats, float] | None:
-    """Intervals in which commands change, [N], the times at which they do, and the period."""
+def common_period(known: Periods, others: Sequence[Periods]) -> float:
+    """In the middle of what one log leaves open of the period of a clock, s, and those of other
+    logs that leave a part of it open, too: what one log leaves, another may rule out."""
+    low, high = known
+    for one in others:
+        if max(low, one[0]) <= min(high, one[1]):
+            low, high = max(low, one[0]), min(high, one[1])
+    return (low + high) / 2
+
+
+def _clock(time: Floats, values: Floats, period: float) -> tuple[Ints, Floats, Periods] | None:
+    """Intervals in which commands change, [N], the times at which they do, and the shortest and
+    longest period that these have."""
     rows = np.flatnonzero(np.any(np.diff(values, axis=0) != 0, axis=1) & _known(values))
     if len(rows) < _FEWEST or len(rows) > _MOST * (len(time) - 1):
         return None
     unit = float(np.median(np.diff(time)))
     low, high = time[rows], time[rows + 1]
     for numbers in _numbers(high, period):
-        ticks = _ticking(numbers, low, high, unit, period)
-        if ticks is not None:
-            return rows, ticks, float((ticks[-1] - ticks[0]) / (numbers[-1] - numbers[0]))
+        found = _ticking(numbers, low, high, unit, period)
+        if found is not None:
+            return rows, *found
     return None
 
 
@@ -114,9 +129,11 @@ def _counted(gaps: Floats, period: float) -> Ints:
     return np.concatenate([[0], np.cumsum(skipped)])
 
 
-def _ticking(ticks: Ints, low: Floats, high: Floats, unit: float, period: float) -> Floats | None:
-    """[N]: times of ticks, in the middle of what intervals leave open; None where no regular clock
-    ticks in all of them, or too much is left open."""
+def _ticking(
+    ticks: Ints, low: Floats, high: Floats, unit: float, period: float
+) -> tuple[Floats, Periods] | None:
+    """[N]: times of ticks, in the middle of what intervals leave open, and what these leave open of
+    the period; None where no regular clock ticks in all of them, or too much is left open."""
     number, origin = ticks - ticks[len(ticks) // 2], float(low[len(ticks) // 2])
     late, early = (high - origin) / unit, (low - origin) / unit
     # phase, period and slack: low - slack < phase + number * period <= high + slack
@@ -132,14 +149,19 @@ def _ticking(ticks: Ints, low: Floats, high: Floats, unit: float, period: float)
     if not least.success or least.x[2] > _SLACK:
         return None
     free[2] = (0.0, float(least.x[2]) + 1e-6)
-    ends = []
-    for place in (number[0], number[-1]):
-        cost = np.array([1.0, place, 0.0])
-        both = [linprog(sign * cost, A_ub=rows, b_ub=limits, bounds=free) for sign in (1, -1)]
-        if not all(one.success for one in both) or both[0].fun + both[1].fun < -_OPEN:
+    found = []
+    for cost in ([1.0, number[0], 0.0], [1.0, number[-1], 0.0], [0.0, 1.0, 0.0]):
+        both = [
+            linprog(sign * np.array(cost), A_ub=rows, b_ub=limits, bounds=free) for sign in (1, -1)
+        ]
+        if not all(one.success for one in both):
             return None
-        ends.append((both[0].fun - both[1].fun) / 2)
-    return np.asarray(origin + unit * np.interp(number, [number[0], number[-1]], ends))
+        found.append((both[0].fun, -both[1].fun))
+    *ends, periods = found
+    if any(most - least > _OPEN for least, most in ends):
+        return None
+    times = np.interp(number, [number[0], number[-1]], [(least + most) / 2 for least, most in ends])
+    return origin + unit * times, (unit * periods[0], unit * periods[1])
 
 
 def _outermost(number: Ints, values: Floats) -> Ints:

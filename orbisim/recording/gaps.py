@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbisim.recording import Recording, names
-from orbisim.recording.command_clock import command_period
+from orbisim.recording.command_clock import command_periods
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -65,7 +65,7 @@ def bridged(recordings: Sequence[Recording], window: float, notes: list[str]) ->
 def _clocked(one: Recording) -> bool:
     """Whether a control or torque follows a clock of its own."""
     held = (v for n, v in one.signals.items() if names.split(n)[0] in names.HELD)
-    return any(command_period(one.time, v.reshape(len(one), -1)) is not None for v in held)
+    return any(command_periods(one.time, v.reshape(len(one), -1)) is not None for v in held)
 
 
 def _counted(time: Floats) -> Ints:

@@ -9,7 +9,7 @@ import numpy as np
 
 from orbisim.effects import find
 from orbisim.motion.linear import IntervalMap, linearize
-from orbisim.recording.command_clock import Lead
+from orbisim.recording.command_clock import Lead, common_period
 from orbisim.scene import Scene
 from orbisim.shooting.bench import Bench
 from orbisim.shooting.cutting import wrongly_lost
@@ -37,9 +37,10 @@ def command_clock(bench: Bench) -> Lead | None:
     """The clock that logs show of when controls change, if that is not asked already, and they do.
     When a command acts is not when it is logged. Logs of one machine have one period, and most
     follow it; in the others commands change seldom."""
-    periods = [one.command_period for one in bench.samples if one.command_period is not None]
-    if bench.lead is None or bench.lead or not periods:
+    every = [one.command_periods for one in bench.samples if one.command_periods is not None]
+    if bench.lead is None or bench.lead or not every:
         return None
+    periods = [common_period(one, every) for one in every]
     # as many follow an alias (rates of it and of the clock add up to the log's), with more ticks
     # at which nothing changes: so the longest
     most, period = max((sum(o.clocked(one) for o in bench.samples), one) for one in periods)
