@@ -76,6 +76,7 @@ class Unknown:
       name: for messages. start: where to begin. low, high: bounds. step: for differences.
       widest: for differences where impacts leave less known; the step if None.
       centre, precision: of a Gaussian prior; precision 0 for none.
+      stepwise: see `Effect.stepwise`: derivatives say nothing of another place.
     """
 
     name: str
@@ -86,6 +87,7 @@ class Unknown:
     centre: float = 0.0
     precision: float = 0.0
     widest: float | None = None
+    stepwise: bool = False
 
     def step_from(self, value: float, step: float | None = None) -> float:
         """The difference step (or another), backwards where forwards would leave the bounds, and

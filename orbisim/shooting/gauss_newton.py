@@ -7,6 +7,7 @@ with the parameters, instead of at one noisy sample.
 from __future__ import annotations
 
 import contextlib
+import copy
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 
@@ -22,6 +23,7 @@ from orbisim.shooting.windows import KNOWN
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
+Ints = npt.NDArray[np.int64]
 
 
 def gauss_newton(
@@ -126,48 +128,55 @@ class Problem:
             here = self._better(here, self.trial(values, other))
         self.scale = self.half(here.cost)
         damping, brakes = _DAMPED, np.full(len(shooter), 1e-9)
-        free, at = self.hints.free, here
+        free = self.hints.free
         hinted = free is not None and free.shape[2] == xi.shape[1]
         known_free, rough = free if hinted else None, self.hints.rough
         free = self.start_jacobian(here) if known_free is None else known_free
+        slopes, stale = self.slopes(here), np.zeros(len(shooter), bool)
+        aged = stale  # windows whose derivatives are of before the last steps
         active = np.ones(len(shooter), bool)
         hints, iteration = self.hints, 0
         again = (hints.exact or hints.rough) and not hints.quick
-        known: Floats | None = None
+        ended = False
         while True:
-            if iteration >= iterations:
+            if ended or iteration >= iterations:
                 retried = self._retried(here) if again else None
                 if retried is None:
                     break
-                iterations, again, hinted = iterations + 3, False, False
-                here, active, known = retried, np.ones(len(shooter), bool), None
-                free, at = self._updated(free, at, here)
-            slopes = self.slopes(here) if known is None else known
-            known = None
+                iterations, again, hinted, ended = iterations + 3, False, False, False
+                stale |= self._stale(here, retried, slopes, free)
+                here, active = retried, np.ones(len(shooter), bool)
+                free = self._fresh(free, self.start_jacobian, here, stale)
+            slopes = self._fresh(slopes, self.slopes, here, stale)
+            aged, stale = aged & ~stale, np.zeros_like(stale)
             if hinted and known_free is not None and not rough:
                 free = shooter.read_late(known_free, here.measurement)
             found = self._search(here, slopes, free, damping, brakes, active)
             if found is None:
-                known = slopes
-                if not hinted:
-                    iteration = iterations
-                    continue
-                hinted, free, at = False, self.start_jacobian(here), here  # the hint was no good
+                ended = not hinted
+                if hinted:  # the hint was no good
+                    hinted, free = False, self.start_jacobian(here)
                 continue
             if not self.unknowns:  # windows are independent of each other
                 active = here.cost - found.cost > tolerance * here.cost
             before, after = self.total(here), self.total(found)
             gain = (before - after) / max(before, 1e-300)
+            stale = self._stale(here, found, slopes, free)
             here, damping = found, max(damping / 10, 1e-9)
             iteration += 1
             if gain < tolerance and not (hinted and rough):
-                iteration, known = iterations, slopes  # so short a step hardly changes them
+                ended = True
+                stale[:] = False  # so short a step hardly changes derivatives
                 continue
             if hinted and rough and (gain < 0.2 or iteration == 2):
-                hinted, free, at = False, self.start_jacobian(here), here
+                hinted, free = False, self.start_jacobian(here)
             elif not hinted and (self.hints.exact or iteration == 2):
-                free, at = self._updated(free, at, here)
-        return self._result(here, free, known)
+                free = self._fresh(free, self.start_jacobian, here, stale)
+            stale |= any(one.stepwise for one in self.unknowns)
+            aged = np.full_like(stale, len(self.unknowns) > 1)  # steps test one direction only
+        stale |= aged
+        slopes = slopes if self.hints.quick else self._fresh(slopes, self.slopes, here, stale)
+        return self._result(here, free, slopes)
 
     def widened(self, values: Floats, start: Floats | None) -> Floats:
         """Window starts with room for the joints that effects have added."""
@@ -344,10 +353,18 @@ class Problem:
         """What the priors charge."""
         return float((self.precision * (values - self.centre) ** 2).sum())
 
-    def slopes(self, here: Trial) -> Floats:
-        """Derivatives of the weighted simulated data by the parameters, [W, data, P]."""
+    def slopes(self, here: Trial, only: Bools | None = None) -> Floats:
+        """Derivatives of the weighted simulated data by the parameters, [W, data, P].
+
+        Args:
+          only: [W] the windows in which they are wanted; all if None. Of others they are zero.
+        """
         values = here.values
         slopes = np.zeros((*here.residual.shape, len(values)))
+        if only is not None and not only.all():
+            which = np.flatnonzero(only)
+            slopes[which] = self._some(which).slopes(here.some(which))
+            return slopes
         for p, known in self.hints.slopes.items():
             slopes[..., p] = known
         steps = {
@@ -362,6 +379,15 @@ class Problem:
         for p, change in changes.items():
             slopes[..., p] = change / steps[p]
         return slopes
+
+    def _some(self, which: Ints) -> Problem:
+        """The same with some of the windows."""
+        part, known = copy.copy(self), self.hints.slopes
+        part.shooter = self.shooter.some(which)
+        part.hints = dataclasses.replace(
+            self.hints, free=None, slopes={p: values[which] for p, values in known.items()}
+        )
+        return part
 
     def _width(self, p: int, value: float) -> float:
         """Of the difference by a parameter: its step, or, where impacts scatter, a tenth of what it
@@ -412,18 +438,22 @@ class Problem:
             steps |= more
             changes |= self._changes(here, more)
 
-    def _updated(self, free: Floats, at: Trial, here: Trial) -> tuple[Floats, Trial]:
-        """Derivatives by the starts, taken anew where the motion has changed since they were."""
-        change = np.linalg.norm(here.residual - at.residual, axis=1)
-        size = np.linalg.norm(here.residual, axis=1)
-        moved = change > _STALE * np.maximum(size, np.sqrt(self.shooter.data))
-        if not moved.any():
-            return free, at
-        fresh = self.start_jacobian(here, moved)
-        pick = moved[:, None]
-        residual = np.where(pick, here.residual, at.residual)
-        at = dataclasses.replace(at, residual=residual)
-        return np.where(pick[..., None], fresh, free), at
+    def _stale(self, before: Trial, after: Trial, slopes: Floats, free: Floats) -> Bools:
+        """[W]: windows that a step has changed otherwise than derivatives foresaw: these have to be
+        taken anew there."""
+        step, moves = after.values - before.values, after.xi - before.xi
+        change = after.residual - before.residual
+        off = change + slopes @ step + np.einsum("wdf,wf->wd", free, moves)
+        size = np.maximum(np.linalg.norm(change, axis=1), np.sqrt(self.shooter.data))
+        return np.asarray(~(np.linalg.norm(off, axis=1) <= _STALE * size))
+
+    def _fresh(
+        self, known: Floats, derivatives: Callable[[Trial, Bools], Floats], here: Trial, anew: Bools
+    ) -> Floats:
+        """Derivatives, of some windows taken anew."""
+        if not anew.any() or not known.shape[2]:
+            return known
+        return np.where(anew[:, None, None], derivatives(here, anew), known)
 
     def start_jacobian(self, here: Trial, only: Bools | None = None) -> Floats:
         """Derivatives of the weighted simulated data by the window starts, [W, data, 2 nv]."""
@@ -505,12 +535,10 @@ class Problem:
         wanted = (residual - slopes @ step) * root
         return step, least_squares(free * root[..., None], wanted, brakes)
 
-    def _result(self, here: Trial, free: Floats, slopes: Floats | None) -> Fit:
+    def _result(self, here: Trial, free: Floats, slopes: Floats) -> Fit:
         values, xi, residual = here.values, here.xi, here.residual
         if self.hints.quick:
             slopes = np.zeros((*residual.shape, len(values)))
-        elif slopes is None:
-            slopes = self.slopes(here)
         left, weighted = self.shares(here, slopes, free)
         information = np.einsum("wdp,wdq->wpq", weighted, weighted)
         score = np.einsum("wdp,wd->wp", weighted, left)
@@ -549,6 +577,11 @@ class Trial:
     cost: Floats
     penalty: float
     measurement: Measurement = TRUE
+
+    def some(self, which: Ints) -> Trial:
+        """Of some of the windows."""
+        names = ("xi", "simulated", "residual", "cost")
+        return dataclasses.replace(self, **{name: getattr(self, name)[which] for name in names})
 
     @property
     def total(self) -> float:
@@ -591,6 +624,7 @@ grows where it does not yet, so that the first may be ten times too long."""
 _REFUSED = 100.0
 """By how much a step is damped that leads to no possible scene."""
 _STALE = 0.1
-"""Change of a window's residual, over its size, from which on its derivatives are taken anew."""
+"""Share of a window's change, or of its noise, that derivatives did not foresee, from which on they
+are taken anew: below it, the next step with the old ones leaves a tenth of what it is to remove."""
 _BAD = 4.0
 """Mean square of a window that fits badly where most do not: its start is approached anew."""

@@ -163,11 +163,12 @@ class Hypothesis:
                 low, high = max(one.low, one.possible[0]), min(one.high, one.possible[1])
             value = float(_free_values(declared, e)[name])
             step = 1e-4 * max(abs(value), 0.05 * abs(scale), 1e-9)
-            if effect.stepwise(e, name):
+            stepwise = effect.stepwise(e, name)
+            if stepwise:
                 step = max(step, _COARSE * abs(value))
             widest = max(step, min(abs(scale), (high - low) / 4))
             label = f"{e.effect}({e.target}).{name}"
-            found.append(Unknown(label, value, low, high, step, widest=widest))
+            found.append(Unknown(label, value, low, high, step, 0.0, 0.0, widest, stepwise))
         found += [
             Unknown(str(one), factor, 1 - REACH, 1 + REACH, 1e-4, 1.0, 1 / SPREAD**2, REACH / 2)
             for one, factor in self.factors

@@ -144,3 +144,56 @@ def test_a_window_that_overflows_keeps_its_start(value: float) -> None:
     again = least_squares(matrix, wanted, np.zeros(3))
     np.testing.assert_array_equal(again[[0, 2]], moves[[0, 2]])
     assert not again[1].any()
+
+
+def test_derivatives_are_taken_anew_where_a_step_was_not_foreseen() -> None:
+    """Of four windows, the second does something else, the third misses by less than noise, and
+    the fourth flies off."""
+    shooter: Any = SimpleNamespace(data=np.full(4, 4))
+    problem = Problem(shooter, lambda _: Variant(None), [], Hints(), None)  # type: ignore[arg-type]
+    slopes, free = np.full((4, 4, 1), 2.0), np.ones((4, 4, 1))
+    before: Any = SimpleNamespace(
+        values=np.zeros(1), xi=np.zeros((4, 1)), residual=np.full((4, 4), 90.0)
+    )
+    foreseen = 90.0 - 2.0 * 30.0 - 10.0
+    residual = foreseen + np.array([[0.0], [30.0], [0.09], [np.nan]]) * np.ones(4)
+    after: Any = SimpleNamespace(
+        values=np.full(1, 30.0), xi=np.full((4, 1), 10.0), residual=residual
+    )
+    np.testing.assert_array_equal(
+        problem._stale(before, after, slopes, free), [False, True, False, True]
+    )
+
+
+def test_derivatives_that_are_kept_lead_to_the_same_fit(
+    arm: orbisim.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With derivatives taken anew in a fraction of the windows, or in all of them at each step."""
+    friction = EffectInstance("coulomb_friction", "elbow", {"torque": 0.1})
+    runs = inject_effect(arm, friction, duration=4.0, episodes=2, noise=1e-4, seed=1)
+    bench = make_bench(arm, prepare_all(runs, arm), 0.5)
+    shooter = bench.shooter(bench.fit)
+    taken: list[float] = []
+    plain = Problem.slopes
+
+    def slopes(self: Problem, here: Any, only: Any = None) -> Any:
+        if len(self.shooter) == len(shooter):  # not those within it of some windows
+            taken.append(1.0 if only is None else float(np.mean(only)))
+        return plain(self, here, only)
+
+    monkeypatch.setattr(Problem, "slopes", slopes)
+
+    def found(stale: float) -> tuple[float, float]:
+        taken.clear()
+        monkeypatch.setattr("orbisim.shooting.gauss_newton._STALE", stale)
+        fit = gauss_newton(
+            shooter,
+            lambda values: Hypothesis((friction.replace(torque=float(values[0])),)).variant(arm),
+            [Unknown("torque", 0.02, 0.0, 1.0, 1e-4)],
+            iterations=8,
+        )
+        return float(fit.values[0]), sum(taken)
+
+    (kept, few), (anew, many) = found(0.1), found(0.0)
+    assert kept == pytest.approx(anew, rel=1e-3)
+    assert 1.0 <= few < 0.7 * many
