@@ -133,7 +133,7 @@ class Problem:
         known_free, rough = free if hinted else None, self.hints.rough
         free = self.start_jacobian(here) if known_free is None else known_free
         slopes, stale = self.slopes(here), np.zeros(len(shooter), bool)
-        aged = stale  # windows whose derivatives are of before the last steps
+        aged = np.zeros_like(stale)  # windows whose derivatives are of before the last steps
         active = np.ones(len(shooter), bool)
         hints, iteration = self.hints, 0
         again = (hints.exact or hints.rough) and not hints.quick

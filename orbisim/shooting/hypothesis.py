@@ -168,7 +168,7 @@ class Hypothesis:
                 step = max(step, _COARSE * abs(value))
             widest = max(step, min(abs(scale), (high - low) / 4))
             label = f"{e.effect}({e.target}).{name}"
-            found.append(Unknown(label, value, low, high, step, 0.0, 0.0, widest, stepwise))
+            found.append(Unknown(label, value, low, high, step, widest=widest, stepwise=stepwise))
         found += [
             Unknown(str(one), factor, 1 - REACH, 1 + REACH, 1e-4, 1.0, 1 / SPREAD**2, REACH / 2)
             for one, factor in self.factors
